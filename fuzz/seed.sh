@@ -1,7 +1,7 @@
 #!/bin/sh
-# Fills the corpora: with the seed inputs of `untrusted-input`, with the sources that
-# `cargo xtask setup` unpacked, and with the built-in pack. Nothing of LIBERO's is
-# kept in this repository.
+# Fills the corpora: with the seed inputs of `untrusted-input`, with LIBERO's files that
+# `cargo xtask setup` unpacked (this repository contains none of them), and with the
+# models of the built-in pack.
 set -eu
 cd "$(dirname "$0")/.."
 sources=${ROLLOUT_SOURCES:-${XDG_CACHE_HOME:-$HOME/.cache}/rollout/sources}
@@ -11,7 +11,7 @@ cp "$sources"/libero/bddl_files/*/*.bddl fuzz/corpus/bddl/
 find assets/primitives -name '*.xml' ! -path '*/scenes/*' -exec cp {} fuzz/corpus/mjcf/ \;
 for states in "$sources"/libero/init_files/libero_goal/*.pruned_init; do
     cp "$states" fuzz/corpus/pruned_init/
-    # The pickle alone, which the target reads past the zip.
+    # The pickle without its zip archive: the target also parses an input as a bare pickle.
     python3 -c 'import sys, zipfile
 sys.stdout.buffer.write(zipfile.ZipFile(sys.argv[1]).read("archive/data.pkl"))' \
         "$states" >"fuzz/corpus/pruned_init/$(basename "$states").pkl"

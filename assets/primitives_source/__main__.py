@@ -35,13 +35,14 @@ def main():
 
 
 def check(wanted):
-    there = {file.relative_to(PACK).as_posix() for file in PACK.rglob("*") if file.is_file()} - BY_HAND
-    complaints = [f"missing: {path}" for path in wanted.keys() - there]
-    complaints += [f"not written by the generator: {path}" for path in there - wanted.keys()]
-    complaints += [f"differs: {path}" for path in wanted.keys() & there if (PACK / path).read_bytes() != wanted[path]]
-    for complaint in sorted(complaints):
-        print(complaint, file=sys.stderr)
-    return 1 if complaints else 0
+    """Compares the committed pack with the generated files; returns the exit code."""
+    present = {file.relative_to(PACK).as_posix() for file in PACK.rglob("*") if file.is_file()} - BY_HAND
+    problems = [f"missing: {path}" for path in wanted.keys() - present]
+    problems += [f"not written by the generator: {path}" for path in present - wanted.keys()]
+    problems += [f"differs: {path}" for path in wanted.keys() & present if (PACK / path).read_bytes() != wanted[path]]
+    for problem in sorted(problems):
+        print(problem, file=sys.stderr)
+    return 1 if problems else 0
 
 
 if __name__ == "__main__":

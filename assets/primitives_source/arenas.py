@@ -1,7 +1,7 @@
 """The rooms: floor, walls, table, lights and cameras of each LIBERO arena, and their textures.
 
-LIBERO's arena code picks a floor and a wall texture by file name, so those files must exist: here
-they are a few plain pixels each. Positions of walls, lights and cameras are LIBERO's, because
+LIBERO's arena code picks a floor and a wall texture by file name, so those files must exist: in
+this pack they are a few plain pixels each. Positions of walls, lights and cameras are LIBERO's, because
 light and view are part of what the benchmark perturbs.
 """
 
@@ -11,9 +11,10 @@ import zlib
 
 from colours import *
 from mjcf import FIRM, numbers, to_bytes, write_classes, write_colours, write_shapes
-from shapes import box, capsule, cylinder, moved, seen
+from shapes import box, capsule, cylinder, moved, visible
 
-# Colour of the picture and of the joint along two of its edges, by file name, 0 to 255.
+# Textures by file name: colour of the tile, and of the joint between tiles along two of its edges,
+# red green blue from 0 to 255.
 TEXTURES = {
     "light-gray-floor-tile.png": ((168, 164, 160), (142, 138, 134)),
     "gray_ceramic_tile.png": ((150, 154, 158), (118, 122, 126)),
@@ -43,7 +44,7 @@ ROOM_COLOURS = [BLACK, BLUE, BROWN, DARK_RED, DARK_WOOD, GREEN, LIGHT_WOOD, OAK,
 
 LIGHTS = [("light1", (1, 1, 4)), ("light2", (-3, -3, 4))]
 
-# Name, position, orientation; the loader overwrites some of them per arena.
+# Name, position, orientation; the loader replaces some of these poses in each arena.
 CAMERAS = [
     ("frontview", "1.0 0 1.45", "0.56 0.43 0.43 0.56"),
     ("birdview", "-0.2 0 3.0", "0.7071 0 0 0.7071"),
@@ -118,8 +119,8 @@ def table(world):
 
 
 def kitchen(world):
-    """The table, and a worktop and a fridge behind the robot, under a lamp of their own."""
-    write_shapes(world, seen(
+    """The table, and behind the robot a worktop and a fridge with a lamp above them."""
+    write_shapes(world, visible(
         box((-1.95, -1.60, 0), (-1.40, 1.90, 0.86), PORCELAIN),
         box((-1.96, -1.62, 0.86), (-1.38, 1.92, 0.90), SOOT),
         box((-1.95, -2.80, 0), (-1.40, -1.70, 1.80), STEEL),
@@ -158,7 +159,7 @@ def study(world):
         capsule((0, 0, height), (x, y, height + 0.25), 0.02, GREEN)
         for height, x, y in ((0.95, 0.2, 0.1), (0.9, -0.2, 0.1), (0.95, 0, -0.2), (0.85, 0.1, 0.22), (0.98, 0, 0.05))
     ]
-    write_shapes(world, seen(
+    write_shapes(world, visible(
         *moved(plant, (-1.75, 0.5, 0)),
         *(box((-1.95, -1.60, z), (-1.60, -0.40, z + 0.03), STEEL) for z in (0.0, 0.44, 0.88, 1.32, 1.76)),
         *(box((-1.95, y, 0), (-1.60, y + 0.03, 1.79), SOOT) for y in (-1.63, -0.40)),
@@ -169,8 +170,8 @@ def study(world):
 
 def png(colour, joint):
     """Returns a square picture of 64 pixels with a one-pixel joint along two edges, so that a
-    repeated texture shows tiles. It has one bit per pixel and is stored uncompressed: the output of
-    zlib differs between versions, and the pack must be the same everywhere."""
+    repeated texture shows tiles. The picture has one bit per pixel and is stored uncompressed: the
+    output of zlib differs between versions, and the pack must be the same everywhere."""
     rows = [b"\xff" * 8] + [b"\x80" + b"\0" * 7] * 63
     pixels = b"".join(b"\0" + row for row in rows)
     stored = b"\x78\x01\x01" + struct.pack("<HH", len(pixels), len(pixels) ^ 0xFFFF) + pixels
@@ -189,7 +190,7 @@ def png(colour, joint):
 def files():
     """Path inside the pack -> contents."""
     gray, plaster = "light-gray-floor-tile.png", "light-gray-plaster.png"
-    out = {f"textures/{name}": png(*look) for name, look in TEXTURES.items()}
+    out = {f"textures/{name}": png(*colours) for name, colours in TEXTURES.items()}
     out["scenes/libero_floor_base_style.xml"] = arena(gray, plaster, bare, floor_in_body=True)
     out["scenes/libero_tabletop_base_style.xml"] = arena(gray, plaster, table)
     out["scenes/libero_kitchen_tabletop_base_style.xml"] = arena(

@@ -1,12 +1,12 @@
 """The fixtures, which stay in place, and their moving parts: drawers, knob, oven door.
 
 Joints, region sites and their positions are LIBERO's, because goals are measured against them.
-The boards between them are this pack's own.
+The shapes around them are this pack's own.
 """
 
 from colours import *
 from mjcf import Extent, Joint, Part, Site, density_for, document, number
-from shapes import box, capsule, cylinder, felt, moved, octagon, seen, slab, turned
+from shapes import box, capsule, colliding, cylinder, moved, octagon, slab, turned, visible
 
 # Density of the boards in kg/m³. They never move; the density only keeps their mass finite.
 DENSITY = 100
@@ -15,7 +15,7 @@ DENSITY = 100
 CHEST = Extent(bottom=-0.045, top=0.045, radius=0.045, site_size=0.05)
 
 # Mass in kg and moment of inertia in kg m² that LIBERO gives to everything that slides or turns:
-# large, so that a push moves it slowly.
+# large, so that pushed parts move slowly.
 HEAVY = (3, 1)
 
 HALF_ABOUT_Y = (0, 0, 1, 0)
@@ -44,7 +44,7 @@ def cabinet(body, front, handle):
 
 
 def drawer(level, bottom, region, front, handle):
-    """An open box behind a front with a bar handle; `bottom` is the height of its underside."""
+    """An open box behind a front with a bar handle; `bottom` is the height of the box's underside."""
     top, grip = bottom + 0.0640, bottom + 0.0300
     bar = [(x, -0.1016, grip) for x in (-0.0473, 0.0417)]
     posts = [((x, -0.0780, grip), (x, -0.1016, grip)) for x in (-0.0356, 0.0292)]
@@ -66,24 +66,24 @@ def drawer(level, bottom, region, front, handle):
 
 
 def flat_stove():
-    """One burner and a knob that turns it on; LIBERO lights the site `burner` when it is on."""
+    """One burner and a knob that turns it on; LIBERO shows the site `burner` while the burner is on."""
     grate = [capsule((x, -0.058, 0.0232), (x, 0.058, 0.0232), 0.0022, GREY) for x in (-0.03, 0, 0.03)]
     burner = Part(
         "burner",
         [
-            *seen(box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.02), STEEL)),
-            # Things stand on the grate, not on the steel below it.
-            *felt(box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.0255))),
+            *visible(box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.02), STEEL)),
+            # Higher than the visible steel, so that objects stand on the grate.
+            *colliding(box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.0255))),
         ],
         sites=[
             Site("cook_region", (0, 0, 0), (0.075, 0.075, 0.0025)),
             Site("burner", (0, 0, 0.022), (0.0625, 0.0005), kind="cylinder", rgba=(0.9, 0.05, 0.05, 1)),
         ],
-        parts=[Part("burner_plate", seen(cylinder(0.065, 0.019, 0.021, SOOT), *grate))],
+        parts=[Part("burner_plate", visible(cylinder(0.065, 0.019, 0.021, SOOT), *grate))],
         pos=(0.15, 0, 0),
-        felt_as="plate",
+        collision_class="plate",
     )
-    dial = [*octagon(0.0470, 0.0004, 0.0128), *seen(cylinder(0.0455, 0.0004, 0.0128, SOOT))]
+    dial = [*octagon(0.0470, 0.0004, 0.0128), *visible(cylinder(0.0455, 0.0004, 0.0128, SOOT))]
     knob = Part(
         "button",
         [
@@ -116,24 +116,24 @@ def microwave():
         "microdoorroot",
         [
             box((0.0005, -0.0250, -0.0925), (0.2590, -0.0010, 0.0925), BLACK),
-            *seen(box((0.0400, -0.0256, -0.0600), (0.2050, -0.0004, 0.0600), GREY)),
+            *visible(box((0.0400, -0.0256, -0.0600), (0.2050, -0.0004, 0.0600), GREY)),
             *(capsule(start, end, 0.0100, STEEL) for start, end in zip(corners, corners[1:])),
         ],
         joint=Joint("microjoint", "hinge", (0, 0, 1), (-2.094, 0), damping=0.5),
         pos=(-0.1725, -0.0880, 0.0960),
-        felt_as="door",
+        collision_class="door",
     )
     root = Part(
         "object",
-        housing + seen(*buttons),
+        housing + visible(*buttons),
         sites=[
             Site("top_side", (0, 0.01, 0.2), (0.12, 0.0835, 0.005), rgba=(1, 0, 0, 0)),
             Site("heating_region", (0, 0.01, 0.096), (0.12, 0.0835, 0.08), rgba=(1, 0, 0, 0)),
         ],
         parts=[door],
-        felt_as="housing",
+        collision_class="housing",
     )
-    # Soft contacts with a margin, between the oven and other bodies but not among its own parts.
+    # Soft contacts with a margin, between the oven and other bodies but not among the oven's own parts.
     contact = {"group": "0", "contype": "0", "margin": "0.001", "solref": "0.02 1", "solimp": "0.8 0.9 0.01"}
     classes = {
         "housing": {**contact, "density": number(density_for(3, housing))},
@@ -161,8 +161,8 @@ def wine_rack():
 
 
 def desk_caddy():
-    """A desk organiser with a deep compartment at either end and, between them, a low one at the
-    front (-x) and a book-sized one at the back."""
+    """A desk organiser with a deep compartment at each end and, between them, a low compartment at
+    the front (-x) and a book-sized compartment at the back."""
     def board(low, high):
         return box(low, high, CARDBOARD)
 
@@ -177,7 +177,7 @@ def desk_caddy():
     return Part(
         "object",
         [
-            # Thick, so that a book standing on it is inside the region of the goal (from 15 mm).
+            # The floor is thick, so that a book standing on it is inside the goal's region; 15 mm would suffice.
             slab(0.0755, 0.2169, 0.0014, 0.0200, BROWN),
             board((0.0628, -0.2156, 0.0200), (0.0708, 0.2120, 0.1680)),
             board((-0.0709, -0.0631, 0.0200), (-0.0628, 0.2120, 0.0741)),
@@ -205,14 +205,14 @@ def files():
     oven, oven_classes = microwave()
     # The plate of the stove has MuJoCo's default density and contact constants.
     plate = {"plate": {"group": "0"}}
-    shelved = Extent(bottom=-0.06, top=0.04, radius=0.025)
+    shelf_extent = Extent(bottom=-0.06, top=0.04, radius=0.025)
     fixtures = {
         "articulated_objects/flat_stove": (flat_stove(), CHEST, plate),
         "articulated_objects/microwave": (oven, Extent(bottom=-0.06, top=0.06, radius=0.015), oven_classes),
         "articulated_objects/white_cabinet": (cabinet(PORCELAIN, WHITE, GREY), CHEST, {}),
         "articulated_objects/wooden_cabinet": (cabinet(DARK_WOOD, WALNUT, GREY), CHEST, {}),
-        "turbosquid_objects/desk_caddy/desk_caddy": (desk_caddy(), shelved, {}),
-        "turbosquid_objects/wine_rack/wine_rack": (wine_rack(), shelved, {}),
+        "turbosquid_objects/desk_caddy/desk_caddy": (desk_caddy(), shelf_extent, {}),
+        "turbosquid_objects/wine_rack/wine_rack": (wine_rack(), shelf_extent, {}),
     }
     return {
         f"{path}.xml": document(path.rsplit("/", 1)[1], root, extent, DENSITY, classes)

@@ -2,15 +2,15 @@
 
 Every entry gives the object's extent for the placement sampler and its mass. These
 facts and the overall dimensions are taken from LIBERO (the pack's README says how); the
-shapes are this pack's own. Lids, labels and stripes are drawn only.
+shapes are this pack's own. Lids, labels and stripes are drawn but do not collide.
 """
 
 from colours import *
 from mjcf import Extent, Part, density_for, document
-from shapes import box, cylinder, felt, moved, octagon, seen, slab, standing_along_y, turned
+from shapes import box, colliding, cylinder, moved, octagon, slab, standing_along_y, turned, visible
 
 # Extent of most objects for the placement sampler.
-USUAL = Extent(bottom=-0.06, top=0.04, radius=0.025)
+COMMON_EXTENT = Extent(bottom=-0.06, top=0.04, radius=0.025)
 
 
 def can(label, band):
@@ -18,7 +18,7 @@ def can(label, band):
     radius, bottom, top = 0.0325, -0.0386, 0.0405
     return standing_along_y(
         octagon(radius, bottom, top)
-        + seen(
+        + visible(
             cylinder(radius - 0.0005, bottom, top, STEEL),
             cylinder(radius, bottom + 0.006, top - 0.006, label),
             cylinder(radius + 0.0003, -0.014, 0.010, band),
@@ -34,7 +34,7 @@ def carton(side, stripe, roof):
     return standing_along_y(
         [slab(half, half, bottom, eaves, side), *gable, *turned(gable, "z", 180)]
         + [slab(half, 0.003, ridge - 0.006, ridge, side)]
-        + seen(slab(half + 0.0004, half + 0.0004, -0.048, 0.002, stripe))
+        + visible(slab(half + 0.0004, half + 0.0004, -0.048, 0.002, stripe))
     )
 
 
@@ -47,21 +47,21 @@ def tapered_bottle(body, label, cap):
             slab(0.0187, 0.0165, 0.0145, 0.0362, body),
         ]
         + octagon(0.0165, 0.0362, 0.0730)
-        + seen(cylinder(0.0165, 0.0362, 0.0730, cap), slab(0.0286, 0.0174, -0.058, -0.016, label))
+        + visible(cylinder(0.0165, 0.0362, 0.0730, cap), slab(0.0286, 0.0174, -0.058, -0.016, label))
     )
 
 
 def round_bottle(body, label, cap):
     """A bottle with a long neck and a broad cap that stands along its y axis."""
     return standing_along_y(
-        felt(
+        colliding(
             slab(0.0175, 0.0173, -0.0727, -0.0625),
             slab(0.0235, 0.0173, -0.0625, 0.0010),
             slab(0.0264, 0.0173, -0.0524, -0.0104),
             slab(0.0130, 0.0148, 0.0010, 0.0356),
         )
         + octagon(0.0180, 0.0356, 0.0728)
-        + seen(
+        + visible(
             cylinder(0.0235, -0.0727, -0.0085, body),
             cylinder(0.0190, -0.0085, 0.0100, body),
             cylinder(0.0145, 0.0100, 0.0356, body),
@@ -77,7 +77,7 @@ def flask(body, label, cap):
         box((-0.0235, -0.0145, -0.0546), (0.0235, 0.0145, -0.0015), body),
         box((-0.0181, -0.0143, -0.0015), (0.0181, 0.0143, 0.0262), body),
         box((-0.0138, -0.0138, 0.0262), (0.0138, 0.0138, 0.0525), cap),
-        *seen(slab(0.0239, 0.0149, -0.044, -0.012, label)),
+        *visible(slab(0.0239, 0.0149, -0.044, -0.012, label)),
     ]
 
 
@@ -87,7 +87,7 @@ def packet(half, middle, face, stripe):
     along_x = x > y
     band = (x * 0.45, y, z) if along_x else (x, y * 0.45, z)
     low, high = (tuple(sign * (part + 0.0004) for part in band) for sign in (-1, 1))
-    return moved([box(tuple(-part for part in half), half, face), *seen(box(low, high, stripe))], middle)
+    return moved([box(tuple(-part for part in half), half, face), *visible(box(low, high, stripe))], middle)
 
 
 # Name: (extent, mass in kg, shapes).
@@ -96,17 +96,17 @@ GROCERIES = {
     "bbq_sauce": (Extent(-0.06, 0.06, 0.015), 0.01218, flask(DARK_RED, ORANGE, RED)),
     "butter": (Extent(-0.02, 0.02, 0.02), 0.00525, packet((0.0381, 0.0198, 0.0087), (0, 0, 0), YELLOW, RED)),
     "chocolate_pudding": (
-        USUAL, 0.01019, packet((0.0401, 0.0232, 0.0137), (-0.0005, 0, 0.0006), CHOCOLATE, CREAM),
+        COMMON_EXTENT, 0.01019, packet((0.0401, 0.0232, 0.0137), (-0.0005, 0, 0.0006), CHOCOLATE, CREAM),
     ),
-    "cookies": (USUAL, 0.00964, packet((0.0310, 0.0413, 0.0094), (0, 0, 0), RED, YELLOW)),
+    "cookies": (COMMON_EXTENT, 0.00964, packet((0.0310, 0.0413, 0.0094), (0, 0, 0), RED, YELLOW)),
     "cream_cheese": (
         Extent(-0.025, 0.025, 0.03), 0.00619, packet((0.0406, 0.0213, 0.0089), (0, 0, 0), BLUE, WHITE),
     ),
-    "ketchup": (USUAL, 0.02322, tapered_bottle(RED, CREAM, WHITE)),
+    "ketchup": (COMMON_EXTENT, 0.02322, tapered_bottle(RED, CREAM, WHITE)),
     "milk": (Extent(-0.06, 0.04, 0.03), 0.03167, carton(WHITE, BLUE, RED)),
-    "orange_juice": (USUAL, 0.03167, carton(ORANGE, YELLOW, GREEN)),
-    "salad_dressing": (USUAL, 0.02178, round_bottle(PALE_GREEN, DARK_GREEN, DARK_GREEN)),
-    "tomato_sauce": (USUAL, 0.02663, can(RED, GREEN)),
+    "orange_juice": (COMMON_EXTENT, 0.03167, carton(ORANGE, YELLOW, GREEN)),
+    "salad_dressing": (COMMON_EXTENT, 0.02178, round_bottle(PALE_GREEN, DARK_GREEN, DARK_GREEN)),
+    "tomato_sauce": (COMMON_EXTENT, 0.02663, can(RED, GREEN)),
 }
 
 

@@ -6,31 +6,31 @@ overall dimensions are LIBERO's (the pack's README says how); the shapes are thi
 
 from colours import *
 from mjcf import Extent, Part, Site, density_for, document
-from shapes import box, capsule, cylinder, felt, moved, octagon, seen, slab, turned, wall
+from shapes import box, capsule, colliding, cylinder, moved, octagon, slab, turned, visible, wall
 
 SCANNED, TURBOSQUID = "stable_scanned_objects", "turbosquid_objects"
 
-# Extent of all of them for the placement sampler.
+# Extent of every household object for the placement sampler.
 EXTENT = Extent(bottom=-0.06, top=0.04, radius=0.025)
 
 
 def dish(base, profile, thickness, facets, colour, bottom_colour=None):
     """A round vessel: a square base inside a round bottom, and one wall per step of the profile.
 
-    `base` is (radius, bottom, top); `profile` is a list of (radius, height). A bottom of another
-    colour shows from above, in flat light, where the vessel ends and its wall begins."""
+    `base` is (radius, bottom, top); `profile` is a list of (radius, height). A `bottom_colour` other
+    than `colour` makes the edge between bottom and wall visible from above in flat light."""
     radius, bottom, top = base
     inner = radius * 0.8
     steps = zip(profile, profile[1:])
     return (
-        felt(slab(inner, inner, bottom, top))
-        + seen(cylinder(radius, bottom, top, bottom_colour or colour))
+        colliding(slab(inner, inner, bottom, top))
+        + visible(cylinder(radius, bottom, top, bottom_colour or colour))
         + [piece for low, high in steps for piece in wall(low, high, thickness, facets, colour)]
     )
 
 
 def handle(points, radius, colour):
-    """Rods from point to point."""
+    """Rods that join consecutive points."""
     return [capsule(start, end, radius, colour) for start, end in zip(points, points[1:])]
 
 
@@ -65,14 +65,14 @@ def moka_pot():
     """A moka pot whose body is as wide as LIBERO's across the flats, so that the gripper fits."""
     return (
         octagon(0.0365, -0.0661, 0.0670)
-        + seen(
+        + visible(
             cylinder(0.0365, -0.0661, -0.0080, STEEL),
             cylinder(0.0300, -0.0080, 0.0060, STEEL),
             cylinder(0.0350, 0.0060, 0.0640, STEEL),
             cylinder(0.0365, 0.0640, 0.0670, WHITE),
             cylinder(0.0070, 0.0670, 0.0850, BLACK),
         )
-        + felt(slab(0.0052, 0.0060, 0.0670, 0.0850))
+        + colliding(slab(0.0052, 0.0060, 0.0670, 0.0850))
         + [box((-0.0080, -0.0550, 0.0420), (0.0080, -0.0330, 0.0620), STEEL)]
         + handle([(0, 0.0330, 0.0580), (0, 0.0780, 0.0580), (0, 0.0780, 0.0080)], 0.0070, BLACK)
     )
@@ -81,8 +81,8 @@ def moka_pot():
 def wine_bottle():
     return (
         octagon(0.0212, 0.0011, 0.0680)
-        + felt(slab(0.0118, 0.0118, 0.0680, 0.0881), slab(0.0066, 0.0066, 0.0881, 0.1580))
-        + seen(
+        + colliding(slab(0.0118, 0.0118, 0.0680, 0.0881), slab(0.0066, 0.0066, 0.0881, 0.1580))
+        + visible(
             cylinder(0.0212, 0.0011, 0.0680, DARK_GREEN),
             cylinder(0.0165, 0.0680, 0.0800, DARK_GREEN),
             cylinder(0.0110, 0.0800, 0.0930, DARK_GREEN),
@@ -96,7 +96,7 @@ def wine_bottle():
 def black_book():
     low, high = (-0.0148, -0.0673, 0.0022), (0.0139, 0.0430, 0.1366)
     pages = box((-0.0110, -0.0640, 0.0016), (0.0101, 0.0436, 0.1372), CREAM)
-    return [box(low, high, BLACK), *seen(pages)]
+    return [box(low, high, BLACK), *visible(pages)]
 
 
 def basket():
@@ -104,8 +104,8 @@ def basket():
     side = [box((x - board, -y - board, bottom), (x + board, y + board, top), CARDBOARD)]
     end = [box((-x + board, y - board, bottom), (x - board, y + board, top), CARDBOARD)]
     rim = board + 0.0006
-    edge = seen(box((x - rim, -y - board, top - 0.004), (x + rim, y + board, top + 0.0006), BROWN))
-    lip = seen(box((-x, y - rim, top - 0.004), (x, y + rim, top + 0.0006), BROWN))
+    edge = visible(box((x - rim, -y - board, top - 0.004), (x + rim, y + board, top + 0.0006), BROWN))
+    lip = visible(box((-x, y - rim, top - 0.004), (x, y + rim, top + 0.0006), BROWN))
     long_sides, short_sides = side + edge, end + lip
     return [
         slab(x - board, y - board, bottom, 0.0219, BROWN),
@@ -116,7 +116,7 @@ def basket():
 
 CONTAIN_REGION = Site("contain_region", (0, 0, 0.07185), (0.06108, 0.06108, 0.06949), (0, 0, 0, 1))
 
-# Name: (folder, mass in kg, shapes, sites if any).
+# Name: (folder, mass in kg, shapes), and a list of sites for an object that has some.
 HOUSEHOLD = {
     "akita_black_bowl": (
         SCANNED, 0.00559,

@@ -2,8 +2,8 @@
 
 In this structure, an unnamed body holds the body `object` and three sites that tell the placement
 sampler the object's extent. Geoms of group 0 collide and are hidden; geoms of group 1 are drawn.
-Each geom has one of two default classes, which the loader writes out into every geom. The
-appearance of objects is defined elsewhere.
+Each geom has a default class, whose attributes the loader writes into the geom. The objects
+themselves are defined in `fixtures.py`, `groceries.py` and `household.py`.
 """
 
 import xml.etree.ElementTree as ET
@@ -15,7 +15,7 @@ FIRM = {"friction": "0.95 0.3 0.1", "solref": "0.001 1", "solimp": "0.998 0.998 
 
 @dataclass(frozen=True)
 class Site:
-    """A named place, by default an undrawn box that goal predicates measure against."""
+    """A MuJoCo site, by default an undrawn box against which goal predicates measure positions."""
 
     name: str
     pos: tuple
@@ -47,8 +47,8 @@ class Part:
     parts: list = field(default_factory=list)
     pos: tuple = (0, 0, 0)
     quat: tuple = (1, 0, 0, 0)
-    # Default class of its colliding shapes.
-    felt_as: str = "solid"
+    # Default class of the part's colliding shapes.
+    collision_class: str = "solid"
     # (mass, moment of inertia about each axis); if None, computed from the shapes.
     inertia: tuple | None = None
 
@@ -65,14 +65,14 @@ class Extent:
 
 
 def density_for(mass, shapes):
-    """The density in kg/m³ at which these shapes have this mass in kg. Like MuJoCo, the function
-    counts overlapping volume twice."""
-    return mass / sum(shape.volume for shape in shapes if shape.felt)
+    """Returns the density in kg/m³ at which these shapes have this mass in kg. Like MuJoCo, the
+    function counts overlapping volume twice."""
+    return mass / sum(shape.volume for shape in shapes if shape.collides)
 
 
 def document(model, root, extent, density, extra_classes=None):
-    """One object file. `root` is the part that becomes the body `object`; `extra_classes` are
-    named in some part's `felt_as`."""
+    """Returns one object file. `root` becomes the body `object`; `extra_classes` are the default
+    classes other than `solid` that parts name in `collision_class`."""
     mujoco = ET.Element("mujoco", model=model)
     ET.SubElement(mujoco, "compiler", angle="radian")
     write_colours(ET.SubElement(mujoco, "asset"), _colours_of(root))
@@ -94,35 +94,36 @@ def document(model, root, extent, density, extra_classes=None):
 
 
 def write_colours(asset, colours):
-    """A material per colour: a one-coloured texture rather than `rgba`, because MuJoCo limits the
-    light on a surface before it applies a texture, but after it applies `rgba`. A colour therefore
-    looks the same in the brightest arena and under the lighting perturbation."""
+    """Writes a material for each colour. A material has a one-coloured texture rather than `rgba`, because
+    MuJoCo limits the light on a surface before it applies a texture, but after it applies `rgba`. A
+    colour therefore looks the same in the brightest arena and under the lighting perturbation."""
     for name, rgb in sorted(set(colours)):
         ET.SubElement(asset, "texture", name=name, type="2d", builtin="flat", rgb1=numbers(rgb), width="2", height="2")
         ET.SubElement(asset, "material", name=name, texture=name, specular="0.3", shininess="0.3")
 
 
 def write_classes(mujoco, classes):
-    """The default classes of a file, by name, as attributes of `geom`."""
+    """Writes the default classes of a file. `classes` maps a class's name to the attributes of its
+    geoms."""
     default = ET.SubElement(mujoco, "default")
     for name, attributes in classes.items():
         ET.SubElement(ET.SubElement(default, "default", {"class": name}), "geom", attributes)
 
 
-def write_shapes(body, shapes, felt_as="solid"):
-    """Writes colliding shapes as geoms of class `felt_as`, and visible ones as geoms of `drawn`."""
+def write_shapes(body, shapes, collision_class="solid"):
+    """Writes colliding shapes as geoms of class `collision_class`, and visible shapes as geoms of class `drawn`."""
     for shape in shapes:
         place = {"type": shape.kind, "size": numbers(shape.size), "pos": numbers(shape.pos)}
         if number(shape.quat[0]) != "1":
             place["quat"] = numbers(shape.quat)
-        if shape.felt:
-            ET.SubElement(body, "geom", {"class": felt_as, **place})
+        if shape.collides:
+            ET.SubElement(body, "geom", {"class": collision_class, **place})
         if shape.colour is not None:
             ET.SubElement(body, "geom", {"class": "drawn", **place, "material": shape.colour.name})
 
 
 def number(value):
-    """Five decimals (10 µm), and no -0."""
+    """Formats a number with at most five decimals (10 µm), and never as -0."""
     return format(round(value, 5) + 0.0, "g")
 
 
@@ -136,8 +137,8 @@ def to_bytes(mujoco):
 
 
 def _colours_of(part):
-    own = {shape.colour for shape in part.shapes if shape.colour is not None}
-    return own.union(*(_colours_of(child) for child in part.parts))
+    colours = {shape.colour for shape in part.shapes if shape.colour is not None}
+    return colours.union(*(_colours_of(child) for child in part.parts))
 
 
 def _write_part(parent, part, name=None):
@@ -160,6 +161,6 @@ def _write_part(parent, part, name=None):
             body, "site", name=site.name, type=site.kind, pos=numbers(site.pos), quat=numbers(site.quat),
             size=numbers(site.size), group="0", rgba=numbers(site.rgba),
         )
-    write_shapes(body, part.shapes, felt_as=part.felt_as)
+    write_shapes(body, part.shapes, collision_class=part.collision_class)
     for child in part.parts:
         _write_part(body, child)

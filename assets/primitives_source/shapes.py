@@ -1,7 +1,7 @@
 """The shapes that the pack is made of: boxes, cylinders, capsules, and assemblies of them.
 
 Lengths are metres, angles degrees, quaternions (w, x, y, z); z is up unless a shape has been turned.
-A shape is *felt* (it collides and has mass), *seen* (it is drawn) or, usually, both.
+A shape collides and has mass, or it is visible; most shapes do both.
 `mjcf.py` converts shapes to MJCF.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from colours import Colour
 
-UNTURNED = (1.0, 0.0, 0.0, 0.0)
+NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,9 @@ class Shape:
     kind: str
     size: tuple
     pos: tuple
-    quat: tuple = UNTURNED
+    quat: tuple = NO_ROTATION
     colour: Colour | None = None
-    felt: bool = True
+    collides: bool = True
 
     @property
     def volume(self):
@@ -55,18 +55,19 @@ def capsule(start, end, radius, colour=None):
     along = [b - a for a, b in zip(start, end)]
     length = math.hypot(*along)
     x, y, z = (part / length for part in along)
-    # The shortest turn that takes the z axis to the rod's direction; straight down is half a turn.
+    # The shortest rotation from the z axis to the rod's direction; for straight down, half a turn
+    # about the x axis.
     quat = _unit((1 + z, -y, x, 0)) if z > -1 else (0.0, 1.0, 0.0, 0.0)
     middle = tuple((a + b) / 2 for a, b in zip(start, end))
     return Shape("capsule", (radius, length / 2), middle, quat, colour)
 
 
-def seen(*shapes):
+def visible(*shapes):
     """Copies of shapes that are drawn but do not collide."""
-    return [replace(shape, felt=False) for shape in shapes]
+    return [replace(shape, collides=False) for shape in shapes]
 
 
-def felt(*shapes):
+def colliding(*shapes):
     """Copies of shapes that collide but are not drawn."""
     return [replace(shape, colour=None) for shape in shapes]
 
@@ -91,9 +92,10 @@ def standing_along_y(shapes):
 
 
 def octagon(radius, bottom, top):
-    """A felt octagonal prism (`radius` to its corners): four boxes through one another, because
-    contacts between boxes are stable. Two of the boxes are half a millimetre shorter at either end,
-    so that only the other two carry the weight: half the contacts, and as steady."""
+    """An invisible octagonal prism (`radius` to its corners) made of four intersecting boxes,
+    because contacts between boxes are stable. Two of the boxes are half a millimetre shorter at
+    each end, so that only the other two carry the weight: that halves the number of contacts, and
+    objects stand as steadily."""
     long, short = radius * math.cos(math.pi / 8), radius * math.sin(math.pi / 8)
     bars = [slab(long, short, bottom + inset, top - inset) for inset in (0, 0.0005, 0, 0.0005)]
     return [piece for number, bar in enumerate(bars) for piece in turned([bar], "z", 45 * number)]
@@ -102,8 +104,8 @@ def octagon(radius, bottom, top):
 def wall(lower, upper, thickness, facets, colour, skip=()):
     """A ring of flat facets between two (radius, height) pairs: the side of a bowl, mug or plate.
 
-    The radii are those of the middle of the wall. `skip` leaves out facets by number; number 0
-    faces +x and they run towards +y."""
+    The radii are measured to the middle of the wall's thickness. `skip` holds the numbers of facets
+    to leave out; facet 0 faces +x, and the numbers increase towards +y."""
     (r0, z0), (r1, z1) = lower, upper
     run, rise = r1 - r0, z1 - z0
     half_width = max(r0, r1) * math.tan(math.pi / facets)

@@ -1,4 +1,4 @@
-//! Result rows, of the reference implementation or exported. The properties are in `untrusted_input`.
+//! Result rows of an export or of the reference. The properties are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Any calls of the coordinator. The properties are in `untrusted_input`.
+//! Arbitrary calls of the coordinator's methods. The properties are in `untrusted_input`.
 
 #![no_main]
 

@@ -65,7 +65,7 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
         }
         pack.provide_with_bar(std::slice::from_ref(&files)).unwrap();
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
-        let mut environment = Environment::of(Arc::clone(ready.compiled())).unwrap();
+        let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let begin = |environment: &mut Environment, start, waits| {
             let mut row = row_of(RolloutId::clean(variant.task, 0)).unwrap();
             row.settle_steps = waits;
@@ -130,7 +130,7 @@ fn corruption_draws_as_many_random_numbers_as_the_original() {
         let corruption = Corruption::new(variant.corruption().unwrap()).unwrap();
         let files = TaskFiles::of_variant(&sources, &variant);
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
-        let mut environment = Environment::of(Arc::clone(ready.compiled())).unwrap();
+        let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
         environment.reset(&mut rng, Reset::Hard, 2).unwrap();
         // One picture of the reset, and one of each of the ten waits.
@@ -188,7 +188,7 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
             }
         };
         let ready = ReadyScene::compile(files, pack, &sources).unwrap();
-        let mut environment = Environment::of(Arc::clone(ready.compiled())).unwrap();
+        let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let row = row_of(RolloutId::clean(task, trial)).unwrap();
         let start = VariantStart {
             view: None,
@@ -284,7 +284,7 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
         );
         // Compiling compares the width of the variant's initial state with the model's.
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
-        let mut environment = Environment::of(Arc::clone(ready.compiled())).unwrap();
+        let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
         environment.reset(&mut rng, Reset::Hard, 2).unwrap();
         let state = environment.state();

@@ -67,7 +67,7 @@ impl RolloutError {
     /// Returns the party at fault and all causes in one line; `None` if the rollout was abandoned.
     pub fn failure(&self) -> Option<Failure> {
         let kind = match self {
-            Self::Simulator { source, .. } if source.is_of_the_machine() => FailureKind::Machine,
+            Self::Simulator { source, .. } if source.is_machine_fault() => FailureKind::Machine,
             Self::Simulator { .. } => FailureKind::Simulator,
             Self::Policy(error) => FailureKind::from(error),
             Self::Abandoned => return None,

@@ -1,5 +1,5 @@
-//! `cargo xtask bench compare`: times a rollout here and in the original LIBERO, in turn.
-//! `tests/src/bin/bench_rollout.rs` and docs/PERFORMANCE.md describe the measurement.
+//! `cargo xtask bench compare`: times a rollout in this simulator and in the original LIBERO, in
+//! turn. `tests/src/bin/bench_rollout.rs` and docs/PERFORMANCE.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -19,7 +19,7 @@ const PROGRAM: &str = "bench_rollout";
 /// Options of `cargo xtask bench compare`.
 #[derive(clap::Args)]
 pub(crate) struct Compare {
-    /// The task, SUITE/N, for which the reference has contact-rich actions.
+    /// The task, SUITE/N; the reference data must have recorded actions of it.
     #[arg(long)]
     task: String,
     /// Control steps between two queries of the policy.
@@ -31,19 +31,18 @@ pub(crate) struct Compare {
     /// Number of rounds; each round runs every program in turn.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rounds: u32,
-    /// Rollouts that each program times in a round, after an untimed one; their median is the
-    /// round's figure.
+    /// Rollouts that each program times in a round, after an untimed rollout; the median of their
+    /// times is the round's result.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
-    /// Renderer of our rollouts: `software` or `gl`. The original draws through OpenGL.
+    /// Renderer of this simulator: `software` or `gl`. The original draws through OpenGL.
     #[arg(long, default_value = "software")]
     renderer: String,
-    /// Folder of the reference data, with its `tools` and `contact`. [default:
+    /// Folder of the reference data, with the subfolders `tools` and `contact`. [default:
     /// ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
-    /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched
-    /// into]
+    /// LIBERO's assets folder. [default: the folder of `worker assets fetch`]
     #[arg(long)]
     assets: Option<PathBuf>,
 }
@@ -57,7 +56,8 @@ struct Parts {
     whole: f64,
 }
 
-/// Runs the same rollout here and in the original, in turn, and prints both with their ratios.
+/// Runs the same rollout in this simulator and in the original, in turn, and prints their times
+/// and the ratios.
 pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let cache = setup::run(root)?;
     let shared_folder = |folder: &str| root.join("../shared").join(folder);
@@ -68,8 +68,8 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
-            "skipped: no recorded actions of {} at {}; choose a task of the reference, or give \
-             its folder with --oracle",
+            "skipped: no recorded actions of {} at {}; choose a task of the reference data, or \
+             give the data's folder with --oracle",
             options.task,
             actions.display()
         );
@@ -110,27 +110,28 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         options.steps,
         options.rounds
     );
-    let (mut here, mut released, mut with_fewer_frames) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut our_runs, mut released_runs, mut fewer_frames_runs) =
+        (Vec::new(), Vec::new(), Vec::new());
     for round in 1..=options.rounds {
         let name = |title: &str| format!("round {round}: {title}");
-        here.push(step(&name("here"), || ours().map(RolloutTime))?.0);
-        released.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
+        our_runs.push(step(&name("here"), || ours().map(RolloutTime))?.0);
+        released_runs.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
         if options.execute > 1 {
             let title = name("original with fewer frames");
-            with_fewer_frames.push(step(&title, || theirs(options.execute).map(RolloutTime))?.0);
+            fewer_frames_runs.push(step(&title, || theirs(options.execute).map(RolloutTime))?.0);
         }
     }
     print_ratios(
         "as released, both cameras drawn at every step",
-        &here,
-        &released,
+        &our_runs,
+        &released_runs,
     );
     if options.execute > 1 {
         let title = format!(
             "drawing only every {}th step, which the released version cannot do",
             options.execute
         );
-        print_ratios(&title, &here, &with_fewer_frames);
+        print_ratios(&title, &our_runs, &fewer_frames_runs);
     }
     Ok(())
 }
@@ -139,7 +140,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
 fn actions_of(oracle: &Path, task: &str) -> Result<PathBuf> {
     let parts = task.split_once('/');
     let parts = parts.and_then(|(suite, index)| Some((suite, index.parse::<u32>().ok()?)));
-    let (suite, index) = parts.with_context(|| format!("read task `{task}`: it is SUITE/N"))?;
+    let (suite, index) = parts.with_context(|| format!("read task `{task}`: write SUITE/N"))?;
     Ok(oracle.join(format!("contact/{suite}_{index:02}.npz")))
 }
 
@@ -177,7 +178,8 @@ pub(crate) fn number(value: &Value, name: &str) -> Result<f64> {
 /// Selects the duration of one part of a rollout, milliseconds.
 type Part = fn(&Parts) -> f64;
 
-/// Prints durations and ratios; each ratio is of the two runs of one round.
+/// Prints the median durations and ratios. A ratio divides the original's time by ours in the same
+/// round.
 fn print_ratios(title: &str, ours: &[Parts], theirs: &[Parts]) {
     println!("the original {title}:");
     println!(
@@ -213,7 +215,7 @@ pub(crate) fn spread(values: &[f64]) -> (f64, f64, f64) {
     (median, at(0), at(last))
 }
 
-/// Result of a step whose only message is "built".
+/// Path of a built program. Displayed as "built" in the step's line.
 struct Built(PathBuf);
 
 impl std::fmt::Display for Built {
@@ -222,7 +224,7 @@ impl std::fmt::Display for Built {
     }
 }
 
-/// Result of a step that reports a rollout's duration.
+/// Durations of a rollout. The step's line displays the whole duration.
 struct RolloutTime(Parts);
 
 impl std::fmt::Display for RolloutTime {
@@ -244,7 +246,7 @@ fn cores() -> Result<u32> {
     Ok(u32::try_from(cores.get())?)
 }
 
-/// Describes the processor and its cores, for the record beside the figures.
+/// Describes the processor and its cores, to be printed with the measured times.
 pub(crate) fn machine() -> Result<String> {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpuinfo
@@ -261,7 +263,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_programs_reports_are_read_in_milliseconds() {
+    fn reports_of_our_and_the_original_program_are_converted_to_milliseconds() {
         let ours = serde_json::json!({
             "rollout_ms": 21.0,
             "phases_ms": {
@@ -276,7 +278,7 @@ mod tests {
         });
         let parts = their_parts(&theirs).unwrap();
         assert_eq!((parts.settle, parts.whole), (250.0, 3750.0));
-        assert!(their_parts(&ours).is_err(), "a report of the other program");
+        assert!(their_parts(&ours).is_err(), "a report of `bench_rollout`");
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! `cargo xtask bench build`: times three waits of newcomers and contributors: from a fresh clone
-//! to the demo's report, for the check before a change lands, and from a changed line of the queue
-//! to its tests' verdict.
+//! `cargo xtask bench build`: measures how long newcomers and contributors wait for three results:
+//! for the demo's report after a fresh clone, for `.ci/run`, which checks a change before it is
+//! merged, and for the verdict of the queue's tests after a line of the queue was changed.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write;
@@ -15,16 +15,16 @@ use crate::process::capture;
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Wait {
-    /// A fresh clone to the demo's report.
+    /// From a fresh clone to the demo's report.
     Demo,
-    /// A line changed in the queue, to the verdict of the queue's tests.
+    /// From a changed line in the queue to the verdict of the queue's tests.
     Line,
-    /// Everything that must hold before a change lands, in a fresh clone.
+    /// `.ci/run` in a fresh clone: every check that a change must pass.
     Ci,
 }
 
 impl Wait {
-    /// Returns the limit in seconds, on two cores and with warm download caches.
+    /// Returns the target in seconds, on two cores and with warm download caches.
     fn target(self) -> u64 {
         match self {
             Self::Demo => 6 * 60,
@@ -35,8 +35,8 @@ impl Wait {
 
     fn name(self) -> &'static str {
         match self {
-            Self::Demo => "fresh clone to the demo's report",
-            Self::Line => "one line of the queue to its tests' verdict",
+            Self::Demo => "from a fresh clone to the demo's report",
+            Self::Line => "from a changed line in the queue to the verdict of the queue's tests",
             Self::Ci => "`.ci/run` in a fresh clone",
         }
     }
@@ -50,8 +50,8 @@ pub(crate) struct Options {
     only: Vec<Wait>,
 }
 
-/// Clones the committed state beside this checkout, times each wait there and prints it beside
-/// its target.
+/// Clones the committed state into this checkout's build folder, measures each wait in the clone,
+/// and prints the wait and its target.
 ///
 /// # Errors
 /// If the clone cannot be made, or a timed command fails, which makes its time meaningless.
@@ -83,7 +83,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
                 let source = clone.join("crates/service/queue/src/lib.rs");
                 let file = OpenOptions::new().append(true).open(&source);
                 let mut file = file.with_context(|| format!("open {}", source.display()))?;
-                writeln!(file, "// A line that changes what is compiled.")?;
+                writeln!(file, "// A new line makes cargo compile the crate again.")?;
                 queue_tests(&clone)?
             }
         };
@@ -107,8 +107,8 @@ fn queue_tests(clone: &Path) -> Result<u64> {
     Ok(timed(cargo(clone).args(tests))?.0)
 }
 
-/// Returns the seconds that a command took, and its standard output. Both outputs are shown if it
-/// fails.
+/// Returns the seconds that a command took, and its standard output. If the command fails, the
+/// error includes the ends of standard output and standard error.
 fn timed(command: &mut Command) -> Result<(u64, String)> {
     // The variables set by the cargo that runs this program would affect the clone's build.
     for (name, _) in std::env::vars_os() {
@@ -130,7 +130,7 @@ fn timed(command: &mut Command) -> Result<(u64, String)> {
             lines[lines.len().saturating_sub(40)..].join("\n")
         };
         bail!(
-            "time a command: it ended with {} after {seconds} s\n{}\n{}",
+            "time a command: the command ended with {} after {seconds} s\n{}\n{}",
             output.status,
             tail(&output.stdout),
             tail(&output.stderr)

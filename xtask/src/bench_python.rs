@@ -1,4 +1,4 @@
-//! `cargo xtask bench python`: times LIBERO's environments in Python here and in the original, in
+//! `cargo xtask bench python`: times this project's Python environments and the original's, in
 //! turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
@@ -13,10 +13,12 @@ use crate::original::Original;
 use crate::setup;
 use crate::wheel::{self, Profile};
 
-/// Program without Python, against which Python's overhead is measured.
+/// Program that steps the same environments from Rust; the difference in speed is Python's
+/// overhead.
 const WITHOUT_PYTHON: &str = "bench_environments";
-/// Pairs of runs per round, in turn: their difference is smaller than a shared machine's drift
-/// from one minute to the next.
+/// Number of pairs of runs per round, one run from Python and one from Rust. Both kinds of runs
+/// alternate, because the difference in their speed is smaller than the change of a shared
+/// machine's speed within a minute.
 const PAIRS: usize = 5;
 
 /// Options of `cargo xtask bench python`.
@@ -37,7 +39,7 @@ pub(crate) struct Options {
     /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
-    /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched into]
+    /// LIBERO's assets folder. [default: the folder of `worker assets fetch`]
     #[arg(long)]
     assets: Option<PathBuf>,
 }
@@ -52,15 +54,20 @@ struct Row {
 
 /// Outputs of the programs of one round.
 struct Round {
+    /// A single environment of this project.
     ours: Value,
+    /// A single environment of the original.
     theirs: Value,
+    /// Environments of the original, each in its own process.
     processes: Value,
     pairs: Vec<Pair>,
 }
 
-/// Runs of the same environments from Python and from Rust.
+/// Outputs of two runs of the same environments of this project.
 struct Pair {
+    /// Environments in threads of one Python process.
     threads: Value,
+    /// Environments in a program without Python.
     without_python: Value,
 }
 
@@ -100,7 +107,7 @@ const ROWS: [Row; 6] = [
         values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mb"),
     },
     Row {
-        name: "the same without Python",
+        name: "environments without Python",
         target: ">= 0.95",
         unit: "obs/s",
         values_of: |round| {
@@ -165,7 +172,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             &steps,
         ]);
         command.env("ROLLOUT_ASSETS", &assets);
-        // A single thread renders the original's frames, as it does ours.
+        // A single thread renders a frame of the original, as in this project.
         command.env("LP_NUM_THREADS", "1");
         last_json(&mut command)
     };
@@ -202,7 +209,8 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             theirs: theirs("one")?,
             processes: theirs("processes")?,
         });
-        // Prints after every round, which takes minutes, so that an interrupted run has results.
+        // A round takes minutes. Printing after each round leaves results if the run is
+        // interrupted.
         println!("after round {number}");
         print(&rounds)?;
     }
@@ -212,7 +220,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 fn print(rounds: &[Round]) -> Result<()> {
     println!(
         "{:<32} {:>10} {:>10} {:<6} {:>8} {:<13} target",
-        "", "here", "there", "", "ratio", "  spread"
+        "", "here", "original", "", "ratio", "  spread"
     );
     for row in &ROWS {
         let all = rounds

@@ -1,5 +1,6 @@
-//! `cargo xtask bench training`: rollouts of reinforcement learning here and in the original, in
-//! turn. `python/bench/rl/compare.py` and docs/PYTHON.md describe the measurement.
+//! `cargo xtask bench training`: times rollouts for reinforcement learning in this project's
+//! environments and in the original's, in turn. `python/bench/rl/compare.py` and docs/PYTHON.md
+//! describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -22,7 +23,7 @@ pub(crate) struct Options {
     /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
-    /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched into]
+    /// LIBERO's assets folder. [default: the folder of `worker assets fetch`]
     #[arg(long)]
     assets: Option<PathBuf>,
     /// Folder of the results.
@@ -44,10 +45,10 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let shim = wheel::installed(root, &cache, Profile::Release)?;
     let clients = clients::provide(root, &cache);
     let clients = clients.as_deref().map(packages).transpose()?;
-    // Each simulator's own packages precede the clients'.
-    let path = |own: &Path| -> Result<String> {
+    // PYTHONPATH of a simulator: its own packages precede the clients'.
+    let path = |simulator: &Path| -> Result<String> {
         let clients = clients.iter().map(|folder| folder.display().to_string());
-        let all = std::iter::once(own.display().to_string()).chain(clients);
+        let all = std::iter::once(simulator.display().to_string()).chain(clients);
         Ok(all.collect::<Vec<_>>().join(":"))
     };
     let script = root.join("python/bench/rl/compare.py");

@@ -7,18 +7,19 @@ use anyhow::Result;
 
 use crate::process::run;
 
+/// Returns the command of the cargo that runs this program, in the workspace's folder.
 pub(crate) fn cargo(root: &Path) -> Command {
     let program = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut cargo = Command::new(program);
     cargo.current_dir(root);
-    remove_own_package(&mut cargo);
+    remove_package_variables(&mut cargo);
     cargo
 }
 
-/// Removes the variables with which `cargo run` describes this program's package. ring's build
-/// script reads them: it would run again, and everything that uses ring would be compiled again,
-/// whenever a build follows one that was started otherwise.
-pub(crate) fn remove_own_package(command: &mut Command) {
+/// Removes the environment variables with which `cargo run` describes xtask's package. ring's build
+/// script reads them: ring and every crate that uses it would be compiled again whenever one build
+/// has these variables and the next has not.
+pub(crate) fn remove_package_variables(command: &mut Command) {
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
         if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
@@ -27,6 +28,7 @@ pub(crate) fn remove_own_package(command: &mut Command) {
     }
 }
 
+/// Builds all programs of the workspace and returns their folder.
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     println!("Building the programs");
     build(root, &["--bins"])
@@ -39,7 +41,7 @@ pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     build(root, &bins)
 }
 
-/// Builds one program and returns its path. It is built as part of the workspace, so that
+/// Builds one program and returns its path. Cargo selects the whole workspace's features, so that
 /// dependencies are compiled only once for all programs.
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     let programs = build(root, &["--quiet", "--bin", name])?;

@@ -1,5 +1,5 @@
-//! `cargo xtask check`: the check for every save: format, lints, types of Python, documentation and
-//! the tests that need neither programs nor scenes.
+//! `cargo xtask check`, to be run after every edit: format, lints, types of Python, documentation
+//! and the tests that need neither programs nor scenes.
 
 use std::path::Path;
 

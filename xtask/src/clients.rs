@@ -14,7 +14,7 @@ const TORCH_INDEX: &str = "https://download.pytorch.org/whl/cpu";
 /// The clients, installed without dependencies: they require many packages that an episode does
 /// not import.
 const CLIENTS: [&str; 3] = ["vla-eval==0.8.0", "lerobot==0.4.4", "rlinf==0.3.0"];
-/// Written into a complete environment; holds the list of its packages.
+/// File that marks an environment as complete; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
 /// Returns the interpreter of an environment with the clients; `None` if it cannot be made, in
@@ -31,9 +31,9 @@ pub(crate) fn provide(root: &Path, cache: &Path) -> Option<PathBuf> {
 
 fn install(root: &Path, dir: &Path) -> Result<String> {
     let list = root.join("python/tests/shim/clients.txt");
-    let others =
+    let dependencies =
         std::fs::read_to_string(&list).with_context(|| format!("read {}", list.display()))?;
-    let requirements = [&TORCH.join("\n"), &CLIENTS.join("\n"), &others]
+    let requirements = [&TORCH.join("\n"), &CLIENTS.join("\n"), &dependencies]
         .map(String::as_str)
         .join("\n");
     let stamp = dir.join(STAMP);

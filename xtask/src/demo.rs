@@ -1,7 +1,7 @@
 //! `cargo xtask demo`: a small campaign on LIBERO's own assets with the real programs: a
 //! coordinator, a gateway, and a worker with several slots. It produces the report as text and as
-//! a page, the results, and videos of the configurations whose outcome changes under simultaneous
-//! perturbation.
+//! a page, the results, and videos of the configurations whose outcome changes when several
+//! perturbations are applied at once.
 //!
 //! The policy is the student: a small network that comes with the gateway and reads the frames of
 //! both cameras and the instruction, so that every axis affects it.
@@ -146,12 +146,12 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
         &results_arg,
     ]))?;
     let transitions = transitions(&results)?;
-    step("films of transitions", || {
+    step("videos of transitions", || {
         film(programs, &coordinator, options).map(|()| "made")
     })?;
     println!();
     println!("report    {}", page.display());
-    println!("page      http://{PAGE_ADDRESS}/ as soon as this runs:");
+    println!("page      http://{PAGE_ADDRESS}/ while this command runs:");
     println!("          {}", serve_again(programs, &data));
     println!("results   {}", results.display());
     println!("database  {}", data.display());
@@ -173,7 +173,7 @@ fn serve_again(programs: &Path, data: &Path) -> String {
     )
 }
 
-/// Creates a new numbered folder, so that the results of earlier demos stay.
+/// Creates a new numbered folder, so that the results of earlier demos are kept.
 fn fresh_folder(parent: &Path) -> Result<PathBuf> {
     std::fs::create_dir_all(parent).with_context(|| format!("make {}", parent.display()))?;
     for number in 1.. {
@@ -197,7 +197,8 @@ fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()>
     capture(&mut worker).map(drop)
 }
 
-/// Returns the simultaneous rollouts of configurations with a transition.
+/// Returns the configurations with a transition, each by the id of its rollout under simultaneous
+/// perturbations.
 fn transitions(results: &Path) -> Result<Vec<(Transition, RolloutId)>> {
     let text =
         std::fs::read_to_string(results).with_context(|| format!("read {}", results.display()))?;

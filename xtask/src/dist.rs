@@ -62,7 +62,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let output = options.output.clone();
     let output = output.unwrap_or_else(|| root.join("target/dist"));
     let archive = archive::make(root, &cache, &programs, &output)?;
-    check::archive(root, &archive, deploy::schemas(&cache).as_deref())?;
+    check::check_archive(root, &archive, deploy::schemas(&cache).as_deref())?;
     archive::describe(&archive.file)?;
     if options.image {
         let image = image::make(root, &archive)?;

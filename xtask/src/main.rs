@@ -1,5 +1,5 @@
-//! The project's commands: `cargo xtask setup|demo|check|test|dist|parity` and others. Each
-//! performs its own prerequisites, each of them once.
+//! The project's commands: `cargo xtask setup|demo|check|test|dist|parity` and others. Each command
+//! first completes its prerequisites, and skips those that an earlier command has completed.
 
 #![forbid(unsafe_code)]
 
@@ -52,9 +52,9 @@ enum Command {
     },
     /// Run a small campaign end to end and print its paired table.
     Demo(demo::Options),
-    /// Check format, lints, documentation and unit tests: minutes, for every save.
+    /// Check format, lints, documentation and unit tests, in minutes.
     Check,
-    /// Run all tests and lints, or a suite of them by name.
+    /// Run all tests and lints, or only the named suites.
     Test {
         /// Suites to run, separated by commas. [default: all; with filters,
         /// `rust`]
@@ -89,7 +89,7 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// A fresh clone to the demo's report, a changed line to its verdict, and `.ci/run`.
+    /// How long one waits for the demo's report, `.ci/run`, and the tests of a changed line.
     Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {
@@ -117,11 +117,11 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// The same rollout here and in the original LIBERO, in turn.
+    /// The same rollout in this simulator and in the original LIBERO, in turn.
     Compare(bench::Compare),
-    /// Environments in Python, here and in the original, in turn.
+    /// This project's environments in Python and the original's, in turn.
     Python(bench_python::Options),
-    /// Rollouts for reinforcement learning, here and in the original, in turn.
+    /// Rollouts for reinforcement learning, in our and the original's environments.
     Training(bench_training::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
@@ -130,7 +130,7 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// Memory and start of slots whose scenes lie in files.
+    /// Memory and start time of slots whose compiled scenes are files.
     Scenes {
         /// Passed on: [--slots N] [--tasks SUITE/N,…] [--assets PACK_OR_PATH]
         /// [--scenes DIR|off] [--python FILE].
@@ -144,13 +144,13 @@ enum Bench {
         arguments: Vec<String>,
     },
     /// A million jobs of four campaigns under 2,000 slots over TLS, with a coordinator that is
-    /// killed and restored; a figure shows what grows. A release build.
+    /// killed and restored; a figure shows memory, disk use and times. A release build.
     Soak {
         /// Passed on: [--jobs N] [--slots N] [--workers N] [--minutes N] [--figure FILE].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// The gateway before a simulated policy server, as a release build.
+    /// The gateway in front of a simulated policy server, as a release build.
     Gateway {
         /// Passed on: [--slots N] [--batch-millis N] [--max-batch N] [--rate N]
         /// [--secs N] [--rounds N], or `slots --address HOST:PORT`.
@@ -213,8 +213,8 @@ fn wheels(output: Option<&Path>) -> anyhow::Result<()> {
     wheel::run(&root(), &cache, output)
 }
 
-/// Runs the queue's benchmark, which needs no simulator and so no setup. Built for release,
-/// because SQLite dominates, which the development profile hardly optimises.
+/// Runs the queue's benchmark, which needs no simulator and so no setup. Uses the release profile,
+/// because SQLite takes most of the time and the development profile hardly optimises it.
 fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     let mut program = cargo::cargo(&root());
     program.args(["run", "--quiet", "--release", "--package", "coordinator"]);
@@ -234,8 +234,8 @@ fn bench_soak(arguments: &[String]) -> anyhow::Result<()> {
     process::run(program.args(arguments))
 }
 
-/// Runs the gateway's benchmark, which needs no simulator either: the real program under the load
-/// of an example.
+/// Runs the gateway's benchmark, which needs no simulator: the real program under the load of an
+/// example.
 fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
     let package = ["--release", "--package", "policy-gateway"];
     let mut gateway = cargo::cargo(&root());
@@ -269,18 +269,18 @@ mod tests {
     fn documented() -> (Vec<String>, Vec<String>) {
         let pages = std::fs::read_dir(root().join("docs")).expect("the pages");
         let pages = pages.map(|page| page.expect("a page").path());
-        let others = ["README.md", "policies/README.md", "fuzz/README.md"];
-        let all = pages.chain(others.map(|page| root().join(page)));
+        let readmes = ["README.md", "policies/README.md", "fuzz/README.md"];
+        let all = pages.chain(readmes.map(|page| root().join(page)));
         let pages = all.filter(|page| page.extension().is_some_and(|extension| extension == "md"));
         let (mut commands, mut mentions) = (Vec::new(), Vec::new());
         for page in pages {
             let text = std::fs::read_to_string(page).expect("a page");
-            let mut code = false;
+            let mut in_code_block = false;
             let mut sentences = String::new();
             for line in text.lines() {
                 if line.starts_with("```") {
-                    code = !code;
-                } else if code {
+                    in_code_block = !in_code_block;
+                } else if in_code_block {
                     commands.extend(line.find("cargo xtask").map(|at| line[at..].to_owned()));
                 } else {
                     sentences.push_str(line.trim());

@@ -1,5 +1,5 @@
-//! The original LIBERO in Python, to run beside our simulator. Installed into its own virtual
-//! environment in the cache, as the reference data's README describes.
+//! The original LIBERO in Python, with which this simulator is compared. It is installed into its
+//! own virtual environment in the cache, as the reference data's README describes.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -29,10 +29,10 @@ const PACKAGES: [&str; 15] = [
     "future",
     "matplotlib",
 ];
-/// The original's packages, installed without dependencies: the list above suffices, and they pin
-/// versions that do not exist for newer Pythons.
+/// The original's packages. They are installed without the dependencies that they declare, whose
+/// versions do not exist for newer Pythons; [`PACKAGES`] suffices.
 const ORIGINAL: [&str; 2] = ["robosuite==1.4.0", "hf-libero==0.1.4"];
-/// Written into a complete environment; holds the list of its packages.
+/// File that marks an environment as complete; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
 pub(crate) struct Original {
@@ -51,7 +51,7 @@ impl Original {
         let tools = oracle.join("tools");
         ensure!(
             tools.join("baseline.py").is_file(),
-            "find the original's scripts in {}: give the folder of the reference data with --oracle",
+            "find the original's scripts in {}: give the reference data's folder with --oracle",
             tools.display()
         );
         let assets = assets.canonicalize().with_context(|| {
@@ -91,7 +91,7 @@ impl Original {
         self.script(&self.tools.join(script))
     }
 
-    /// Returns the command for another script.
+    /// Returns the command for any script.
     pub(crate) fn script(&self, script: &Path) -> Command {
         let mut command = Command::new(&self.python);
         command
@@ -129,7 +129,8 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Writes LIBERO's settings with its paths; without them LIBERO would ask on standard input.
+/// Writes LIBERO's settings, which hold the paths of its folders. Without settings, LIBERO would
+/// ask for the paths on standard input.
 fn write_settings(package: &Path, settings: &Path) -> Result<()> {
     let folder = |key: &str, name: &str| format!("{key}: {}\n", package.join(name).display());
     let all = [

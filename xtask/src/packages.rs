@@ -1,5 +1,5 @@
-//! Python wheels from which the simulator takes files. They serve as archives only: none is
-//! installed or imported.
+//! Python wheels from which the simulator takes files. The wheels serve as archives only; they are
+//! neither installed nor imported.
 
 use std::fs::File;
 use std::io::Read;
@@ -11,17 +11,17 @@ use sha2::{Digest, Sha256};
 
 use crate::process::capture;
 
-/// Wheel with the files that are taken from it.
+/// A wheel, and the files to extract from it.
 pub(crate) struct Wheel {
     /// Name and version in pip's syntax.
     pub(crate) requirement: &'static str,
     /// File name of the wheel for this machine.
     file: &'static str,
     sha256: &'static str,
-    /// Folder in the cache that it is unpacked into.
+    /// Folder in the cache that the wheel is unpacked into.
     into: &'static str,
-    /// Folders and files in the wheel, with their destinations.
-    taken: &'static [(&'static str, &'static str)],
+    /// Folders and files in the wheel to extract, with their destinations.
+    extracted: &'static [(&'static str, &'static str)],
 }
 
 /// Python version of the wheels with native code; fixed, so that every machine fetches the same
@@ -53,7 +53,7 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         file: MUJOCO.0,
         sha256: MUJOCO.1,
         into: "mujoco-3.3.7",
-        taken: &[
+        extracted: &[
             ("mujoco/libmujoco.so.3.3.7", "libmujoco.so.3.3.7"),
             ("mujoco/include/", "include/"),
         ],
@@ -63,7 +63,7 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         file: "robosuite-1.4.0-py3-none-any.whl",
         sha256: "aba065e7b36745738cede259457b2cb349427f3608728d867ef3a2034cb62994",
         into: "sources/robosuite",
-        taken: &[
+        extracted: &[
             ("robosuite/models/assets/base.xml", "base.xml"),
             ("robosuite/models/assets/robots/panda/", "robots/panda/"),
             (
@@ -93,18 +93,18 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         file: "hf_libero-0.1.4-py3-none-any.whl",
         sha256: "207f76e2f28bff30f78132223d8592fe8f64b1f8fd90ce7024948ada0d7e2c27",
         into: "sources/libero",
-        taken: &[
+        extracted: &[
             ("libero/libero/bddl_files/", "bddl_files/"),
             ("libero/libero/init_files/", "init_files/"),
         ],
     },
 ];
 
-/// Written into a completely unpacked folder; holds the wheel's digest.
+/// File that marks a folder as completely unpacked; holds the wheel's digest.
 const STAMP: &str = ".unpacked";
 
 impl Wheel {
-    /// Fetches, checks and unpacks the wheel into `cache` unless it is there; returns a
+    /// Fetches, checks and unpacks the wheel into `cache` unless its files are there; returns a
     /// description of the work done.
     pub(crate) fn provide(&self, cache: &Path) -> Result<&'static str> {
         let target = cache.join(self.into);
@@ -125,7 +125,7 @@ impl Wheel {
         })
     }
 
-    /// Returns the texts of its licences.
+    /// Returns the texts of the wheel's licences.
     pub(crate) fn licences(&self, cache: &Path) -> Result<Vec<String>> {
         let wheel = cache.join("wheels").join(self.file);
         if !wheel.is_file() {
@@ -242,9 +242,10 @@ impl Wheel {
         std::fs::rename(&partial, target).with_context(|| format!("make {}", target.display()))
     }
 
+    /// Returns the path of an extracted member below `target`; `None` for other members.
     fn destination(&self, target: &Path, member: &str) -> Option<PathBuf> {
         let (from, to) = self
-            .taken
+            .extracted
             .iter()
             .find(|(from, _)| member.starts_with(from))?;
         let rest = &member[from.len()..];

@@ -13,7 +13,7 @@ pub(crate) fn command_line(command: &Command) -> String {
         .join(" ")
 }
 
-/// Runs a command with its output on this terminal. Fails if its exit status is not 0.
+/// Runs a command with its output on this terminal. Fails if the command's exit status is not 0.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     let status = command
         .status()
@@ -24,19 +24,19 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Runs a command and returns its standard output. If it fails, the error includes its standard
-/// error.
+/// Runs a command and returns its standard output. If the command fails, the error includes its
+/// standard error.
 pub(crate) fn capture(command: &mut Command) -> Result<String> {
     let output = command
         .output()
         .with_context(|| format!("start `{}`", command_line(command)))?;
     if !output.status.success() {
-        let complaint = String::from_utf8_lossy(&output.stderr);
+        let stderr = String::from_utf8_lossy(&output.stderr);
         bail!(
             "run `{}`: {}\n{}",
             command_line(command),
             output.status,
-            complaint.trim_end()
+            stderr.trim_end()
         );
     }
     Ok(String::from_utf8_lossy(&output.stdout)

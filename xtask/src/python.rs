@@ -13,10 +13,10 @@ use crate::wheel::SETUPTOOLS;
 /// robots query its servers, and vla-eval with its model servers and LIBERO benchmark.
 const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 
-/// Requirement of `docs/PYTHON.md` beyond those of the package.
+/// Requirement of `docs/PYTHON.md` beyond the package's requirements.
 const NOTEBOOK_REQUIREMENT: &str = "pandas>=2";
 
-/// Written into a complete folder of packages; holds the list of its requirements.
+/// File that marks a folder of packages as complete; holds the list of their requirements.
 const STAMP: &str = "requirements-of.toml";
 
 /// Creates a virtual environment with the policies package in editable mode; returns its

@@ -62,7 +62,8 @@ impl Running {
     /// Runs a command with its output on this terminal.
     ///
     /// # Errors
-    /// If its exit status is not 0, or if this program ends before it.
+    /// If the command's exit status is not 0, or if this background program ends before the
+    /// command.
     pub(crate) fn run_while_alive(&mut self, command: &mut Command) -> Result<()> {
         let mut running_command = command
             .spawn()
@@ -85,7 +86,7 @@ impl Running {
         }
     }
 
-    /// Fails with the program's log if it has ended.
+    /// Returns an error with the program's log if the program has ended.
     fn check(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
             let log_text = std::fs::read_to_string(&self.log).unwrap_or_default();
@@ -109,8 +110,8 @@ impl std::fmt::Display for Running {
     }
 }
 
-/// Returns the address announced in a program's log. A worker has none, and counts as started at
-/// its first line.
+/// Returns the address announced in a program's log. A worker announces no address, and counts as
+/// started at its first line.
 fn announced_url(log: &Path, name: &str) -> Result<Option<String>> {
     for line in BufReader::new(File::open(log)?).lines() {
         let line = line?;

@@ -11,8 +11,8 @@ use crate::packages::WHEELS;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
-/// Debian packages for off-screen OpenGL rendering, and the libraries whose presence shows that
-/// they are installed.
+/// Debian packages for off-screen OpenGL rendering, and the libraries whose presence shows that the
+/// packages are installed.
 const GL_PACKAGES: [&str; 5] = [
     "libegl1",
     "libegl-mesa0",
@@ -29,7 +29,8 @@ const GLES_LIBRARY: &str = "libGLESv2.so.2";
 /// Browser: name of both the Debian package and the program.
 const BROWSER_PACKAGE: &str = "chromium";
 
-/// Scheduler: Debian packages, and the programs whose presence shows that they are installed.
+/// Scheduler: Debian packages, and the programs whose presence shows that the packages are
+/// installed.
 const SLURM_PACKAGES: [&str; 4] = ["slurmctld", "slurmd", "slurm-client", "munge"];
 const SLURM_DAEMONS: [&str; 3] = ["slurmctld", "slurmd", "munged"];
 
@@ -73,7 +74,7 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
 /// Installs the libraries for off-screen OpenGL rendering.
 ///
 /// # Errors
-/// If they are missing and cannot be installed.
+/// If the libraries are missing and cannot be installed.
 pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", gl_packages).map(|_| ())
 }
@@ -81,7 +82,7 @@ pub(crate) fn opengl() -> Result<()> {
 /// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more library.
 ///
 /// # Errors
-/// If they are missing and cannot be installed.
+/// If the libraries are missing and cannot be installed.
 pub(crate) fn original_packages() -> Result<&'static str> {
     gl_packages()?;
     if known_libraries().contains(GLES_LIBRARY) {
@@ -94,7 +95,7 @@ pub(crate) fn original_packages() -> Result<&'static str> {
 /// Installs the browser for the live page's tests and screenshots.
 ///
 /// # Errors
-/// If it is missing and cannot be installed.
+/// If the browser is missing and cannot be installed.
 pub(crate) fn browser() -> Result<&'static str> {
     if capture(Command::new(BROWSER_PACKAGE).arg("--version")).is_ok() {
         return Ok("already there");
@@ -106,7 +107,7 @@ pub(crate) fn browser() -> Result<&'static str> {
 /// Installs the scheduler for the tests of `deploy/slurm`.
 ///
 /// # Errors
-/// If it is missing and cannot be installed.
+/// If the scheduler is missing and cannot be installed.
 pub(crate) fn slurm() -> Result<&'static str> {
     let is_installed = |program: &str| {
         let daemon = Path::new("/usr/sbin").join(program);

@@ -1,8 +1,9 @@
 //! Reports tests that were skipped because this machine lacks reference data or a tool.
 //!
-//! Such a test passes after printing a line that begins with `skipped`, in any case and on
-//! either stream. Nextest hides the output of passed tests but keeps it in its report.
-//! A documented command that no test runs is listed on a line that begins with `not run`.
+//! A skipped test passes after printing a line that begins with `skipped`, in upper or lower case,
+//! to standard output or standard error. A test of documented commands prints a line that begins
+//! with `not run` for each command that no test runs. Nextest hides the output of passed tests but
+//! keeps it in its report.
 
 use std::path::Path;
 
@@ -20,8 +21,8 @@ const REFERENCE: &str = "/shared/";
 /// Prints the skipped tests of nextest's JUnit report with their reasons and number.
 ///
 /// # Errors
-/// If a test found no reference data although its folder exists: a part is missing or unreadable,
-/// or the test searched elsewhere.
+/// If a test found no reference data although the folder `shared` exists: a part of the data is
+/// missing or unreadable, or the test searched another folder.
 pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
@@ -87,7 +88,7 @@ fn marked_lines(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     Ok(skipped)
 }
 
-/// Compares the start of a line, ignoring case.
+/// Returns true if a line begins with `mark`, ignoring case.
 fn begins_with(line: &str, mark: &str) -> bool {
     let beginning = line.get(..mark.len());
     beginning.is_some_and(|beginning| beginning.eq_ignore_ascii_case(mark))
@@ -126,13 +127,13 @@ mod tests {
             );
             std::fs::write(&report, text).expect("a report");
         };
-        let (here, absent) = (folder.path(), folder.path().join("absent"));
+        let (existing, absent) = (folder.path(), folder.path().join("absent"));
         for reason in [
             " a: no reference data at /elsewhere/tests/../../shared/oracle/tasks",
             ": /here/crates/analysis/paired/../../../shared/libero-ctrl-v0.1 is not here",
         ] {
             write(reason);
-            let error = check(&report, here).expect_err(reason).to_string();
+            let error = check(&report, existing).expect_err(reason).to_string();
             assert!(
                 error.ends_with("did not find their part of it: a"),
                 "{error}"
@@ -140,6 +141,6 @@ mod tests {
             check(&report, &absent).expect(reason);
         }
         write(" a: no chromium");
-        check(&report, here).expect("a missing tool is no failure");
+        check(&report, existing).expect("a missing tool is no failure");
     }
 }

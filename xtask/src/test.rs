@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 
-use crate::cargo::{build_program, build_programs, cargo, remove_own_package};
+use crate::cargo::{build_program, build_programs, cargo, remove_package_variables};
 use crate::demo;
 use crate::deploy;
 use crate::dist;
@@ -47,8 +47,8 @@ pub(crate) enum Suite {
     Demo,
 }
 
-/// Tests `raster` with the checks that the profile `dev` omits. The second package selects the
-/// features of shared dependencies with which they are already compiled.
+/// Tests `raster` with the checks that the profile `dev` omits. The package `workspace-hack`
+/// selects the features with which shared dependencies are already compiled.
 #[rustfmt::skip]
 const OVERFLOW_CHECKS: [&str; 8] = [
     "--config", "profile.dev.package.raster.overflow-checks=true",
@@ -56,8 +56,9 @@ const OVERFLOW_CHECKS: [&str; 8] = [
     "--package", "raster", "--package", "workspace-hack",
 ];
 
-/// Suites that run beside the others, which use one core most of the time. Archive and wheels use
-/// the same build tools, which the first of them installs; Ray's processes wait.
+/// Lists of suites that run in parallel with each other and with all other suites, since every
+/// suite uses one core most of the time. The suites of one list run one after another: archive and
+/// wheels use the same build tools, which the archive installs. Ray's processes mostly wait.
 const LANES: [&[Suite]; 2] = [&[Suite::Archive, Suite::Wheels], &[Suite::Ray]];
 
 /// Runs the named suites, or all of them if none is named. Filters select tests of the crates;
@@ -91,19 +92,19 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     std::thread::scope(|threads| {
         let lanes = lanes.map(|lane| threads.spawn(move || tests.run_all(&lane)));
         let outcome = tests.run_all(&later);
-        let beside = lanes.map(|lane| lane.join().expect("the thread does not panic"));
-        beside.into_iter().fold(outcome, Result::and)
+        let lane_outcomes = lanes.map(|lane| lane.join().expect("the thread does not panic"));
+        lane_outcomes.into_iter().fold(outcome, Result::and)
     })
 }
 
-/// Removes those suites that are in a lane, and returns them.
+/// Removes the suites of a lane from `suites`, and returns the removed suites.
 fn take(suites: &mut Vec<Suite>, lane: &[Suite]) -> Vec<Suite> {
     suites
         .extract_if(.., |suite| lane.contains(suite))
         .collect()
 }
 
-/// The built programs, and all that suites need besides.
+/// Inputs of the suites: folders, the built programs, and options.
 #[derive(Clone, Copy)]
 struct Tests<'a> {
     root: &'a Path,
@@ -120,8 +121,8 @@ impl Tests<'_> {
         suites.iter().try_for_each(|suite| self.run_one(*suite))
     }
 
-    /// Runs a suite, and prints its outcome. Errors are printed here, because several suites may
-    /// fail beside each other.
+    /// Runs a suite, and prints its outcome. Errors are printed here, because several suites that
+    /// run in parallel may fail.
     fn run_one(&self, suite: Suite) -> Result<()> {
         let start = Instant::now();
         let outcome = self.suite(suite);
@@ -217,7 +218,7 @@ impl Tests<'_> {
         let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
         let mut tests = cargo(root);
         match (nextest, with_lints) {
-            (true, true) => tests.args(["nextest", "run"]).args(built(root)?),
+            (true, true) => tests.args(["nextest", "run"]).args(build_tests(root)?),
             (true, false) => tests.args(["nextest", "run"]).args(ALL_TESTS),
             (false, _) => tests.arg("test").args(ALL_TESTS),
         };
@@ -255,8 +256,8 @@ impl Tests<'_> {
     }
 }
 
-/// Returns the number of tests at a time: one for each core, and one of the group `waiting` of
-/// .config/nextest.toml.
+/// Returns the number of tests that run at the same time: one for each core, and one of the group
+/// `waiting` of .config/nextest.toml.
 fn threads() -> Result<usize> {
     let cores = std::thread::available_parallelism().context("count the cores")?;
     Ok(cores.get() + 1)
@@ -267,8 +268,8 @@ fn threads() -> Result<usize> {
 const ALL_TESTS: [&str; 2] = ["--workspace", "--tests"];
 
 /// Builds the tests, and returns the arguments with which nextest runs them without cargo, whose
-/// lock the lints hold meanwhile.
-fn built(root: &Path) -> Result<Vec<PathBuf>> {
+/// lock the lints hold while the tests run.
+fn build_tests(root: &Path) -> Result<Vec<PathBuf>> {
     let folder = root.join("target/nextest");
     fs::create_dir_all(&folder).with_context(|| format!("make {}", folder.display()))?;
     let list = ["--list-type", "binaries-only", "--message-format", "json"];
@@ -292,11 +293,11 @@ fn built(root: &Path) -> Result<Vec<PathBuf>> {
     Ok(arguments)
 }
 
-/// Returns the command of the lints, which leaves the processor to the tests.
+/// Returns the command of the lints, at a low priority that leaves the processor to the tests.
 fn lints(root: &Path) -> Command {
     let mut lints = Command::new("nice");
     lints.args(["-n", "19"]).arg(cargo(root).get_program());
-    remove_own_package(&mut lints);
+    remove_package_variables(&mut lints);
     lints
         .current_dir(root)
         .args(["clippy", "--workspace", "--all-targets", "--quiet"]);
@@ -343,8 +344,8 @@ pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
     program(root, "worker", &[&["bench".to_owned()], arguments].concat())
 }
 
-/// Builds and runs a program. Installs the OpenGL libraries if its arguments select that renderer;
-/// the software renderer needs none.
+/// Builds and runs a program. Installs the OpenGL libraries only if the program's arguments select
+/// the OpenGL renderer.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
     if draws_through_opengl(name, arguments) {

@@ -8,7 +8,8 @@ use anyhow::{Context, Result};
 use crate::process::capture;
 use crate::step::step;
 
-/// Written into a complete folder of packages; holds the lock file that they were installed from.
+/// File that marks a folder of packages as complete; holds the lock file that they were installed
+/// from.
 const STAMP: &str = "node_modules/.installed-from";
 
 /// Builds the server and returns the script for `node`; `None` if npm is not installed, in which
@@ -36,7 +37,6 @@ fn install(folder: &Path) -> Result<&'static str> {
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == lock) {
         return Ok("already there");
     }
-    // Install scripts of packages are disabled.
     capture(npm(folder).args(["ci", "--ignore-scripts", "--no-audit", "--no-fund"]))?;
     std::fs::write(&stamp, lock).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")

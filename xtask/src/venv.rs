@@ -7,10 +7,10 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 
-/// Written into a complete environment; holds the list of its packages.
+/// File that marks an environment as complete; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// Creates a virtual environment with these packages, unless it exists.
+/// Creates a virtual environment with these packages, unless a complete environment exists.
 ///
 /// # Errors
 /// If the packages cannot be installed.
@@ -27,7 +27,7 @@ pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str>
     Ok("installed")
 }
 
-/// Creates an empty virtual environment, replacing an existing one.
+/// Creates an empty virtual environment, replacing an existing environment.
 ///
 /// # Errors
 /// If the environment cannot be created.

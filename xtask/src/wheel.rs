@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
-use crate::cargo::remove_own_package;
+use crate::cargo::remove_package_variables;
 use crate::clients;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
@@ -42,14 +42,14 @@ const MAX_WHEEL_BYTES: u64 = 25 * 1024 * 1024;
 pub(crate) enum Profile {
     /// Profile for distribution.
     Release,
-    /// Profile of tests and daily work, which shares their build.
+    /// Development profile, with which cargo reuses the crates that it compiled for the tests.
     Dev,
 }
 
 /// Installs the build tools of the wheels, and returns the folder of their programs.
 ///
 /// # Errors
-/// If they cannot be installed.
+/// If the tools cannot be installed.
 pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     let dir = cache.join("wheel-tools");
     step("build tools of the wheels", || {
@@ -66,7 +66,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         Profile::Dev => ("dev", "debug"),
     };
     let into = root.join("target/wheels").join(profile);
-    // Removes older wheels, so that there is one of each.
+    // Removes older wheels, so that the folder holds one wheel of each package.
     let _ = std::fs::remove_dir_all(&into);
     std::fs::create_dir_all(&into).with_context(|| format!("make {}", into.display()))?;
     let path = std::env::var_os("PATH").unwrap_or_default();
@@ -80,7 +80,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         .arg(&into)
         .env("PATH", &path)
         .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
-    remove_own_package(&mut maturin);
+    remove_package_variables(&mut maturin);
     // maturin patches the search path of the extension in cargo's own output file, which the next
     // build would mistake for unpatched.
     let library = root
@@ -90,7 +90,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     let _ = std::fs::remove_file(library);
     run_command(&mut maturin)?;
     step("the wheel of rollout-libero-shim", || {
-        // setuptools would package stale files from there, including removed modules.
+        // setuptools would package stale files from this folder, including removed modules.
         let _ = std::fs::remove_dir_all(root.join("python/libero_shim/build"));
         let mut pip = Command::new(tools.join("python"));
         pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])

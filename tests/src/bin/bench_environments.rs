@@ -49,7 +49,7 @@ fn main() -> Result<()> {
     let id = RolloutId::clean(arguments.task, 0);
     let row = ManifestRow::new(id, 0, 0, Default::default());
     let begin = |_| -> Result<Mutex<Environment>> {
-        let mut environment = Environment::of(Arc::clone(ready.compiled()))?;
+        let mut environment = Environment::from_compiled(Arc::clone(ready.compiled()))?;
         let conditions = Conditions::begin(&ready, &mut environment, &row, Realisation::Matched)?;
         conditions.settle(&mut environment)?;
         Ok(Mutex::new(environment))

@@ -1,4 +1,4 @@
-//! Packs the staged folder into one file, with its checksum beside it.
+//! Packs the staged folder into one archive file, with the archive's checksum in a file beside it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ pub(super) const SUMS: &str = "SHA256SUMS";
 
 pub(super) struct Archive {
     pub(super) file: PathBuf,
-    /// Name of its top-level folder.
+    /// Name of the archive's top-level folder.
     pub(super) name: String,
     /// Tool that reads and writes ELF files.
     pub(super) elf: native::Elf,

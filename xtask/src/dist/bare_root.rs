@@ -1,6 +1,6 @@
-//! Root folder with glibc and nothing else: no shell, no compiler runtime, no OpenGL, no Python. A
-//! program that starts in it starts on any machine with a recent enough glibc. The container image
-//! is made from it.
+//! Bare root: a root folder with glibc and the archive, but no shell, compiler runtime, OpenGL or
+//! Python. A program that starts in the bare root starts on any machine with a recent enough glibc.
+//! The container image is made from the bare root.
 
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use super::release::PROGRAMS;
 /// Path of the unpacked archive inside the root.
 pub(super) const PREFIX: &str = "/opt/rollout";
 
-/// User id of the programs, which owns nothing but [`DATA`].
+/// User id that the programs run as; this user owns nothing but [`DATA`].
 pub(super) const USER: u32 = 65_532;
 
 /// Folder that the programs' user may write to.
@@ -30,7 +30,7 @@ const ENTER: &str = "mount --rbind /proc \"$0/proc\" && mount --rbind /dev \"$0/
 /// Root folder that programs enter with `chroot`.
 pub(super) struct BareRoot {
     dir: PathBuf,
-    /// True if this process runs as root; otherwise entering the folder takes a user namespace.
+    /// True if this process runs as root; otherwise entering the folder requires a user namespace.
     is_root: bool,
 }
 
@@ -94,7 +94,8 @@ impl BareRoot {
         Ok(())
     }
 
-    /// Returns the reason why the root cannot be entered on this machine; `None` if it can.
+    /// Returns the reason why the root cannot be entered on this machine; `None` if it can be
+    /// entered.
     pub(super) fn entry_problem(&self) -> Option<String> {
         capture(
             Command::new("unshare")
@@ -133,7 +134,7 @@ impl BareRoot {
     }
 }
 
-/// Returns the outside path of a path inside the root.
+/// Returns the path on this machine of a path inside the bare root.
 fn inside(dir: &Path, path: &Path) -> PathBuf {
     dir.join(path.strip_prefix("/").unwrap_or(path))
 }

@@ -6,9 +6,9 @@ use super::components::Component;
 use super::crates::Crate;
 use super::release::VERSION;
 
-/// Lists all third-party parts of the archive with version, licence and, if known, the SHA-256 of
-/// their source file. Has neither time nor serial number, so that it is reproducible from the
-/// commit.
+/// Lists all third-party parts of the archive with version, licence and, for crates, the SHA-256 of
+/// the source archive. The list has neither time nor serial number, so that it is reproducible from
+/// the commit.
 pub(super) fn cyclonedx(crates: &[Crate], components: &[Component]) -> Value {
     let crates = crates.iter().map(|part| {
         let version = part.version.replace('+', "%2B");
@@ -36,6 +36,7 @@ pub(super) fn cyclonedx(crates: &[Crate], components: &[Component]) -> Value {
     })
 }
 
+/// Adds a component to a bill of materials.
 pub(super) fn add(bill: &mut Value, component: &Component) {
     if let Some(listed) = bill["components"].as_array_mut() {
         listed.push(entry(component));

@@ -14,7 +14,8 @@ use super::bare_root::{BareRoot, DATA, PREFIX};
 use super::release::{PROGRAMS, VERSION};
 use super::{bill, crates, image, stage};
 
-/// Options of a campaign of two rollouts that the expert solves: nominal, and with another camera.
+/// Options of a campaign of two rollouts that the expert solves: one nominal, one with a perturbed
+/// camera.
 const CAMPAIGN: [&str; 8] = [
     "--tasks",
     "libero_object/1",
@@ -26,8 +27,8 @@ const CAMPAIGN: [&str; 8] = [
     "1",
 ];
 
-/// Packs the programs that tests use, and tests the archive; also the container image if `buildah`
-/// is installed.
+/// Packs the programs that were built for the tests, and tests the archive. Makes and tests the
+/// container image, too, if `buildah` is installed.
 ///
 /// # Errors
 /// If the archive cannot be packed, or its programs do not run.
@@ -39,8 +40,8 @@ pub(crate) fn test(
 ) -> Result<()> {
     let output = tempfile::tempdir().context("make a folder")?;
     let packed = archive::make(root, cache, programs, output.path())?;
-    archive(root, &packed, schemas)?;
-    match image::tool() {
+    check_archive(root, &packed, schemas)?;
+    match image::require_buildah() {
         Ok(()) => image::make(root, &packed).map(drop),
         Err(error) => {
             println!("  skipped the container image: {error:#}");
@@ -50,14 +51,14 @@ pub(crate) fn test(
 }
 
 /// Tests an archive. `schemas` is an interpreter that validates the bill of materials.
-pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) -> Result<()> {
+pub(super) fn check_archive(root: &Path, archive: &Archive, schemas: Option<&Path>) -> Result<()> {
     println!("Testing {}", archive.file.display());
     let folder = tempfile::tempdir().context("make a folder")?;
     let bare = BareRoot::make(&folder.path().join("root"), archive)?;
     bare.add_data()?;
     let unpacked = bare.dir().join(PREFIX.trim_start_matches('/'));
     step("digests of all files", || verify_digests(&unpacked))?;
-    step("documents", || documents(root, &unpacked))?;
+    step("documents", || check_documents(root, &unpacked))?;
     step("bill of materials as CycloneDX", || match schemas {
         Some(python) => validate(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
         None => Ok("skipped: no schema"),
@@ -66,9 +67,9 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
         println!("  skipped the programs in a bare root: {problem}");
         return Ok(());
     }
-    step("versions in a bare root", || versions(root, &bare))?;
+    step("versions in a bare root", || check_versions(root, &bare))?;
     step("a campaign in a bare root", || {
-        campaign(&bare, folder.path())
+        run_campaign(&bare, folder.path())
     })?;
     step("unpacked archive", || {
         verify_digests(&unpacked).map(|_| "unchanged")
@@ -88,12 +89,14 @@ fn verify_digests(unpacked: &Path) -> Result<String> {
     // The list of digests does not include itself.
     ensure!(
         present == listed + 1,
-        "find {listed} listed files: the archive has {present}, with the list"
+        "compare the archive with its list of digests: the list has {listed} files, and the \
+         archive has {present} including the list"
     );
     Ok(format!("{listed} files"))
 }
 
-fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
+/// Checks that the archive has manual pages, files for users, licences and a bill of materials.
+fn check_documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
     for page in [
         "worker.1",
         "coordinator-campaign-create.1",
@@ -102,7 +105,7 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
         let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
         ensure!(
             text.contains(".SH OPTIONS"),
-            "read {page}: it names no option"
+            "read {page}: the manual page has no options"
         );
     }
     for file in ["policies/pyproject.toml", "examples/openvla_oft/about.json"] {
@@ -123,7 +126,7 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
     for name in crates.chain(["mujoco", "robosuite", "hf-libero"]) {
         ensure!(
             licences.contains(&format!("\n{name} ")),
-            "name the licence of {name}"
+            "find {name} among the licences"
         );
         ensure!(
             listed.contains(&name),
@@ -144,10 +147,11 @@ import pathlib, sys
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 text = pathlib.Path(sys.argv[1]).read_text()
-sys.exit(JsonStrictValidator(SchemaVersion.V1_5).validate_str(text) and 'not as the schema wants it')
+sys.exit(JsonStrictValidator(SchemaVersion.V1_5).validate_str(text) and 'violates the schema')
 ";
 
-fn versions(root: &Path, bare: &BareRoot) -> Result<String> {
+/// Checks that every program prints the release and the commit; returns what they print.
+fn check_versions(root: &Path, bare: &BareRoot) -> Result<String> {
     let mut git = Command::new("git");
     git.current_dir(root)
         .args(["log", "-1", "--format=%h, %cs"]);
@@ -159,14 +163,14 @@ fn versions(root: &Path, bare: &BareRoot) -> Result<String> {
         let version = capture(bare.program(name).arg("--version"))?;
         ensure!(
             version == format!("{name} {expected}"),
-            "expect {expected}: {name} is {version:?}"
+            "check that {name} has version {expected}: it prints {version:?}"
         );
     }
     Ok(expected)
 }
 
 /// Runs a campaign with all three programs of the archive.
-fn campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
+fn run_campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
     let start = |name: &str, arguments: &[&str]| {
         Running::start(name, bare.program(name).args(arguments), logs)
     };

@@ -14,7 +14,7 @@ pub(super) struct Component {
     pub(super) version: String,
     /// SPDX expression.
     pub(super) licence: &'static str,
-    /// Licence texts and notices that must be distributed with it.
+    /// Licence texts and notices that must be distributed with the component.
     pub(super) texts: Vec<String>,
 }
 

@@ -66,7 +66,7 @@ struct Dependency {
 
 #[derive(Deserialize)]
 struct Kind {
-    /// Kind of the dependency; `None` for a normal one.
+    /// Kind of the dependency; `None` for a normal dependency.
     kind: Option<String>,
 }
 
@@ -112,7 +112,7 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     Ok(crates)
 }
 
-/// Returns the ids of all packages that the programs link, including their own.
+/// Returns the ids of all packages that the programs link, including the programs' own packages.
 fn linked_packages(metadata: &Metadata) -> BTreeSet<String> {
     let nodes: BTreeMap<_, _> = metadata
         .resolve

@@ -17,7 +17,7 @@ use super::{bill, components, stage};
 const MAX_IMAGE_BYTES: u64 = 80_000_000;
 
 /// Checks that `buildah` is installed.
-pub(super) fn tool() -> Result<()> {
+pub(super) fn require_buildah() -> Result<()> {
     capture(Command::new("buildah").arg("--version"))
         .map(drop)
         .context("find buildah (Debian: `apt-get install buildah`)")
@@ -25,7 +25,7 @@ pub(super) fn tool() -> Result<()> {
 
 /// Makes the image beside the archive, as a file that container engines load.
 pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
-    tool()?;
+    require_buildah()?;
     println!("Building the container image");
     let folder = tempfile::tempdir().context("make a folder")?;
     let context = folder.path().join("context");
@@ -71,8 +71,8 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
         );
         Ok(format!("{:.1} MB compressed", size as f64 / 1e6))
     })?;
-    step("settings of the image", || settings(&buildah, &tag))?;
-    step("start of the image", || run(&buildah, &tag))?;
+    step("settings of the image", || check_user(&buildah, &tag))?;
+    step("start of the image", || start_program(&buildah, &tag))?;
     Ok(file)
 }
 
@@ -97,7 +97,8 @@ fn add_glibc(bare: &BareRoot) -> Result<&'static str> {
     Ok("written")
 }
 
-fn settings(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
+/// Checks that the image's programs run as an unprivileged user.
+fn check_user(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
     let mut inspect = buildah(&["inspect", "--type", "image", tag]);
     let inspected: serde_json::Value = serde_json::from_str(&capture(&mut inspect)?)?;
     let config = &inspected["OCIv1"]["config"];
@@ -110,7 +111,7 @@ fn settings(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
 }
 
 /// Starts a program in a container of the image, without a container engine.
-fn run(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
+fn start_program(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
     let container = capture(&mut buildah(&["from", tag]))?;
     let started = capture(&mut buildah(&[
         "run",

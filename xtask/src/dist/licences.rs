@@ -19,7 +19,8 @@ const NAMES: [&str; 6] = [
     "copyright",
 ];
 
-/// Depth to which licence files are searched: C libraries have theirs in a folder of their crate.
+/// Depth to which a crate's folder is searched for licence files, since C libraries inside a crate
+/// have their own licence files.
 const DEPTH: usize = 3;
 
 /// Separator between licence texts.

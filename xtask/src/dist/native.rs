@@ -22,12 +22,13 @@ const GLIBC: [&str; 8] = [
     "librt.so.1",
 ];
 
-/// Compiler runtime libraries, which nearly every machine has. They come last in the search path:
-/// OpenGL drivers are built for the machine's own, and a process can load only one of each.
+/// Compiler runtime libraries, which nearly every machine has. The archive's copies come last in
+/// the search path: OpenGL drivers are built for the machine's copies, and a process can load only
+/// one copy of each library.
 const COMPILER_LIBRARIES: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
 
 /// Search path of the programs for libraries: the archive's `lib`, the machine's folders, then
-/// `lib/fallback` for those that the machine lacks.
+/// `lib/fallback` for libraries that the machine lacks.
 const LIBRARY_SEARCH_PATH: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
                         /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
                         /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
@@ -64,14 +65,14 @@ impl Elf {
     pub(super) fn install(&self, program: &Path, to: &Path) -> Result<BTreeSet<String>> {
         std::fs::copy(program, to).with_context(|| format!("copy {}", program.display()))?;
         capture(Command::new("strip").arg("--strip-all").arg(to))
-            .context("strip it (Debian: `apt-get install binutils`)")?;
+            .context("strip a program (Debian: `apt-get install binutils`)")?;
         let mut patchelf = Command::new(&self.patchelf);
         capture(patchelf.args(["--set-rpath", LIBRARY_SEARCH_PATH]).arg(to))?;
         self.needed(to)
     }
 
-    /// Copies those of the needed libraries that belong to the compiler, and returns their names.
-    /// All others must belong to glibc or lie in the folder `lib` already.
+    /// Copies the needed libraries that belong to the compiler, and returns their names.
+    /// All other needed libraries must belong to glibc or lie in the folder `lib` already.
     pub(super) fn provide_libraries(
         &self,
         needed: &BTreeSet<String>,

@@ -11,8 +11,8 @@ pub(super) const PROGRAMS: [&str; 3] = ["coordinator", "policy-gateway", "worker
 /// Version of the workspace.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Returns the commit's time in seconds since 1970. All files of the archive carry it, so that the
-/// archive is reproducible from the commit.
+/// Returns the commit's time in seconds since 1970. It is the modification time of all files in the
+/// archive, so that the archive is reproducible from the commit.
 pub(super) fn commit_time(root: &Path) -> String {
     let mut git = Command::new("git");
     git.current_dir(root).args(["log", "-1", "--format=%ct"]);

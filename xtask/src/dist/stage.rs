@@ -1,5 +1,5 @@
-//! Stages the folder that becomes the archive. It can be unpacked anywhere, or over a prefix such
-//! as `/usr/local`.
+//! Stages the folder that becomes the archive. The archive can be unpacked anywhere, also over a
+//! prefix such as `/usr/local`.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -25,8 +25,8 @@ const SHELLS: [(&str, &str, &str, &str); 3] = [
     ("fish", "fish/vendor_completions.d", "", ".fish"),
 ];
 
-/// Extensions of the files that scenes are made from. The robot's models also include files of
-/// twice that size that no program reads.
+/// Extensions of the files that scenes are made from. No program reads the other files of the
+/// source folders, which together are twice as large.
 const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
 /// Folders of the archive for documents, and for the files that scenes are made from.
@@ -49,7 +49,7 @@ pub(super) fn fill(
     folder: &Path,
     elf: &Elf,
 ) -> Result<()> {
-    let compilers = step("programs, libraries", || {
+    let libraries = step("programs, libraries", || {
         let (bin, lib) = (folder.join("bin"), folder.join("lib"));
         install(cache, programs, (&bin, &lib), elf)
     })?;
@@ -57,7 +57,7 @@ pub(super) fn fill(
     step("files of scenes", || scenes(cache, folder))?;
     step("documents, licences, bill of materials", || {
         let mut parts = components::from_wheels(cache)?;
-        parts.extend(components::from_compiler(&compilers.0)?);
+        parts.extend(components::from_compiler(&libraries.0)?);
         let crates = crates::shipped(root)?;
         let to = folder.join(DOCUMENTS);
         documents(root, folder, &to)?;
@@ -65,7 +65,7 @@ pub(super) fn fill(
         let bill = serde_json::to_string_pretty(&bill::cyclonedx(&crates, &parts))?;
         std::fs::write(to.join(BILL), bill + "\n")?;
         Ok(format!(
-            "of {} crates, {} others",
+            "of {} crates, {} other components",
             crates.len(),
             parts.len()
         ))
@@ -136,7 +136,7 @@ fn shell_files(folder: &Path) -> Result<String> {
 }
 
 /// Copies the robot's models and the task files, and lets the worker unpack its built-in pack
-/// beside them, because users may not be able to write there.
+/// beside them now, because users may not be able to write into the archive's folder.
 fn scenes(cache: &Path, folder: &Path) -> Result<String> {
     let to = folder.join(SOURCES);
     for part in ["robosuite", "libero"] {

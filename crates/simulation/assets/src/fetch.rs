@@ -45,7 +45,7 @@ pub struct Fetched {
     pub present: usize,
     /// Files that were downloaded.
     pub fetched: usize,
-    /// Downloaded files that replace altered ones.
+    /// Downloaded files that replaced altered files.
     pub replaced: usize,
     /// Bytes received over the network.
     pub bytes: u64,
@@ -68,7 +68,7 @@ impl Fetch<'_> {
         let incoming = self.into.folder().join(INCOMING);
         fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
         let _lock = self.lock()?;
-        // Another process may have fetched the files while this one waited for the lock.
+        // Another process may have fetched the files while this process waited for the lock.
         let (to_fetch, replaced) = self.files_to_fetch(wanted)?;
         let mut progress = Progress {
             files: 0,
@@ -95,7 +95,7 @@ impl Fetch<'_> {
         })
     }
 
-    /// Returns the files that are missing or altered, and the number of altered ones.
+    /// Returns the files that are missing or altered, and the number of altered files.
     fn files_to_fetch<'f>(
         &self,
         wanted: &[&'f FileFacts],
@@ -117,8 +117,8 @@ impl Fetch<'_> {
         Ok((to_fetch, altered))
     }
 
-    /// Locks the folder until the returned file is dropped: concurrent fetches would mix their
-    /// bytes.
+    /// Locks the folder until the returned file is dropped. Without the lock, concurrent fetches
+    /// would append to the same partially received files.
     fn lock(&mut self) -> Result<File, AssetsError> {
         let path = self.into.folder().join(LOCK);
         let file = File::options()
@@ -129,8 +129,8 @@ impl Fetch<'_> {
         let file = file.map_err(|source| write_error(&path, source))?;
         loop {
             match file.try_lock() {
-                // Some network file systems do not support locks. Mixed bytes would fail
-                // verification and be fetched again.
+                // Some network file systems do not support locks. A file with bytes of two
+                // fetches would fail verification and be fetched again.
                 Ok(()) | Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) => {
                     self.send_report(Report::WaitingForAnotherFetch)?;

@@ -19,7 +19,7 @@ use crate::error::AssetsError;
 const MAX_TEXT_BYTES: u64 = 16 << 20;
 /// Bytes that have to arrive within each [`Deadlines::gain`].
 pub(crate) const GAIN_BYTES: u64 = 1 << 20;
-/// Environment variables with the path of a certificate file, of pip, OpenSSL and requests.
+/// Environment variables of pip, OpenSSL and requests that hold the path of a certificate file.
 const CERTIFICATES: [&str; 3] = ["PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
 /// Reason why one request failed.
@@ -39,7 +39,7 @@ pub(crate) enum RequestError {
 pub struct Deadlines {
     /// Timeout of connecting.
     pub connect: Duration,
-    /// Timeout of the answer, and of each read.
+    /// Timeout until the answer's headers arrive, and of each read of its body.
     pub read: Duration,
     /// Timeout of a whole page of an index.
     pub page: Duration,
@@ -98,7 +98,7 @@ impl Address {
         Self { url, authorization }
     }
 
-    /// Resolves a reference in the page at this URL. Credentials are kept only for the same host.
+    /// Resolves a link in the page at this URL. Credentials are kept only for the same host.
     pub(crate) fn resolve(&self, reference: &str) -> Option<Self> {
         let mut url = self.url.join(reference).ok()?;
         url.set_fragment(None);
@@ -122,8 +122,8 @@ fn authorization(url: &Url) -> Option<String> {
     Some(format!("Basic {}", BASE64_STANDARD.encode(credentials)))
 }
 
-/// HTTP client for package indices and the hub. Uses the proxies that are set in the
-/// environment variables.
+/// HTTP client for package indices and the Hugging Face hub. Uses the proxies that are set in
+/// the environment variables.
 #[derive(Debug)]
 pub(crate) struct Client {
     agent: Agent,
@@ -149,7 +149,7 @@ impl Client {
         })
     }
 
-    /// Requests a byte range. The server may send the whole file instead; check the status code.
+    /// Requests a byte range. The server may send the whole file instead; the status code tells.
     pub(crate) fn get_range(
         &self,
         address: &Address,
@@ -168,7 +168,7 @@ impl Client {
         }
     }
 
-    /// Requests an address, with a timeout of the whole answer.
+    /// Requests an address; `timeout` limits the time of the whole answer.
     fn get(
         &self,
         address: &Address,
@@ -254,7 +254,7 @@ impl<R: Read> Read for MinimumRateReader<R> {
 }
 
 /// Reads the certificates that are set in the environment variables; they replace the built-in
-/// ones.
+/// certificates.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {

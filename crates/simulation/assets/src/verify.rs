@@ -27,7 +27,7 @@ pub enum Difference {
         /// Size in the table.
         expected: u64,
     },
-    /// The file has another SHA-256.
+    /// The file has the expected size, but its SHA-256 differs from the table's.
     Content,
 }
 
@@ -44,8 +44,8 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A folder with files of a table. Each file is hashed on first use, and again only after it was
-/// written or replaced.
+/// A folder with files of a table. Each file is hashed when it is first verified, and again only
+/// after it was written or replaced.
 #[derive(Debug)]
 pub struct VerifiedFolder {
     table: &'static Table,
@@ -66,7 +66,7 @@ struct Stamp {
 }
 
 impl VerifiedFolder {
-    /// Describes the folder of a pack with files of `table`, without reading it.
+    /// Describes the folder of a pack with files of `table`, without reading the folder.
     pub fn new(table: &'static Table, folder: &Path) -> Self {
         Self {
             table,

@@ -31,11 +31,12 @@ pub(crate) enum Start {
 /// Tracks geoms at rest, and caches a picture of them.
 #[derive(Default)]
 pub(crate) struct Backdrop {
+    /// Scene and size, pixels, of the previous frame.
     last: Option<(Scene, [usize; 2])>,
-    /// Per geom: number of frames at rest so far, and number required for caching.
+    /// For each geom: number of frames at rest so far, and number of frames required for caching.
     rested: Vec<u16>,
     needed: Vec<u16>,
-    /// True per geom if it is in the cached picture.
+    /// For each geom: true if the geom is in the cached picture.
     is_cached: Vec<bool>,
     /// True if a picture is cached.
     has_picture: bool,
@@ -48,7 +49,7 @@ pub(crate) struct Backdrop {
 }
 
 impl Backdrop {
-    /// Compares a scene with the previous one.
+    /// Compares a scene with the previous frame's scene, and returns the way to begin the drawing.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
         // A moving geom's shadow may fall on every geom at rest.
         if scene.casting_lights().contains(&true) {
@@ -66,7 +67,7 @@ impl Backdrop {
                 && last.geoms.len() == count
         });
         if !is_same_view {
-            // Frees the picture: cameras that move rarely rest long enough for another one.
+            // Frees the cached picture: a moving camera rarely rests long enough for a new one.
             *self = Self {
                 last: Some((scene.clone(), size)),
                 rested: vec![0; count],
@@ -124,7 +125,7 @@ impl Backdrop {
         self.samples.clone_from(&picture.samples);
     }
 
-    /// Makes a picture equal to the cached one.
+    /// Makes a picture equal to the cached picture.
     pub(crate) fn restore_all(&self, picture: &mut Picture) {
         let size = self.last.as_ref().map_or([0; 2], |(_, size)| *size);
         picture.instances.clone_from(&self.instances);
@@ -139,7 +140,8 @@ impl Backdrop {
         visible.invalidate_bounds();
     }
 
-    /// Restores a window of the cached picture in a picture that equals it elsewhere.
+    /// Restores a window of the cached picture in a picture that equals the cached picture
+    /// elsewhere.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
         for row in window

@@ -24,8 +24,8 @@ const ROOM: usize = CLUSTER + LANES;
 const _: () = assert!(CLUSTER <= u64::BITS as usize, "a bit for each triangle");
 
 impl Candidates {
-    /// Selects the candidates. `is_beyond` is true if any position lies outside the view frustum;
-    /// triangles that extend there are kept for clipping.
+    /// Selects the candidates. `is_beyond` is true if any position lies outside the view frustum.
+    /// Triangles that extend beyond the frustum are kept for clipping.
     #[inline(always)]
     pub(crate) fn find(
         instance: &Instance,
@@ -126,8 +126,8 @@ fn sample_column(row: I) -> I {
     (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
 }
 
-/// Returns the mask of those of eight small triangles that cover a sample. `columns` and `rows` are
-/// the first and last columns and rows of samples that each triangle may cover.
+/// Returns the mask that is true for each of eight small triangles that covers a sample. `columns`
+/// and `rows` are the first and last columns and rows of samples that each triangle may cover.
 #[inline(always)]
 fn small_triangles_with_samples(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);

@@ -1,5 +1,5 @@
-//! Drawing of a frame in the order of MuJoCo's renderer: opaque geoms and the sky, the light of lights
-//! that cast shadows, reflections, and translucent geoms.
+//! Drawing of a frame in the order of MuJoCo's renderer: opaque geoms and the sky, the light of
+//! lights that cast shadows, reflections, and translucent geoms.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,22 +17,22 @@ use crate::visible::SAMPLES;
 use crate::window::Window;
 use crate::{glass, mirror, shadow};
 
-/// Drawing surface of one camera. It caches the static part of its picture between frames; all other
-/// buffers belong to the thread that draws, so that many cameras need little memory. The result
-/// does not depend on earlier frames; drawing is fastest if every camera has its own canvas, and
-/// a thread draws few of them.
+/// Drawing surface of one camera. It caches the static part of its picture between frames; all
+/// other buffers belong to the thread that draws, so that many cameras need little memory. The
+/// result does not depend on earlier frames; drawing is fastest if every camera has its own canvas,
+/// and each thread draws few canvases.
 #[derive(Default)]
 pub struct Canvas {
     backdrop: Backdrop,
     /// Number of the last frame; 0 before the first.
-    last: u64,
+    last_frame: u64,
 }
 
 /// A frame of some canvas, which the canvas's next frame continues.
 #[derive(Default)]
 struct Frame {
-    /// Number of the frame, unique in the process: after drawing on another thread, the canvas has
-    /// a later one, and this frame is outdated.
+    /// Number of the frame, unique in the process. If the canvas has drawn its last frame on
+    /// another thread, that frame has a larger number, and this frame is outdated.
     number: u64,
     picture: Picture,
     /// Window in which the frame differs from the canvas's backdrop.
@@ -49,9 +49,9 @@ struct Scratch {
     work: Workspace,
 }
 
-/// Longest side of a shadow map, texels; the longest of OpenGL's textures.
+/// Longest side of a shadow map, texels: the longest side of OpenGL's textures.
 const MAX_SHADOW_SIDE: usize = 1 << 14;
-/// Frames that a thread keeps: those of the two cameras of an environment.
+/// Number of frames that a thread keeps: one for each of the two cameras of an environment.
 const KEPT_FRAMES: usize = 2;
 
 static FRAMES: AtomicU64 = AtomicU64::new(0);
@@ -61,7 +61,8 @@ thread_local! {
 }
 
 impl Scratch {
-    /// Removes and returns the frame with this number, or else the one to be overwritten.
+    /// Removes and returns the frame with this number, or else a new or the oldest frame, to be
+    /// overwritten.
     fn take(&mut self, number: u64) -> Frame {
         let found = self.frames.iter().position(|frame| frame.number == number);
         match found {
@@ -79,19 +80,21 @@ impl Canvas {
     }
 
     /// Draws a frame. Returns red, green and blue of every pixel, row by row from the bottom. The
-    /// model must be the same for all frames of a canvas; `largest` holds the source bytes of the
-    /// model's textures, which are their largest levels.
+    /// model must be the same for all frames of a canvas; `largest_levels` holds the bytes that the
+    /// model's textures were made from, which are their largest mipmap levels.
     ///
     /// # Errors
     /// If the scene contains invalid numbers or refers to items that the model lacks.
     pub fn draw(
         &mut self,
         model: &Model,
-        largest: &[&[u8]],
+        largest_levels: &[&[u8]],
         scene: &Scene,
         size: [usize; 2],
     ) -> Result<Vec<u8>, DrawError> {
-        self.frame(model, largest, scene, size, |frame| frame.rgb.clone())
+        self.frame(model, largest_levels, scene, size, |frame| {
+            frame.rgb.clone()
+        })
     }
 
     /// Draws a frame. Returns the depths at each pixel's first sample: 0 at the near plane, 1 at
@@ -102,11 +105,11 @@ impl Canvas {
     pub fn depths(
         &mut self,
         model: &Model,
-        largest: &[&[u8]],
+        largest_levels: &[&[u8]],
         scene: &Scene,
         size: [usize; 2],
     ) -> Result<Vec<f32>, DrawError> {
-        self.frame(model, largest, scene, size, |frame| {
+        self.frame(model, largest_levels, scene, size, |frame| {
             let visible = &frame.picture.visible;
             let rows = Window::whole(visible.width, visible.height).rows(visible.stride);
             let depth = |pixel: usize| (1.0 - visible.depths[pixel * SAMPLES]).clamp(0.0, 1.0);
@@ -114,11 +117,11 @@ impl Canvas {
         })
     }
 
-    /// Draws a frame and reads from it.
+    /// Draws a frame, and returns the result of `read`.
     fn frame<T>(
         &mut self,
         model: &Model,
-        largest: &[&[u8]],
+        largest_levels: &[&[u8]],
         scene: &Scene,
         [width, height]: [usize; 2],
         read: impl FnOnce(&Frame) -> T,
@@ -126,7 +129,7 @@ impl Canvas {
         check(model, scene, width, height)?;
         for (index, texture) in model.textures.iter().enumerate() {
             let (given, needed) = (
-                largest.get(index).map_or(0, |bytes| bytes.len()),
+                largest_levels.get(index).map_or(0, |bytes| bytes.len()),
                 texture.bytes(),
             );
             if given != needed {
@@ -141,27 +144,27 @@ impl Canvas {
         let lights = EyeLight::all(scene, &view);
         let pass = Pass {
             model,
-            largest,
+            largest_levels,
             view: &view,
             light: Lighting::all(&lights),
             window: Window::whole(width, height),
         };
         let casting = scene.casting_lights();
-        let others = lights.iter().zip(&casting).filter(|(_, casts)| !**casts);
-        let others: Vec<EyeLight> = others.map(|(light, _)| *light).collect();
+        let shadowless = lights.iter().zip(&casting).filter(|(_, casts)| !**casts);
+        let shadowless: Vec<EyeLight> = shadowless.map(|(light, _)| *light).collect();
         let opaque = Pass {
             light: Lighting {
-                lights: &others,
+                lights: &shadowless,
                 ..pass.light
             },
             ..pass
         };
         SCRATCH.with_borrow_mut(|scratch| {
-            let mut frame = scratch.take(self.last);
+            let mut frame = scratch.take(self.last_frame);
             let Scratch {
                 reflection, work, ..
             } = scratch;
-            let is_last = frame.number == self.last;
+            let is_last = frame.number == self.last_frame;
             let before = frame.dirty.take().filter(|_| is_last);
             let start = self.backdrop.compare(scene, [width, height]);
             match start {
@@ -181,7 +184,7 @@ impl Canvas {
                 frame.resolve(window);
             }
             frame.number = 1 + FRAMES.fetch_add(1, Ordering::Relaxed);
-            self.last = frame.number;
+            self.last_frame = frame.number;
             let read = read(&frame);
             scratch.frames.push(frame);
             Ok(read)
@@ -190,7 +193,8 @@ impl Canvas {
 }
 
 impl Frame {
-    /// Draws opaque geoms and the sky, over the picture that `start` demands.
+    /// Draws opaque geoms and the sky. `start` states whether the picture already contains the
+    /// backdrop, or whether the backdrop is to be drawn and cached first.
     fn draw_opaque(
         &mut self,
         pass: Pass<'_>,
@@ -262,7 +266,7 @@ impl Frame {
         self.dirty = Window::union(self.dirty, changed);
     }
 
-    /// Averages the samples of pixels.
+    /// Averages the samples of each pixel in a window.
     fn resolve(&mut self, window: Window) {
         let (width, stride) = (self.picture.visible.width, self.picture.visible.stride);
         let rows = window.rows(stride).zip(window.rows(width));

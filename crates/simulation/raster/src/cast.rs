@@ -1,6 +1,6 @@
-//! Lookups in a light's shadow map, and the geoms that darken them. Of the map's texels, usually some
-//! millions, a picture looks up some ten thousands, so the map itself is never drawn: every triangle
-//! is compared with the lookups that it covers.
+//! Lookups in a light's shadow map, and the geoms that darken them. Of the map's texels, usually
+//! some millions, a picture looks up some ten thousands, so the map itself is never drawn: every
+//! triangle is compared with the lookups that it covers.
 
 use crate::clip::{self, Clipping, Viewport};
 use crate::instance::{self, Instance, View};
@@ -11,14 +11,14 @@ use crate::place::sides_beyond;
 use crate::positions::{MAX_COORDINATE, SUBPIXELS};
 use crate::scene::Scene;
 
-/// Texels that the map has on each side of the viewport, so that no shadow touches the map's border,
-/// whose texels stand for everything beyond it.
+/// Texels that the map has on each side of the viewport, so that no shadow touches the map's
+/// border, whose texels stand for everything beyond the map.
 const BORDER: f32 = 1.0;
 /// Largest depth in the map, which has 24 bits.
 const FULL_DEPTH: f32 = 16_777_215.0;
-/// Offset of the map's depths away from the light: per largest change of depth from one texel to
-/// the next, and for every triangle. MuJoCo asks for four of the smallest resolvable differences,
-/// each of which llvmpipe takes as two units of depth.
+/// Offset of a triangle's depths away from the light: a multiple of the largest change of depth
+/// from one texel to the next, plus a constant. For the constant, MuJoCo requests four of the
+/// smallest resolvable differences, each of which llvmpipe takes as two units of depth.
 const OFFSET_FACTOR: f32 = -1.5;
 const OFFSET: f32 = -8.0 / FULL_DEPTH;
 /// Texels on a side of a cell, as a power of two.
@@ -99,7 +99,8 @@ impl Lookups {
         }
     }
 
-    /// Returns true per fragment that nothing darkens.
+    /// Returns for each fragment true if the light reaches it: the fragment has a lookup, which no
+    /// triangle darkens.
     pub(crate) fn lit(&self, fragments: usize) -> Vec<bool> {
         let mut lit = vec![false; fragments];
         for lookup in &self.lookups {
@@ -125,8 +126,8 @@ impl Lookups {
         (count > 0).then_some([[left, right], [below, above]])
     }
 
-    /// Darkens the lookups behind a triangle, whose corners are in the map: column and row, texels,
-    /// and depth.
+    /// Darkens the lookups behind a triangle. A corner consists of a column and a row of the map,
+    /// texels, and a depth.
     fn darken(&mut self, corners: [[f32; 3]; 3]) {
         let snap = |at: f32| {
             let at = ((at - 0.5) * SUBPIXELS as f32).round_ties_even() as i32;
@@ -186,7 +187,8 @@ impl Triangle {
         if area == 0 {
             return None;
         }
-        // Both sides of a triangle darken. Mesa swaps the first corners of one that faces away.
+        // Both sides of a triangle darken. Mesa swaps the first two corners of a triangle that
+        // faces away from the light.
         if area < 0 {
             corners.swap(0, 1);
             snapped.swap(0, 1);

@@ -1,5 +1,5 @@
 //! Clipping of triangles against the view frustum, in clip space and in Mesa's order. Few triangles
-//! need it, so they are processed one by one.
+//! need clipping, so they are processed one by one.
 
 use crate::instance::Instance;
 use crate::lanes::{F, LANES};
@@ -31,7 +31,7 @@ pub(crate) struct ClippedTriangle {
 pub(crate) struct Clipping {
     /// Bit per plane that the triangle extends beyond.
     pub(crate) beyond: i32,
-    /// The mirror plane, the last of these planes.
+    /// The mirror plane, which is the last clip plane; `None` outside reflections.
     pub(crate) plane: Option<[f32; 4]>,
     pub(crate) viewport: Viewport,
 }
@@ -99,7 +99,7 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
 ];
 
 /// Largest number of corners after clipping by every plane: each plane adds one corner, and
-/// rounding may add another where a plane touches.
+/// rounding may add another where a plane touches the polygon.
 const MAX_CORNERS: usize = 3 + SIDES + 2;
 
 /// Polygon that remains of a triangle after clipping.
@@ -130,8 +130,8 @@ pub(crate) fn clip<V: Values>(
     clipping: &Clipping,
 ) -> Polygon<V> {
     let mut polygons = [[Corner::default(); MAX_CORNERS]; 2];
-    let [polygon, other] = &mut polygons;
-    let (mut polygon, mut other) = (polygon, other);
+    let [polygon, output] = &mut polygons;
+    let (mut polygon, mut output) = (polygon, output);
     for ((to, pos), values) in polygon.iter_mut().zip(corners).zip(values) {
         *to = Corner {
             pos: to_clip_space(instance, pos),
@@ -144,8 +144,8 @@ pub(crate) fn clip<V: Values>(
         let Some(normal) = SIDE_PLANES.get(side).copied().or(clipping.plane) else {
             continue;
         };
-        count = clip_by_plane(&polygon[..count], normal, other).unwrap_or(0);
-        std::mem::swap(&mut polygon, &mut other);
+        count = clip_by_plane(&polygon[..count], normal, output).unwrap_or(0);
+        std::mem::swap(&mut polygon, &mut output);
     }
     let mut finished = [ClippedCorner::default(); MAX_CORNERS];
     for (to, corner) in finished.iter_mut().zip(&polygon[..count]) {
@@ -162,8 +162,8 @@ fn to_clip_space(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
     std::array::from_fn(|row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12])
 }
 
-/// Clips a convex polygon by a plane; returns the number of corners of the inner part, or 0 if
-/// distances are not comparable.
+/// Clips a convex polygon by a plane; returns the number of corners of the inner part. `None` if a
+/// distance from the plane is not finite, or the part has too many corners.
 fn clip_by_plane<V: Values>(
     polygon: &[Corner<V>],
     plane: [f32; 4],

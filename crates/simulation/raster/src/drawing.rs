@@ -17,7 +17,7 @@ pub(crate) struct Drawing<'a> {
     pub(crate) visible: &'a mut Visible,
     /// Bounds of the samples that became visible.
     pub(crate) touched: BoundingWindow,
-    /// Receives every layer that is not behind the visible one; without it, the nearest layer
-    /// becomes visible.
+    /// Receives every layer that is not behind a visible surface. If `None`, the nearest layer
+    /// becomes the visible surface.
     pub(crate) layers: Option<Layers<'a>>,
 }

@@ -3,7 +3,7 @@
 /// Reason why data is not accepted into a model.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ModelError {
-    /// Texture dimensions do not fit one another.
+    /// A texture's dimensions do not fit its bytes, or are out of range.
     #[error(
         "a texture of {width} × {height} texels with {channels} channels does not fit {bytes} \
          bytes: give 3 or 4 bytes a texel, 1 to 16384 texels a side, and cubes as one square or six"
@@ -23,7 +23,8 @@ pub enum ModelError {
     Bytes,
     /// The number of pieces of a shape is out of range.
     #[error(
-        "shapes of {slices} slices, {stacks} stacks and {quads} quads cannot be made: give 3 to 512 slices, 4 to 512 stacks and 1 to 64 quads"
+        "shapes of {slices} slices, {stacks} stacks and {quads} quads cannot be made: give 3 to \
+         512 slices, 4 to 512 stacks and 1 to 64 quads"
     )]
     Quality {
         /// Pieces around an axis.
@@ -74,7 +75,7 @@ pub enum DrawError {
         /// Side of the maps, texels.
         size: usize,
     },
-    /// The source bytes of a texture have another length.
+    /// The bytes given for a texture are not as many as its largest level has.
     #[error(
         "texture {texture} was made from {needed} bytes, and {given} are given: give the bytes \
          that the texture was made from"
@@ -84,7 +85,7 @@ pub enum DrawError {
         texture: usize,
         /// Bytes that were given.
         given: usize,
-        /// Bytes of its largest level.
+        /// Bytes of the texture's largest level.
         needed: usize,
     },
 }

@@ -84,11 +84,11 @@ fn fill_large(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>)
     let edges = [0, 1, 2].map(|edge| LongEdge::new(corners[edge], corners[(edge + 1) % 3], first));
     let mut touched = false;
     for (block, block_index) in blocks(x, y) {
-        if edges.iter().any(|edge| edge.is_beyond(block_index)) {
+        if edges.iter().any(|edge| edge.is_outside(block_index)) {
             continue;
         }
         let at = edges.each_ref().map(|edge| edge.at(block_index));
-        if edges.iter().all(|edge| edge.is_before(block_index)) {
+        if edges.iter().all(|edge| edge.is_inside(block_index)) {
             touched |= fill_parts::<true>(lane, setup, (block, at), area, drawing);
         } else {
             touched |= fill_parts::<false>(lane, setup, (block, at), area, drawing);
@@ -97,7 +97,7 @@ fn fill_large(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>)
     touched
 }
 
-/// Fills a triangle whose products fit in 32 bits.
+/// Fills a triangle whose edge functions fit in 32 bits.
 #[inline(never)]
 fn fill_medium(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>) -> bool {
     let (x, y, _) = area;
@@ -231,12 +231,12 @@ impl LongEdge {
     }
 
     /// Returns true if a block lies entirely outside the edge.
-    fn is_beyond(&self, block: [i64; 2]) -> bool {
+    fn is_outside(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].max(0) + self.along[1].max(0) < 0
     }
 
     /// Returns true if a block lies entirely inside the edge.
-    fn is_before(&self, block: [i64; 2]) -> bool {
+    fn is_inside(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].min(0) + self.along[1].min(0) >= 0
     }
 

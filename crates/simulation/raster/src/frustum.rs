@@ -1,4 +1,4 @@
-//! View frustum of a camera, and its tests against spheres.
+//! View frustum of a camera, with tests whether spheres lie inside or outside the frustum.
 
 use crate::drawing::Drawing;
 use crate::instance::Instance;

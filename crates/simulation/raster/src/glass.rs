@@ -15,13 +15,14 @@ use crate::window::{BoundingWindow, Window};
 const OPAQUE_FROM: f64 = 0.995;
 /// Distance assumed for planes when sorting.
 const PLANE_DISTANCE: f32 = 1e10;
-/// Limits on the pixels and on the layers blended at once, one layer per triangle and pair of
-/// pixels: a mesh may have any number of overlapping triangles. This bounds the memory of a frame
-/// to some hundred megabytes.
+/// Largest number of pixels and of layers that are blended at once. There is a layer for each
+/// triangle in each pair of pixels, and a mesh may have any number of overlapping triangles. The
+/// limits keep the memory of a frame to some hundred megabytes.
 const MAX_PIXELS: i32 = 1 << 17;
 const MAX_LAYERS: usize = 1 << 21;
 
-/// Returns the translucent geoms, which include planes seen from behind, nearest first.
+/// Returns the indices of the translucent geoms, which include planes seen from behind, nearest
+/// first.
 pub(crate) fn translucent_geoms(scene: &Scene, view: &View) -> Vec<usize> {
     let mut found: Vec<(f32, usize)> = Vec::new();
     for (index, geom) in scene.geoms.iter().enumerate() {
@@ -136,8 +137,8 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     window
 }
 
-/// Returns the fragments of a geom in front of the visible samples, in drawing order; `None` if
-/// they exceed the limit of layers.
+/// Returns the fragments of a geom in front of the visible samples, in drawing order; `None` if the
+/// geom exceeds the limit of layers.
 fn paint(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -213,15 +214,20 @@ fn colour(
     order.sort_unstable();
     let mut painted = vec![(Fragment::default(), 0); order.len()];
     let mut positions = order.into_iter();
-    shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-        if let Some((_, position)) = positions.next() {
-            painted[position] = (*fragment, colour);
-        }
-    });
+    shade::colour(
+        pass.model,
+        pass.largest_levels,
+        lists,
+        |fragment, colour| {
+            if let Some((_, position)) = positions.next() {
+                painted[position] = (*fragment, colour);
+            }
+        },
+    );
     painted
 }
 
-/// Blends a colour over another by its opacity, in 8 bits.
+/// Blends the colour `over` over the colour `under` by the opacity of `over`, in 8 bits.
 fn blended(under: u32, over: u32) -> u32 {
     let (under, over) = (under.to_le_bytes(), over.to_le_bytes());
     let opacity = over[3];

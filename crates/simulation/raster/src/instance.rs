@@ -1,4 +1,5 @@
-//! A drawing pass and its mesh instances, with their transformations and materials.
+//! The view of a drawing pass, and the pass's mesh instances with their transformations and
+//! materials.
 
 use crate::matrix::{Matrix, Vec3, dot, minus};
 use crate::mesh::Mesh;
@@ -104,7 +105,7 @@ pub(crate) enum Mapping {
 #[derive(Debug, Clone)]
 pub(crate) struct Instance {
     pub(crate) mesh: MeshRef,
-    /// Index of its geom in the scene.
+    /// Index of the instance's geom in the scene.
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
     pub(crate) to_clip: Matrix,
@@ -117,7 +118,7 @@ pub(crate) struct Instance {
     pub(crate) counter_clockwise: bool,
     /// True if back faces are drawn instead of front faces.
     pub(crate) inside_out: bool,
-    /// True if lights determine its colour; otherwise it is white.
+    /// True if lights determine the instance's colour; otherwise the instance is white.
     pub(crate) is_lit: bool,
     pub(crate) rgba: [f32; 4],
     pub(crate) emission: f32,
@@ -125,11 +126,12 @@ pub(crate) struct Instance {
     pub(crate) shininess: f32,
     pub(crate) texture: Option<usize>,
     pub(crate) mapping: Mapping,
-    /// Distance of its far end. Instances are drawn by this distance, so that near ones come first.
+    /// Distance of the instance's far end from the eye. Instances are drawn in the order of this
+    /// distance, nearest first.
     pub(crate) distance: f32,
     /// Position in OpenGL's drawing order.
     pub(crate) rank: u32,
-    /// Bounding window of the pixels in which it became visible.
+    /// Bounding window of the pixels in which the instance became visible.
     pub(crate) window: Option<Window>,
 }
 
@@ -241,7 +243,7 @@ pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance
 }
 
 impl Instance {
-    /// Returns `None` if no part of the mesh can be visible.
+    /// Creates an instance; `None` if no part of the mesh can be visible.
     fn new(mesh: MeshRef, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
         let bounds = mesh.resolve(model).bounds;
         let is_finite = to_eye.0.iter().all(|value| value.is_finite());
@@ -305,14 +307,14 @@ pub(crate) fn is_behind(head: Vec3, geom: &Geom) -> bool {
 
 fn mapping(geom: &Geom, used: &TextureUse, model: &Model) -> Mapping {
     let kind = model.textures[used.texture].kind;
-    let is_own_size = matches!(geom.shape, Shape::Mesh(_) | Shape::Plane(_));
+    let has_own_size = matches!(geom.shape, Shape::Mesh(_) | Shape::Plane(_));
     match kind {
         TextureKind::Flat { .. } if used.by_corner => Mapping::Corners,
         TextureKind::Flat { .. } => {
             let mut scale = used.repeat;
             for (axis, scale) in scale.iter_mut().enumerate() {
                 let size = geom.size[axis];
-                if is_own_size && size > 0.0 {
+                if has_own_size && size > 0.0 {
                     *scale = (f64::from(*scale) / f64::from(size).max(1e-15)) as f32;
                 }
                 if used.uniform && size > 0.0 {

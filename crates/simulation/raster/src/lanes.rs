@@ -42,7 +42,7 @@ impl Mask {
         self.0.all()
     }
 
-    /// Returns -1 in true lanes and 0 in false ones.
+    /// Returns -1 in true lanes and 0 in false lanes.
     #[inline(always)]
     pub(crate) fn ints(self) -> I {
         self.0

@@ -1,7 +1,7 @@
-//! Software renderer that reproduces the pictures of MuJoCo's renderer: triangles, lights,
-//! shadows, textures, mirrors and translucency, as MuJoCo draws them through Mesa's software OpenGL, with
-//! the same bits on every machine. Depends on neither OpenGL nor MuJoCo. A [`Model`] is prepared
-//! once; a [`Scene`] is drawn on a [`Canvas`].
+//! Software renderer that reproduces the pictures of MuJoCo's renderer: triangles, lights, shadows,
+//! textures, mirrors and translucency, as MuJoCo draws them through Mesa's software OpenGL, with
+//! the same bits on every machine. The crate depends on neither OpenGL nor MuJoCo. A [`Model`] is
+//! prepared once; a [`Scene`] is drawn on a [`Canvas`].
 //!
 //! Every operation is an IEEE 754 operation in a fixed order: sums, products, quotients, square
 //! roots, and explicit fused multiply-adds. No operation is approximate or depends on the

@@ -18,7 +18,8 @@ pub(crate) struct EyeLight {
     place: Vec3,
     cone: Option<Cone>,
     is_directional: bool,
-    /// Distance attenuation, if any.
+    /// Constant, linear and quadratic attenuation with distance; `None` if the light does not get
+    /// weaker with distance.
     attenuation: Option<Vec3>,
     ambient: Vec3,
     diffuse: Vec3,
@@ -55,7 +56,7 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// Returns the light that one light adds to a picture.
+    /// Returns the light of a pass that adds one light to a picture.
     pub(crate) fn added_by(light: &'a EyeLight) -> Self {
         Self {
             lights: std::slice::from_ref(light),
@@ -125,9 +126,10 @@ pub(crate) struct Shading<'a> {
     lights: &'a [EyeLight],
     /// Colour without any light.
     base: Vec3,
+    /// For each light: its ambient, diffuse and specular colours times the material's colours.
     products: [[Vec3; 3]; MAX_LIGHTS],
-    /// True per light if it adds only its ambient part to corners that face away. Requires finite
-    /// values, since infinity times zero is not zero.
+    /// For each light: true if the light adds only its ambient part to corners that face away from
+    /// it. Requires finite values, since infinity times zero is not zero.
     adds_only_ambient: [bool; MAX_LIGHTS],
     shininess: f32,
 }
@@ -234,7 +236,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
         // Without shininess, Mesa's program takes base and exponent of the power from the register
         // that holds the dot product `facing`.
-        let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
+        let (base, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = normalize8(subtract8(to_light, towards_pos));
             (
                 dot8(normal, half),
@@ -247,7 +249,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         let highlight = if products[2] == [0.0; 3] {
             zero
         } else if has_highlights || attenuation.is_some() {
-            is_lit.select(power(near.max(zero), exponent), zero)
+            is_lit.select(power(base.max(zero), exponent), zero)
         } else {
             is_lit.select(one, zero)
         };
@@ -264,7 +266,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     colour.map(|part| part.max(zero).min(one))
 }
 
-/// Returns the attenuation of a light; `None` if it is not attenuated.
+/// Returns the attenuation of a light; `None` if the light is not attenuated.
 #[inline(always)]
 fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F> {
     let splat = |value: f32| F::splat(value);

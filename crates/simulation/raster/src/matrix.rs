@@ -79,8 +79,8 @@ impl Matrix {
         ])
     }
 
-    /// Creates a reversed-depth perspective: 1 at the near plane, 0 at the far plane. The sides are
-    /// those of the near plane's rectangle.
+    /// Creates a reversed-depth perspective: 1 at the near plane, 0 at the far plane. The first
+    /// four numbers are the sides of the near plane's rectangle.
     pub(crate) fn perspective(
         [left, right]: [f32; 2],
         [bottom, top]: [f32; 2],
@@ -97,7 +97,8 @@ impl Matrix {
         reversed_depth().times(&Self(m))
     }
 
-    /// Creates an orthographic projection with the same conventions.
+    /// Creates an orthographic projection with the conventions of
+    /// [`perspective`](Self::perspective).
     pub(crate) fn orthographic(
         [left, right]: [f32; 2],
         [bottom, top]: [f32; 2],
@@ -177,8 +178,8 @@ impl Matrix {
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z)
     }
 
-    /// Returns the inverse of a matrix whose last row is (0, 0, 0, 1); the identity if it is
-    /// singular, as in Mesa.
+    /// Returns the inverse of a matrix whose last row is (0, 0, 0, 1); the identity if the matrix
+    /// is singular, as in Mesa.
     pub(crate) fn inverse_of_affine(&self) -> Self {
         let Some(rows) = self.inverse_of_linear_part() else {
             return Self::IDENTITY;
@@ -192,8 +193,8 @@ impl Matrix {
         inverse
     }
 
-    /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if it is singular. A
-    /// matrix that Mesa considers a rotation is transposed instead.
+    /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if that part is
+    /// singular. If Mesa considers the part a rotation, returns the transpose instead.
     pub(crate) fn inverse_of_linear_part(&self) -> Option<[f32; 9]> {
         let m = &self.0;
         let (c1, c2, c3): (Vec3, Vec3, Vec3) =

@@ -13,8 +13,8 @@ use crate::values::{Blob, Values};
 
 /// Maximum number of triangles in a cluster, so that the indices of their corners fit in a byte.
 pub(crate) const CLUSTER: usize = 64;
-/// Weight of the difference in normals against distance when clusters are split, in radii of the
-/// mesh.
+/// Weight of a difference in normals relative to a distance when triangles are split into clusters,
+/// in radii of the mesh.
 const FACING_WEIGHT: f32 = 0.35;
 
 /// A corner of a triangle.
@@ -40,7 +40,7 @@ impl Corner {
 #[derive(Debug, Default)]
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,
-    /// Positions, cluster by cluster, each padded to a multiple of eight.
+    /// Positions, cluster by cluster; each cluster's positions are padded to a multiple of eight.
     pub(crate) xs: Values<f32>,
     pub(crate) ys: Values<f32>,
     pub(crate) zs: Values<f32>,
@@ -66,7 +66,7 @@ pub(crate) struct Sphere {
     pub(crate) radius: f32,
 }
 
-/// Up to 64 triangles.
+/// Up to [`CLUSTER`] neighbouring triangles.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
@@ -87,7 +87,7 @@ impl Cluster {
     pub(crate) fn faces_away_from(&self, eye: Vec3) -> bool {
         let to = minus(self.bounds.center, eye);
         let distance = dot(to, to).sqrt();
-        // Tolerates rounding, including that of poses, for triangles seen edge-on.
+        // Tolerates rounding, including the rounding of poses, for triangles seen edge-on.
         dot(to, self.axis) > (self.sine + 2e-3) * distance + 1.01 * self.bounds.radius
     }
 
@@ -154,7 +154,7 @@ impl MeshBuilder {
 struct Piece {
     order: u32,
     pos: [Vec3; 3],
-    /// Unit normal of its plane; zero if degenerate.
+    /// Unit normal of the triangle's plane; zero if the triangle is degenerate.
     facing: Vec3,
     /// Centre, and normal times a weight: the dimensions along which triangles are split.
     key: [f32; 6],
@@ -439,7 +439,7 @@ fn normal_cone(pieces: &[Piece]) -> (Vec3, f32) {
         }
     }
     let length = dot(sum, sum).sqrt();
-    // No cone is useful if the normals cancel or a triangle has none.
+    // No cone is useful if the normals cancel or a triangle has no normal.
     if length.is_nan() || length <= 1e-3 || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
         return NO_CONE;
     }
@@ -550,7 +550,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cluster_faces_away_from_behind_only() {
+    fn a_cluster_faces_away_only_from_an_eye_behind_it() {
         let mut builder = MeshBuilder::default();
         builder.triangle([
             corner(0.0, 0.0, 0.0),

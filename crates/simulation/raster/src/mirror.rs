@@ -12,7 +12,8 @@ use crate::shapes::is_upper_face;
 use crate::visible::{Ranks, SAMPLES};
 use crate::window::Window;
 
-/// Returns the mirroring geom, if the camera is in front of its face.
+/// Returns the index of the first mirroring geom; `None` if no geom mirrors, or the camera is
+/// behind the geom's face.
 pub(crate) fn find(scene: &Scene, view: &View, translucent: &[usize]) -> Option<usize> {
     let can_mirror = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
     let found = (0..scene.geoms.len()).find(|index| {
@@ -27,7 +28,7 @@ pub(crate) fn find(scene: &Scene, view: &View, translucent: &[usize]) -> Option<
     (scene.reflections && !is_behind(view.head, &face)).then_some(found)
 }
 
-/// Returns a point of the face, and its normal.
+/// Returns a point of a geom's mirror face, and the face's normal.
 fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
     let normal = [geom.mat[2], geom.mat[5], geom.mat[8]];
     let raised = match geom.shape {

@@ -23,7 +23,7 @@ impl Model {
     /// Creates a model with only built-in shapes.
     ///
     /// # Errors
-    /// If the number of pieces is out of range.
+    /// If a number of pieces in `quality` is out of range.
     pub fn new(quality: Quality) -> Result<Self, ModelError> {
         let Quality {
             slices,

@@ -23,8 +23,8 @@ pub(crate) struct Picture {
 #[derive(Clone, Copy)]
 pub(crate) struct Pass<'a> {
     pub(crate) model: &'a Model,
-    /// Per texture: its largest level.
-    pub(crate) largest: &'a [&'a [u8]],
+    /// For each texture: the bytes of its largest mipmap level.
+    pub(crate) largest_levels: &'a [&'a [u8]],
     pub(crate) view: &'a View,
     pub(crate) light: Lighting<'a>,
     /// Window outside which nothing is drawn.
@@ -66,7 +66,7 @@ impl Picture {
     }
 
     /// Rasterises the instances from `first` on, keeping the nearest surface at each sample. Near
-    /// instances go first, since they occlude much of the others.
+    /// instances are rasterised first, since they occlude much of the distant instances.
     pub(crate) fn rasterise(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         work.order.clear();
         work.order.extend(first..self.instances.len());
@@ -91,7 +91,7 @@ impl Picture {
         }
     }
 
-    /// Colours the visible samples of the records from `first` on.
+    /// Colours the samples at which a record from `first` on is visible.
     pub(crate) fn paint(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         let Some(window) = self.visible.touched else {
             return;
@@ -102,12 +102,17 @@ impl Picture {
         let content = Content::Colours(pass.light);
         shade::compute_surfaces(pass.model, visible, &self.instances, content, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
-        shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-            let pixel = &mut samples[fragment.y() * stride + fragment.x()];
-            let masks = SAMPLE_MASKS[fragment.samples()];
-            for (value, mask) in pixel.iter_mut().zip(masks) {
-                *value = *value & !mask | colour & mask;
-            }
-        });
+        shade::colour(
+            pass.model,
+            pass.largest_levels,
+            lists,
+            |fragment, colour| {
+                let pixel = &mut samples[fragment.y() * stride + fragment.x()];
+                let masks = SAMPLE_MASKS[fragment.samples()];
+                for (value, mask) in pixel.iter_mut().zip(masks) {
+                    *value = *value & !mask | colour & mask;
+                }
+            },
+        );
     }
 }

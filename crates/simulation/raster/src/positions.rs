@@ -2,11 +2,11 @@
 
 use crate::lanes::{F, Floats as _, I, LANES};
 
-/// Positions are snapped to this fraction of a pixel.
+/// Subpixel units in a pixel; positions are snapped to these units.
 pub(crate) const SUBPIXELS: i32 = 256;
-/// Limit of a corner's distance from the picture, subpixel units. Few corners lie that far out:
-/// those so close to the eye that their position is unreliable. The product of two such distances
-/// fits in 64 bits.
+/// Limit of a corner's distance from the picture, subpixel units. Only corners that are so close to
+/// the eye that their position is unreliable lie beyond this limit. The product of two such
+/// distances fits in 64 bits.
 pub(crate) const MAX_COORDINATE: i32 = 1 << 24;
 
 /// Largest number of positions of a cluster: as many as a byte can index, so that indices need no

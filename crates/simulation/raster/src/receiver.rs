@@ -13,7 +13,7 @@ impl Receiver {
     /// Creates the planes for an eye and the view from a light.
     pub(crate) fn new(eye: &View, light: &View) -> Self {
         let to_map = light.projection.times(&light.world_to_eye);
-        // From -1 to 1 along columns and rows to 0 to 1.
+        // Maps columns and rows from the range -1 to 1 to the range 0 to 1.
         let shares = Matrix([
             0.5, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0,
         ]);

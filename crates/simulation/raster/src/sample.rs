@@ -49,7 +49,7 @@ pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2])
     if levels.is_single {
         return first;
     }
-    between(
+    mix_colours(
         first,
         sample_cube_level(texels, &levels.second, &face),
         levels.share,
@@ -264,7 +264,8 @@ impl Bytes {
     }
 }
 
-/// Returns the texel before a place of a repeating texture, and the distance from it in 256ths.
+/// Returns the texel before a place of a repeating texture, and the place's distance from that
+/// texel in 256ths.
 #[inline(always)]
 fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
     let int = |value: i32| I::splat(value);
@@ -298,11 +299,11 @@ fn flat_in_floats(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     if levels.is_single {
         return first;
     }
-    between(first, sample_level(&levels.second), levels.share)
+    mix_colours(first, sample_level(&levels.second), levels.share)
 }
 
 #[inline(always)]
-fn between(first: Colour, second: Colour, share: F) -> Colour {
+fn mix_colours(first: Colour, second: Colour, share: F) -> Colour {
     [0, 1, 2, 3].map(|channel| mix(first[channel], second[channel], share))
 }
 
@@ -453,13 +454,14 @@ fn sample_cube_level(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colo
 struct EdgePlace<'a> {
     level: &'a Level,
     face: i32,
+    /// Column and row of the first of the four texels around the place; may be out of range.
     x: i32,
     y: i32,
     shares: [f32; 2],
 }
 
-/// Blends with the texels of the neighbouring face beyond an edge; at a corner, blends the three
-/// texels that meet there.
+/// Blends the four texels around a place, of which those beyond an edge are on a neighbouring face.
+/// At a corner of the cube, blends the three texels that meet there.
 #[inline(never)]
 fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
@@ -508,7 +510,8 @@ fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CH
         .map(|part| f32::from(part) * OVER_255)
 }
 
-/// Returns the texel beyond an edge: face, column, row.
+/// Returns the face, column and row of the texel that lies beyond an edge of `face`, where `x` or
+/// `y` is out of range.
 fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
     // Coordinates across each face from -`side` to `side`, in half texels, clamped to the edge.
     let on_face = |index: i32| (2 * index + 1 - side).clamp(-side, side);
@@ -521,12 +524,12 @@ fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
         4 => [s, -t, edge],
         _ => [-s, -t, -edge],
     };
-    // The neighbouring face is on the axis, other than this face's own, whose coordinate is at the
-    // edge.
-    let is_own = |axis: i32| face / 2 == axis;
-    let (face, s, t) = if dx.abs() == side && !is_own(0) {
+    // The neighbouring face is on the axis, other than this face's own axis, whose coordinate is at
+    // the edge.
+    let is_own_axis = |axis: i32| face / 2 == axis;
+    let (face, s, t) = if dx.abs() == side && !is_own_axis(0) {
         (i32::from(dx < 0), if dx < 0 { dz } else { -dz }, -dy)
-    } else if dy.abs() == side && !is_own(1) {
+    } else if dy.abs() == side && !is_own_axis(1) {
         (2 + i32::from(dy < 0), dx, if dy < 0 { -dz } else { dz })
     } else {
         (4 + i32::from(dz < 0), if dz < 0 { -dx } else { dx }, -dy)
@@ -545,15 +548,16 @@ mod tests {
         for face in 0..6 {
             for along in 0..side {
                 for (x, y) in [(-1, along), (side, along), (along, -1), (along, side)] {
-                    let (other, ox, oy) = neighbour(side, face, x, y);
-                    assert_ne!(other / 2, face / 2, "a neighbour is on another axis");
+                    let (next, next_x, next_y) = neighbour(side, face, x, y);
+                    assert_ne!(next / 2, face / 2, "a neighbour is on another axis");
                     let inside = (x.clamp(0, side - 1), y.clamp(0, side - 1));
-                    let returns = [(ox - 1, oy), (ox + 1, oy), (ox, oy - 1), (ox, oy + 1)]
+                    let returns = [(-1, 0), (1, 0), (0, -1), (0, 1)]
+                        .map(|(dx, dy)| (next_x + dx, next_y + dy))
                         .into_iter()
                         .filter(|(x, y)| !(0..side).contains(x) || !(0..side).contains(y))
-                        .map(|(x, y)| neighbour(side, other, x, y))
+                        .map(|(x, y)| neighbour(side, next, x, y))
                         .any(|place| place == (face, inside.0, inside.1));
-                    assert!(returns, "face {face}, {x} {y} to {other}, {ox} {oy}");
+                    assert!(returns, "face {face}, {x} {y} to {next}, {next_x} {next_y}");
                 }
             }
         }

@@ -21,7 +21,7 @@ pub enum Shape {
     Ellipsoid,
     /// Cylinder of radii x, y and half length z.
     Cylinder,
-    /// Capsule of radii x, y and half length z, half spheres beyond it.
+    /// Capsule of radii x, y and half length z, to which the half spheres at its ends add.
     Capsule,
 }
 
@@ -32,7 +32,7 @@ pub struct TextureUse {
     pub texture: usize,
     /// Repeats of a flat texture along x and y.
     pub repeat: [f32; 2],
-    /// True if it repeats by metres rather than by the geom's size.
+    /// True if `repeat` is per metre rather than per geom.
     pub uniform: bool,
     /// True if the mesh's corners hold the texture coordinates.
     pub by_corner: bool,
@@ -153,7 +153,7 @@ pub struct Scene {
     pub sky: Option<usize>,
     /// True if mirrors are rendered.
     pub reflections: bool,
-    /// Quality of shadows; without it, no light casts any.
+    /// Quality of shadows; if `None`, no light casts shadows.
     pub shadows: Option<Shadows>,
 }
 

@@ -31,7 +31,7 @@ pub fn segments(
         .shifted([2.0 * x / width as f32, 2.0 * y / height as f32]);
     let pass = Pass {
         model,
-        largest: &[],
+        largest_levels: &[],
         view: &view,
         light: Lighting::all(&[]),
         window: Window::whole(width, height),

@@ -59,7 +59,8 @@ pub(crate) struct Setup {
     /// Inclusive ranges of pixels.
     pub(crate) x: [[i32; LANES]; 2],
     pub(crate) y: [[i32; LANES]; 2],
-    /// Bits of the triangles whose products may exceed 32 bits, and the snapped corners of all.
+    /// Bits of the triangles whose edge functions may exceed 32 bits, and the snapped corners of
+    /// all triangles.
     pub(crate) large: u32,
     pub(crate) corners: [[[i32; LANES]; 2]; 3],
 }

@@ -21,7 +21,7 @@ use crate::window::Window;
 pub(crate) struct Fragment {
     /// Column, row, and bits of the covered samples.
     place: u32,
-    /// Index of its surface.
+    /// Index of the triangle's surface.
     surface: u32,
 }
 
@@ -58,7 +58,7 @@ impl Fragment {
         (self.place >> SIDE_BITS & SIDE_MASK) as usize
     }
 
-    /// Returns the index of its surface.
+    /// Returns the index of the triangle's surface.
     #[inline(always)]
     pub(crate) fn surface(&self) -> usize {
         self.surface as usize
@@ -76,15 +76,15 @@ impl Fragment {
 pub(crate) struct Lists {
     /// Per record from `first` on: its surface, if listed.
     surfaces: Vec<Surface>,
-    /// The same for places in a shadow map.
+    /// Per record from `first` on: its place in a shadow map, if listed.
     places: Vec<Surface>,
     first: usize,
-    /// Per record from `first` on: list that holds its fragments, or [`NOTHING`].
+    /// Per record from `first` on: number of the list that holds its fragments, or [`NOTHING`].
     list_of: Vec<u32>,
     /// Surfaces to compute in one cluster.
     requests: Vec<SurfaceRequest>,
     vertices: Box<Vertices>,
-    /// Fragments by texture; the last list holds those without a texture.
+    /// Fragments by texture; the last list holds the fragments without a texture.
     pub(crate) fragments: Vec<Vec<Fragment>>,
 }
 
@@ -155,7 +155,7 @@ struct Listing<'a> {
     /// The last record and its surface.
     id: u32,
     surface: u32,
-    /// The last fragment's list, moved out of the others, and its index.
+    /// Number of the last fragment's list, and the list itself, which is moved out of `lists`.
     number: usize,
     list: Vec<Fragment>,
 }
@@ -193,7 +193,7 @@ impl Listing<'_> {
         self.list.push(Fragment::new(x, y, samples, self.surface));
     }
 
-    /// Makes a record the current one; returns false if it is not listed.
+    /// Makes a record the current record; returns false if the record is not listed.
     #[inline(always)]
     fn select_record(&mut self, id: u32) -> bool {
         if id == NOTHING || (id as usize) < self.lists.first {
@@ -315,14 +315,14 @@ impl<'a> ShadingCache<'a> {
 #[inline(always)]
 pub(crate) fn colour(
     model: &Model,
-    largest: &[&[u8]],
+    largest_levels: &[&[u8]],
     lists: &Lists,
     mut paint: impl FnMut(&Fragment, u32),
 ) {
     for (texture, fragments) in lists.fragments.iter().enumerate() {
-        let largest = largest.get(texture).copied();
-        let texture = model.textures.get(texture).zip(largest);
-        let texture = texture.map(|(texture, largest)| Texels::new(texture, largest));
+        let level = largest_levels.get(texture).copied();
+        let texture = model.textures.get(texture).zip(level);
+        let texture = texture.map(|(texture, level)| Texels::new(texture, level));
         for part in fragments.chunks(LANES) {
             let mut eight = [part[0]; LANES];
             eight[..part.len()].copy_from_slice(part);
@@ -334,8 +334,8 @@ pub(crate) fn colour(
     }
 }
 
-/// Calls `visit` with every fragment, in the order of [`colour`], and its place in the shadow map of
-/// [`Content::Places`]: column and row as shares of the side, and depth.
+/// Calls `visit` with every fragment, in the order of [`colour`], and its place in the shadow map
+/// of [`Content::Places`]: column and row as shares of the side, and depth.
 #[inline(always)]
 pub(crate) fn visit_places(lists: &Lists, mut visit: impl FnMut(&Fragment, [f32; 3])) {
     for part in lists.fragments.iter().flat_map(|list| list.chunks(LANES)) {

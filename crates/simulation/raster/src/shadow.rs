@@ -1,6 +1,7 @@
-//! Light of lights that cast shadows. MuJoCo first draws opaque geoms in the light of the others.
-//! Then each light that casts shadows is added where its depth map has nothing nearer to the light.
-//! Lookups in the map are neither filtered nor per sample: a triangle in a pixel is lit or dark.
+//! Light of lights that cast shadows. MuJoCo first draws opaque geoms in the light of all other
+//! lights. Then each light that casts shadows is added where its depth map has nothing nearer to
+//! the light. Lookups in the map are neither filtered nor made per sample: a triangle in a pixel is
+//! either lit or dark.
 
 use crate::cast::{self, Lookups};
 use crate::instance::View;
@@ -15,7 +16,7 @@ use crate::visible::SAMPLES;
 
 /// Widest angle of a spot light's map, degrees.
 const WIDEST: f32 = 160.0;
-/// Fragments with a lower opacity, of 255, are not drawn.
+/// Least opacity, out of 255, at which a fragment is drawn.
 const LEAST_OPACITY: u32 = 253;
 
 /// Adds the lights that cast shadows to the opaque geoms of a picture.
@@ -67,12 +68,17 @@ fn add(
     );
     // Fragments that the light cannot change are not looked up.
     let mut colours = Vec::new();
-    shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-        let record = &visible.records[fragment.surface()];
-        let is_lit = instances[record.instance as usize].is_lit;
-        let changes = is_lit && colour >> 24 >= LEAST_OPACITY && colour & 0xff_ffff != 0;
-        colours.push(changes.then_some(colour));
-    });
+    shade::colour(
+        pass.model,
+        pass.largest_levels,
+        lists,
+        |fragment, colour| {
+            let record = &visible.records[fragment.surface()];
+            let is_lit = instances[record.instance as usize].is_lit;
+            let changes = is_lit && colour >> 24 >= LEAST_OPACITY && colour & 0xff_ffff != 0;
+            colours.push(changes.then_some(colour));
+        },
+    );
     let mut places = Vec::with_capacity(colours.len());
     shade::visit_places(lists, |_, place| {
         places.push(colours[places.len()].map(|_| place));
@@ -122,7 +128,7 @@ fn view(light: &Light, shadows: Shadows, camera: &Camera) -> View {
     }
 }
 
-/// Returns MuJoCo's choice of a direction that is orthogonal to a light's.
+/// Returns MuJoCo's choice of a direction that is orthogonal to a light's direction.
 fn upwards(dir: Vec3) -> Vec3 {
     let across = cross(dir, [-1.0, 0.0, 0.0]);
     let is_long = f64::from(dot(across, across)) > 0.01;

@@ -260,7 +260,8 @@ fn open_cylinder(builder: &mut MeshBuilder, slices: usize, stacks: usize) {
 /// Returns the positions of the lines of a plane's grid along one direction.
 ///
 /// `half` is half the plane's length, 0 for an infinite plane; `spacing` is the distance of its
-/// lines; `period` is the repeat length of its texture, if any; `far` is the viewing distance.
+/// lines; `period` is the repeat length of its texture, or `None` without a texture that repeats;
+/// `far` is the viewing distance.
 pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec<f64> {
     /// `mjMAXPLANEGRID`.
     const MAX_LINES: usize = 200;
@@ -312,8 +313,8 @@ pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
 }
 
 /// Returns the corners of a mesh's triangle from its positions, normals and texture coordinates.
-/// Without texture coordinates, a corner whose normal is far from the face's normal takes the
-/// latter, which keeps edges sharp.
+/// Without texture coordinates, a corner whose normal is far from the face's normal gets the face's
+/// normal, which keeps edges sharp.
 pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3]>) -> [Corner; 3] {
     let (u, v) = (
         crate::matrix::minus(pos[1], pos[0]),

@@ -28,7 +28,7 @@ pub struct Texture {
     pub(crate) kind: TextureKind,
     pub(crate) levels: Vec<Level>,
     channels: usize,
-    /// Texels of the largest level.
+    /// Number of texels in the largest level.
     largest: usize,
     /// Bytes of the smaller levels, level by level and image by image, plus one byte, so that four
     /// bytes can be read at the last texel, which has three.
@@ -97,8 +97,8 @@ impl Texels<'_> {
         }
     }
 
-    /// Returns eight texels and their successors, each pair with one load; `None` if they are in
-    /// different byte slices, or too close to the end.
+    /// Returns eight texels and their successors, each pair with one load; `None` if the pairs are
+    /// in different byte slices, or one is too close to a slice's end.
     #[inline(always)]
     pub(crate) fn eight_pairs(self, at: &[i32; LANES]) -> Option<[[u32; LANES]; 2]> {
         let largest = self.texture.largest as i32;
@@ -205,8 +205,8 @@ impl Texture {
     /// Creates a texture from smaller levels that were computed earlier, without copying them.
     ///
     /// # Errors
-    /// If the largest level is not a texture, or the smaller levels do not have the size that it
-    /// requires.
+    /// If the sizes are not those of a texture, or the smaller levels do not have the number of
+    /// bytes that these sizes require.
     pub fn with_smaller(
         kind: TextureKind,
         [width, height, channels]: [usize; 3],
@@ -223,7 +223,7 @@ impl Texture {
         }
     }
 
-    /// Creates a texture with the sizes of its levels, without bytes of the smaller ones.
+    /// Creates a texture with the sizes of its levels, without the bytes of the smaller levels.
     fn with_sizes(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
         let first = Level::new(width, height / images, 0, images);
         let next = |last: &Level| last.next(images);
@@ -271,14 +271,16 @@ impl Texels<'_> {
         let texel = |x: usize, y: usize| self.at(first + y * level.width + x).to_le_bytes();
         let is_srgb = self.texture.kind == (TextureKind::Flat { srgb: true });
         if !is_srgb {
-            let ((x0, x1, u), (y0, y1, v)) = (fixed(s, level.width), fixed(t, level.height));
+            let (x0, x1, u) = neighbours_in_256ths(s, level.width);
+            let (y0, y1, v) = neighbours_in_256ths(t, level.height);
             let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
             return u32::from_le_bytes(std::array::from_fn(|channel| {
                 let top = blend(a[channel], b[channel], u);
                 blend(top, blend(c[channel], d[channel], u), v)
             }));
         }
-        let ((x0, x1, u), (y0, y1, v)) = (floating(s, level.width), floating(t, level.height));
+        let (x0, x1, u) = neighbours_clamped(s, level.width);
+        let (y0, y1, v) = neighbours_clamped(t, level.height);
         let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
         u32::from_le_bytes(std::array::from_fn(|channel| {
             let is_colour = channel < 3;
@@ -313,7 +315,7 @@ impl Level {
         self.start + images * self.width * self.height
     }
 
-    /// Returns the next smaller level; `None` after the last one.
+    /// Returns the next smaller level; `None` after the last level.
     fn next(&self, images: usize) -> Option<Self> {
         let half = |side: usize| (side / 2).max(1);
         let is_last = self.width == 1 && self.height == 1;
@@ -340,16 +342,17 @@ fn image_count(kind: TextureKind, width: usize, height: usize, channels: usize) 
     }
 }
 
-/// Returns the two texels around a point between 0 and 1, and its distance from the first in
-/// 256ths.
-fn fixed(at: f32, size: usize) -> (usize, usize, i32) {
+/// Returns the two texels around a point between 0 and 1 of a repeating texture, and the point's
+/// distance from the first texel in 256ths.
+fn neighbours_in_256ths(at: f32, size: usize) -> (usize, usize, i32) {
     let place = (at * (size * 256) as f32).round_ties_even() as i32 - 128;
     let first = (place >> 8).rem_euclid(size as i32) as usize;
     (first, (first + 1) % size, place & 255)
 }
 
-/// Like [`fixed`], with a fraction as distance, clamped to the texture.
-fn floating(at: f32, size: usize) -> (usize, usize, f32) {
+/// Like [`neighbours_in_256ths`], but the distance is a fraction, and the texels are clamped to the
+/// texture instead of repeated.
+fn neighbours_clamped(at: f32, size: usize) -> (usize, usize, f32) {
     let place = at * size as f32 - 0.5;
     let floor = place.floor();
     let inside = |index: f32| (index.max(0.0) as usize).min(size - 1);

@@ -10,8 +10,8 @@ use crate::window::Window;
 pub(crate) const SAMPLES: usize = 4;
 /// Side of the blocks for which depth bounds are tracked, pixels.
 pub(crate) const BLOCK: i32 = 16;
-/// Width and height of a block's parts, pixels. A block has two columns and four rows of parts, one
-/// for each lane, row by row.
+/// Width and height of a block's parts, pixels. A block has two columns and four rows of parts. Row
+/// by row, each lane of a vector stands for one part.
 pub(crate) const PART: [i32; 2] = [8, 4];
 
 /// Number of writes to a block after which its depth bounds are recomputed. A small triangle counts
@@ -27,7 +27,7 @@ pub(crate) struct Record {
     pub(crate) instance: u32,
     /// Index in the mesh, or among the clipped triangles if `vertices` is [`CLIPPED`].
     pub(crate) triangle: u32,
-    /// Index in the mesh at which its cluster's vertices start, or [`CLIPPED`].
+    /// Index in the mesh at which the vertices of the triangle's cluster start, or [`CLIPPED`].
     pub(crate) vertices: u32,
 }
 
@@ -162,7 +162,8 @@ impl Visible {
                 if left >= right {
                     continue;
                 }
-                // Includes one pixel more if the number is odd, which can only lower the bound.
+                // If the number of pixels is odd, includes one more, which can only lower the
+                // bound.
                 let pixels = (right - left).next_multiple_of(2);
                 let first = ((y + row) * self.stride + left) * SAMPLES;
                 let samples = &self.depths[first..first + pixels * SAMPLES];
@@ -191,11 +192,11 @@ impl Visible {
 pub(crate) struct Layer {
     /// Indices of instance and triangle in drawing order.
     pub(crate) rank: (u32, u32),
-    /// Index of its record.
+    /// Index of the triangle's record.
     pub(crate) id: u32,
     pub(crate) x: u16,
     pub(crate) y: u16,
-    /// Bits of the first pixel's samples, then the second's.
+    /// Bits of the first pixel's samples, then of the second pixel's samples.
     pub(crate) samples: u32,
 }
 
@@ -225,8 +226,8 @@ impl Ranks<'_> {
         (instance.rank, mesh.order[triangle as usize])
     }
 
-    /// Returns the tied samples that this triangle loses: those whose current triangle comes later
-    /// in the drawing order.
+    /// Returns those samples of `ties` that this triangle loses, because their current triangle
+    /// comes later in the drawing order.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
         let rank = self.rank(record);

@@ -67,10 +67,10 @@ impl Window {
     }
 
     /// Returns the bounding window of two windows, of which either may be empty.
-    pub(crate) fn union(one: Option<Self>, other: Option<Self>) -> Option<Self> {
-        match (one, other) {
-            (Some(one), Some(other)) => Some(one.enclosing(other)),
-            (one, other) => one.or(other),
+    pub(crate) fn union(first: Option<Self>, second: Option<Self>) -> Option<Self> {
+        match (first, second) {
+            (Some(first), Some(second)) => Some(first.enclosing(second)),
+            (first, second) => first.or(second),
         }
     }
 

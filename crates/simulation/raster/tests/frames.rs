@@ -6,7 +6,7 @@ mod scenes;
 
 use proptest::prelude::*;
 use raster::{Canvas, DrawError, MeshBuilder, Scene, Shape};
-use scenes::{corner, largest, model, room, shadows};
+use scenes::{corner, largest_levels, model, room, shadows};
 use sha2::{Digest, Sha256};
 
 fn digest(frame: &[u8]) -> String {
@@ -18,7 +18,7 @@ fn digest(frame: &[u8]) -> String {
         .collect()
 }
 
-/// First eight bytes of the SHA-256 of the room's frames, by size. They change only with
+/// First eight bytes of the SHA-256 of the room's frames, by size. The frames change only with
 /// `raster::NAME`, not with the processor or with the instructions that the code is compiled for.
 const GOLDEN: [(usize, usize, &str); 5] = [
     (256, 256, "4ba14bd951c34ccc"),
@@ -34,7 +34,7 @@ fn golden_frames_have_the_same_bits_on_every_machine() {
     let found = GOLDEN.map(|(width, height, _)| {
         let mut canvas = Canvas::new();
         let frame = canvas
-            .draw(&model, &largest(), &scene, [width, height])
+            .draw(&model, &largest_levels(), &scene, [width, height])
             .expect("a frame");
         (width, height, digest(&frame))
     });
@@ -48,7 +48,7 @@ fn every_part_of_the_room_changes_the_frame() {
     let scene = room();
     let draw = |scene: &Scene| {
         Canvas::new()
-            .draw(&model, &largest(), scene, [128, 128])
+            .draw(&model, &largest_levels(), scene, [128, 128])
             .expect("a frame")
     };
     let whole = draw(&scene);
@@ -119,15 +119,16 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn frames_do_not_depend_on_earlier_ones(changes in prop::collection::vec(change(), 1..24)) {
+    fn frames_do_not_depend_on_earlier_frames(changes in prop::collection::vec(change(), 1..24)) {
         let model = model();
         let mut scene = room();
         let mut canvas = Canvas::new();
         for (frame, change) in changes.iter().enumerate() {
             change.apply(&mut scene);
             let mut new_canvas = Canvas::new();
-            let expected = new_canvas.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
-            let drawn = canvas.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
+            let levels = largest_levels();
+            let expected = new_canvas.draw(&model, &levels, &scene, [64, 48]).expect("a frame");
+            let drawn = canvas.draw(&model, &levels, &scene, [64, 48]).expect("a frame");
             prop_assert!(drawn == expected, "frame {frame} after {changes:?}");
         }
     }
@@ -177,7 +178,7 @@ proptest! {
             scene.camera.forward = std::array::from_fn(|_| number());
         }
         let (width, height) = size;
-        match Canvas::new().draw(&model, &largest(), &scene, [width, height]) {
+        match Canvas::new().draw(&model, &largest_levels(), &scene, [width, height]) {
             Ok(frame) => prop_assert_eq!(frame.len(), width * height * 3),
             Err(error) => prop_assert!(!error.to_string().is_empty()),
         }
@@ -192,7 +193,7 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
         change(&mut scene);
         let mut canvas = Canvas::new();
         canvas
-            .draw(&model, &largest(), &scene, [width, 8])
+            .draw(&model, &largest_levels(), &scene, [width, 8])
             .map(|frame| frame.len())
     };
     assert_eq!(
@@ -240,28 +241,28 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
 }
 
 /// Draws the scenes in order on one canvas, each often enough to be cached, and compares every
-/// frame with one that a new canvas draws.
+/// frame with the frame of a new canvas.
 fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     let model = model();
     let mut canvas = Canvas::new();
     for (number, scene) in scenes.iter().enumerate() {
         let mut new_canvas = Canvas::new();
         let expected = new_canvas
-            .draw(&model, &largest(), scene, size)
+            .draw(&model, &largest_levels(), scene, size)
             .expect("a frame");
         for repetition in 0..4 {
             let drawn = canvas
-                .draw(&model, &largest(), scene, size)
+                .draw(&model, &largest_levels(), scene, size)
                 .expect("a frame");
             assert!(drawn == expected, "scene {number}, repetition {repetition}");
         }
     }
 }
 
-/// A thread keeps the frames of few canvases, and of a canvas that was last drawn on another thread
-/// an outdated one.
+/// A thread keeps the last frames of few canvases. The frame that it keeps of a canvas is outdated
+/// if another thread drew the canvas last.
 #[test]
-fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_ones() {
+fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_canvases() {
     let model = model();
     let moved = |step: u16, ball: f32| {
         let mut scene = room();
@@ -271,12 +272,12 @@ fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_ones() {
     let mut canvases: [(f32, Canvas); 4] = [0.0, 0.1, 0.2, 0.3].map(|ball| (ball, Canvas::new()));
     for step in 0..12 {
         for (at, (ball, canvas)) in canvases.iter_mut().enumerate() {
-            // At rest for some steps, so that the ball is cached, too.
+            // The ball is at rest for some steps, so that it is cached, too.
             let scene = moved(step / 5, *ball);
             let expected = Canvas::new()
-                .draw(&model, &largest(), &scene, [64, 48])
+                .draw(&model, &largest_levels(), &scene, [64, 48])
                 .expect("a frame");
-            let mut draw = || canvas.draw(&model, &largest(), &scene, [64, 48]);
+            let mut draw = || canvas.draw(&model, &largest_levels(), &scene, [64, 48]);
             let drawn = match (at + usize::from(step)).is_multiple_of(3) {
                 true => std::thread::scope(|scope| scope.spawn(draw).join().expect("no panic")),
                 false => draw(),
@@ -303,7 +304,7 @@ fn zeros_of_both_signs_are_distinguished() {
 }
 
 /// A translucent geom with more layers than are blended at once is drawn in parts. The expected
-/// digest is that of a frame whose layers were all blended at once.
+/// digest belongs to a frame whose layers were all blended at once.
 #[test]
 fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     let mut builder = MeshBuilder::default();
@@ -331,7 +332,7 @@ fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     scene.geoms = vec![glass];
     let mut canvas = Canvas::new();
     let frame = canvas
-        .draw(&model, &largest(), &scene, [96, 64])
+        .draw(&model, &largest_levels(), &scene, [96, 64])
         .expect("a frame");
     assert_eq!(digest(&frame), "b3803dc6681de13b");
 }
@@ -356,11 +357,11 @@ fn corners_very_close_to_the_eye_give_a_frame() {
     (camera.pos, camera.forward, camera.up) = ([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]);
     (camera.near, camera.bottom, camera.top) = (near, -near, near);
     let mut canvas = Canvas::new();
-    let frame = canvas.draw(&model, &largest(), &scene, [256, 256]);
+    let frame = canvas.draw(&model, &largest_levels(), &scene, [256, 256]);
     assert_eq!(frame.map(|frame| frame.len()), Ok(256 * 256 * 3));
 }
 
-/// Directions whose reciprocal length is not finite: they hit no face of a cube.
+/// Directions whose reciprocal length is not finite hit no face of a cube.
 #[test]
 fn a_cube_sampled_in_very_short_directions_gives_a_frame() {
     let mut scene = room();
@@ -370,6 +371,6 @@ fn a_cube_sampled_in_very_short_directions_gives_a_frame() {
     let texture = ball.texture.as_mut().expect("a texture");
     (texture.texture, texture.uniform) = (3, true);
     let mut canvas = Canvas::new();
-    let frame = canvas.draw(&model(), &largest(), &scene, [64, 48]);
+    let frame = canvas.draw(&model(), &largest_levels(), &scene, [64, 48]);
     assert_eq!(frame.map(|frame| frame.len()), Ok(64 * 48 * 3));
 }

@@ -12,9 +12,9 @@ pub struct Arena {
     pub problem: &'static str,
     /// Model file inside an asset pack.
     pub file: Cow<'static, str>,
-    /// Texture file that replaces the one of the model's floor.
+    /// Texture file that replaces the texture of the model's floor.
     pub floor_texture: Cow<'static, str>,
-    /// Texture file that replaces the one of the model's walls.
+    /// Texture file that replaces the texture of the model's walls.
     pub wall_texture: Cow<'static, str>,
     /// Category of the fixture that represents the workspace itself; no separate model is loaded
     /// for it.
@@ -23,7 +23,7 @@ pub struct Arena {
     pub zone_marker: &'static str,
     /// Body that the zones' sites are attached to.
     pub zone_body: &'static str,
-    /// Offset from a zone's centre to its site's position in that body, m.
+    /// Offset that is added to a zone's centre to give its site's position in `zone_body`, m.
     pub zone_offset: [f64; 3],
     /// Origin of the regions' coordinates, world frame, m.
     pub workspace_offset: [f64; 3],
@@ -31,8 +31,8 @@ pub struct Arena {
     pub fixture_z_offset: f64,
     /// Table with legs to be resized, if the arena has one.
     pub table: Option<Table>,
-    /// True if movable objects must lie in their region with their whole radius, false if
-    /// only with their centre.
+    /// True if the whole radius of a sampled object must lie in its region, false if only the
+    /// object's centre must.
     pub whole_object_in_region: bool,
     /// Position of the robot's base, and its stand.
     pub robot: RobotStand,

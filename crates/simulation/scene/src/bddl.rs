@@ -41,11 +41,11 @@ pub struct Declaration {
 pub struct Region {
     /// Full name: target, `_`, region.
     pub name: String,
-    /// The workspace, object or fixture that it belongs to.
+    /// The workspace, object or fixture that the region belongs to.
     pub target: String,
     /// Rectangles in the workspace's plane, m.
     pub ranges: Vec<Rectangle>,
-    /// Bounds of the yaw drawn for a fixture placed here, rad, as written.
+    /// Bounds of the yaw that is drawn for a fixture in the region, rad, in the file's order.
     pub yaw: [f64; 2],
     /// Colour of the region's site: red, green, blue, opacity.
     pub rgba: [f64; 4],

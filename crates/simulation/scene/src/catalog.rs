@@ -20,7 +20,7 @@ pub struct Category {
 }
 
 /// Thresholds at which a joint position `q` (m or rad) counts as open, closed, on or off, and the
-/// ranges of the initial position in tasks that start in such a state.
+/// ranges from which a task that starts in one of these states draws the position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Articulation {
     /// No joint to open or turn on.
@@ -31,20 +31,20 @@ pub enum Articulation {
         open: Threshold,
         /// Threshold beyond which a drawer or door counts as closed.
         close: Threshold,
-        /// Range of the initial position if it starts open, m or rad.
+        /// Range of the initial position of a drawer or door that starts open, m or rad.
         open_range: [f64; 2],
-        /// Range of the initial position if it starts closed, m or rad.
+        /// Range of the initial position of a drawer or door that starts closed, m or rad.
         close_range: [f64; 2],
     },
     /// A stove: on at `q >= on`, off at `q < off`.
     OnOff {
-        /// Least position that counts as on, rad.
+        /// Least position at which a stove counts as on, rad.
         on: f64,
-        /// Position below which it counts as off, rad.
+        /// Position below which a stove counts as off, rad.
         off: f64,
-        /// Range of the initial position if it starts on, rad.
+        /// Range of the initial position of a stove that starts on, rad.
         on_range: [f64; 2],
-        /// Range of the initial position if it starts off, rad.
+        /// Range of the initial position of a stove that starts off, rad.
         off_range: [f64; 2],
     },
 }
@@ -121,8 +121,8 @@ const X_MINUS_90_Y_MINUS_180_Z_180: Rotation = Rotation::InTurn(&[
     (Axis::Z, [PI, PI]),
 ]);
 
-/// Returns a category of LIBERO-Plus.
-const fn added(name: &'static str, file: &'static str) -> Category {
+/// Describes a category of LIBERO-Plus; all of them have the same orientation.
+const fn plus_object(name: &'static str, file: &'static str) -> Category {
     rigid(name, file, X_MINUS_90_Y_MINUS_180_Z_180)
 }
 
@@ -142,55 +142,55 @@ const STOVE: Articulation = Articulation::OnOff {
 
 /// Categories that LIBERO-Plus' layouts add (git 4976dc3). Their files are in its archive only.
 const PLUS_CATEGORIES: &[Category] = &[
-    added(
+    plus_object(
         "bag_of_yeast",
         "new_objects/bag_of_yeast/ibvtik/usd/MJCF/ibvtik.xml",
     ),
-    added(
+    plus_object(
         "bottle_of_alfredo_sauce",
         "new_objects/bottle_of_alfredo_sauce/xwzqjr/usd/MJCF/xwzqjr.xml",
     ),
-    added(
+    plus_object(
         "bottle_of_antihistamines",
         "new_objects/bottle_of_antihistamines/agavwx/usd/MJCF/agavwx.xml",
     ),
-    added(
+    plus_object(
         "bottle_of_aspirin",
         "new_objects/bottle_of_aspirin/psvktc/usd/MJCF/psvktc.xml",
     ),
-    added(
+    plus_object(
         "bottle_of_baby_oil",
         "new_objects/bottle_of_baby_oil/xpdlrr/usd/MJCF/xpdlrr.xml",
     ),
-    added(
+    plus_object(
         "bottle_of_barbecue_sauce__2",
         "new_objects/bottle_of_barbecue_sauce/nkqvex/usd/MJCF/nkqvex.xml",
     ),
-    added(
+    plus_object(
         "box_of_shampoo__1",
         "new_objects/box_of_shampoo/bclpiq/usd/MJCF/bclpiq.xml",
     ),
-    added(
+    plus_object(
         "box_of_vegetable_juice__1",
         "new_objects/box_of_vegetable_juice/jsnnlv/usd/MJCF/jsnnlv.xml",
     ),
-    added(
+    plus_object(
         "box_of_yogurt__1",
         "new_objects/box_of_yogurt/jkemqc/usd/MJCF/jkemqc.xml",
     ),
-    added(
+    plus_object(
         "boxed_ink_cartridge__3",
         "new_objects/boxed_ink_cartridge/oinelo/usd/MJCF/oinelo.xml",
     ),
-    added(
+    plus_object(
         "can_of_sardines",
         "new_objects/can_of_sardines/dpgmry/usd/MJCF/dpgmry.xml",
     ),
-    added(
+    plus_object(
         "can_of_soda__1",
         "new_objects/can_of_soda/bfrzvk/usd/MJCF/bfrzvk.xml",
     ),
-    added(
+    plus_object(
         "canned_food__1",
         "new_objects/canned_food/acgdtc/usd/MJCF/acgdtc.xml",
     ),

@@ -35,7 +35,7 @@ pub struct Scene {
     pub regions: Vec<RegionSite>,
     /// Predicates that must hold for success.
     pub goal: Vec<Predicate>,
-    /// Fixture poses in campaigns; they replace those of the model.
+    /// Fixture poses in campaigns; they replace the poses in the model.
     pub fixture_poses: Vec<FixturePose>,
     /// Samplers of a reset without an initial state.
     pub samplers: Samplers,
@@ -47,13 +47,13 @@ impl Scene {
         locate_files(&self.mjcf, [&pack.root(), &sources.robosuite()])
     }
 
-    /// Returns the model as MJCF with folder names that are equal on every machine.
+    /// Returns the model as MJCF with placeholder folder names, equal on every machine.
     pub fn portable_mjcf(&self) -> &str {
         &self.mjcf
     }
 
     /// Verifies the meshes and textures that the MJCF references against the digests of
-    /// LIBERO's files, if the pack is named `libero`. Call it before compiling.
+    /// LIBERO's files, if the pack is named `libero`. To be called before compiling.
     ///
     /// # Errors
     /// If a file differs from LIBERO's.
@@ -77,8 +77,8 @@ impl Scene {
         files.filter_map(|file| root.inside(file))
     }
 
-    /// Returns the SHA-256 of the composed MJCF and the fixtures' poses, hex. Equal on every
-    /// machine; the pack's own digest covers the referenced files.
+    /// Returns the SHA-256 of the composed MJCF and the fixtures' poses, hex. The digest is equal
+    /// on every machine; the pack's own digest covers the files that the MJCF references.
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();
         hash.update(self.mjcf.as_bytes());
@@ -217,7 +217,7 @@ fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
     Ok(part)
 }
 
-/// Resizes the table's top and legs; the error names a missing element.
+/// Resizes the table's top and legs. The error names an element that the arena's model lacks.
 fn size_table(
     part: &mut Part,
     arena: &Arena,

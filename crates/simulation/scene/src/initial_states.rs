@@ -17,7 +17,7 @@ pub struct InitialStates {
     values: Vec<f64>,
 }
 
-/// Name of these files in messages.
+/// Name of initial-state files in messages.
 const WHAT: &str = "initial states";
 /// Array name in LIBERO-PRO's files.
 const NPZ_MEMBER: &str = "states.npy";
@@ -25,7 +25,7 @@ const NPZ_MEMBER: &str = "states.npy";
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 impl InitialStates {
-    /// Reads a `.pruned_init` file: a zip with `archive/data.pkl`.
+    /// Reads a `.pruned_init` file (a zip with `archive/data.pkl`) or an `.npz` file.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         let file = File::open(path).map_err(|source| SceneError::Read {
             what: WHAT.to_owned(),
@@ -36,7 +36,7 @@ impl InitialStates {
         Self::from_reader(file, path)
     }
 
-    /// Parses the contents of a `.pruned_init` file; errors name `path`.
+    /// Parses the contents of a `.pruned_init` or `.npz` file; errors name `path`.
     pub fn from_reader(reader: impl Read + Seek, path: &Path) -> Result<Self, SceneError> {
         let matrix = read_archive(reader).map_err(|problem| SceneError::Malformed {
             what: WHAT.to_owned(),
@@ -63,7 +63,7 @@ impl InitialStates {
         &self.path
     }
 
-    /// Returns one state, if it exists.
+    /// Returns the state with this index; `None` if the file has fewer states.
     pub fn get(&self, id: usize) -> Option<&[f64]> {
         let start = id.checked_mul(self.width)?;
         self.values.get(start..start.checked_add(self.width)?)
@@ -79,7 +79,7 @@ impl InitialStates {
     }
 }
 
-/// Reads the states in a zip, one per row: at least one, with finite values only.
+/// Reads the states in a zip, one per row. Refuses an empty matrix and values that are not finite.
 fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
     let mut archive =
         zip::ZipArchive::new(reader).map_err(|error| format!("not a zip archive: {error}"))?;

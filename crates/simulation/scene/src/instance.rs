@@ -6,7 +6,7 @@ use crate::catalog::Category;
 pub enum InstanceKind {
     /// Movable object.
     Object,
-    /// Fixture, whose base does not move (its drawers and doors do).
+    /// Fixture, whose base does not move, although its drawers and doors do.
     Fixture,
 }
 
@@ -23,7 +23,7 @@ pub struct Instance {
     pub joints: Vec<String>,
     /// Names of the collision geoms.
     pub contact_geoms: Vec<String>,
-    /// Site that displays a state, such as a stove's burner.
+    /// Site of a stove's burner, which is visible while the stove is on.
     pub burner_site: Option<String>,
 }
 
@@ -34,6 +34,6 @@ pub struct RegionSite {
     pub half_size: [f64; 3],
     /// Instance that the site is attached to; `None` for a zone on the workspace.
     pub parent: Option<String>,
-    /// Joints of the part that the site is attached to (a drawer's slide).
+    /// Joints of the body that the site is attached to, such as a drawer's slide.
     pub joints: Vec<String>,
 }

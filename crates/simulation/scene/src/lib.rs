@@ -3,7 +3,7 @@
 //!
 //! Text in, MJCF out: this crate neither compiles a model nor renders a frame; crate `sim` does.
 //! The behaviour follows LIBERO (hf-libero 0.1.4) and robosuite 1.4.0, which comments call the
-//! original. `cargo xtask parity` compares it with their output.
+//! original. `cargo xtask parity` compares scenes and simulations with the original's.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]

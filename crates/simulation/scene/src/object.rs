@@ -8,11 +8,11 @@ use crate::instance::{Instance, InstanceKind, RegionSite};
 use crate::pack::AssetPack;
 use crate::part::{Part, add_prefix, is_collision_geom};
 
-/// A loaded object, before it is merged into a scene.
+/// A loaded object or fixture, before it is merged into a scene.
 #[derive(Debug, Clone)]
 pub(crate) struct ObjectPart {
     pub(crate) instance: Instance,
-    /// The whole model: assets, and regions as its file defines them.
+    /// The whole model. Its assets are merged into the scene, and its bodies hold the region sites.
     pub(crate) part: Part,
     /// Body to insert into the scene.
     pub(crate) body: Element,
@@ -119,8 +119,8 @@ pub(crate) fn build(
     })
 }
 
-/// Drops geoms in neither the collision group 0 nor the visual group 1, and names unnamed geoms
-/// `g<i>`, counting all geoms.
+/// Drops geoms that are neither in the collision group 0 nor in the visual group 1, and names
+/// unnamed geoms `g<i>`, counting all geoms.
 fn filter_and_name_geoms(body: &mut Element) {
     fn visit(element: &mut Element, count: &mut usize) {
         element.children.retain_mut(|child| {
@@ -158,9 +158,9 @@ fn footprint(part: &Part, prefix: &str) -> Result<Footprint, String> {
 }
 
 impl ObjectPart {
-    /// Returns the site of a region, if this object has it. The original walks the bodies in
-    /// document order, takes the innermost one with the site, and stops at the first body without
-    /// any site.
+    /// Returns the site of a region; `None` if this object does not have the site. Like the
+    /// original, visits the bodies in document order, takes the last body that contains the site,
+    /// and stops at the first body without any site.
     pub(crate) fn region_site(&self, region: &str) -> Option<RegionSite> {
         let outer = self
             .part

@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, RootKind, Sources};
 
-/// The built-in pack: its files and their paths inside the pack.
+/// Files of the built-in pack with their paths inside the pack, written by `build.rs`.
 mod builtin {
     include!(concat!(env!("OUT_DIR"), "/primitives.rs"));
 }
@@ -113,8 +113,8 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// Opens a folder that has more than LIBERO's files, as LIBERO-PRO's models need. The pack's
-    /// name is `custom`, and its digest covers all files.
+    /// Opens a folder that has LIBERO's files and other files, such as LIBERO-PRO's models. The
+    /// pack's name is `custom`, and its digest covers all files.
     ///
     /// # Errors
     /// If the folder cannot be read.
@@ -130,7 +130,7 @@ impl AssetPack {
     }
 
     /// Returns the SHA-256 over the names and contents of all files, hex. An incomplete
-    /// `libero` pack has the digest of the complete one.
+    /// `libero` pack has the digest of the complete pack.
     pub fn digest(&self) -> &str {
         &self.digest
     }
@@ -145,7 +145,7 @@ impl AssetPack {
         self.verified.as_ref()
     }
 
-    /// Returns true for the pack whose files are fetched on demand.
+    /// Returns true for the pack `libero`, whose files are fetched on demand.
     pub fn is_managed(&self) -> bool {
         self.is_managed
     }

@@ -1,5 +1,6 @@
-//! A MJCF file prepared for merging: default classes expanded, file names made independent of the
-//! file's location, names prefixed. Follows robosuite 1.4.0's `MujocoXML`.
+//! An MJCF file prepared for merging into a scene: default classes are expanded, file names are
+//! made independent of the file's location, and names are prefixed. Follows robosuite 1.4.0's
+//! `MujocoXML`.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -8,7 +9,7 @@ use crate::element::Element;
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, FileRef};
 
-/// Attributes that hold the name of an element or a reference to one.
+/// Attributes that hold an element's name or a reference to an element.
 const NAMED_ATTRIBUTES: &[&str] = &[
     "class",
     "childclass",
@@ -141,8 +142,8 @@ impl Part {
         Ok(())
     }
 
-    /// Appends those assets of `other` whose names are not in use here. All unnamed assets count as
-    /// having the same name, as in the original.
+    /// Appends those assets of `other` whose names no asset of this part has. As in the original,
+    /// all unnamed assets of one kind count as having the same name.
     pub(crate) fn merge_assets(&mut self, other: &Part) {
         let assets = self.root.child_mut("asset");
         let incoming = other
@@ -161,7 +162,7 @@ impl Part {
     }
 }
 
-/// Adds a prefix to every name and reference below `element` that does not have it yet.
+/// Adds a prefix to every name and reference in `element` that does not begin with the prefix yet.
 pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
     element.for_each_mut(&mut |element| {
         for attribute in NAMED_ATTRIBUTES {

@@ -13,8 +13,8 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f64>,
 }
 
-/// Value on the unpickler's stack. Copies share their contents, so that nested tuples that a file
-/// reads from the memo again and again take no more memory.
+/// Value on the unpickler's stack. Copies share their contents, so that a file that reads nested
+/// tuples from the memo again and again does not use more memory.
 #[derive(Clone)]
 enum Value {
     None,
@@ -61,8 +61,8 @@ impl Value {
     }
 }
 
-/// Limit on the number of opcodes, four times that of a released file. Bounds the nesting of values
-/// and the number of decoded texts.
+/// Limit on the number of opcodes: four times as many as in a released file. Bounds the nesting of
+/// values and the number of decoded texts.
 const MAX_OPCODES: usize = 256;
 
 /// Unpickles a matrix.
@@ -101,6 +101,7 @@ pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
     })
 }
 
+/// Stack machine that executes a pickle's opcodes.
 struct Machine<'a> {
     input: &'a [u8],
     stack: Vec<Value>,

@@ -23,19 +23,20 @@ pub struct FixturePose {
     pub quat: [f64; 4],
 }
 
-/// Attempts at placing one object before the original redraws everything.
+/// Number of attempts at placing one object, after which the original draws the whole placement
+/// again.
 const MAX_ATTEMPTS: usize = 5000;
 /// Draws of the whole placement after which a scene counts as too crowded. The original's wrapper
 /// never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
-/// Number of arm joints. A reset draws one normal number for each, even though LIBERO scales this
-/// noise by zero.
+/// Number of arm joints. A reset draws one normal number for each joint as noise, even though
+/// LIBERO scales the noise by zero.
 const ARM_JOINTS: usize = 7;
 /// Rounds of joint samples in the first seeded reset: the original has appended all joint samplers
 /// to its list twice by then, at construction and in the reset itself.
 const CAMPAIGN_JOINT_ROUNDS: usize = 2;
 
-/// Everything that a reset of a task samples, in drawing order.
+/// Samplers of everything that a reset of a task draws at random, in the order of the draws.
 #[derive(Debug, Clone)]
 pub struct Samplers {
     joints: Vec<JointSampler>,
@@ -56,7 +57,7 @@ pub struct JointSampler {
 #[derive(Debug, Clone)]
 pub struct PoseSampler {
     instance: String,
-    /// Region or object, for messages.
+    /// Name of the region or object where the instance is placed, for messages.
     place: String,
     base: Base,
     /// Rectangles relative to the base, m, by their bounds in x and y.
@@ -64,7 +65,7 @@ pub struct PoseSampler {
     /// Height of the underside above the base, m.
     z_offset: f64,
     footprint: Footprint,
-    /// True if the pose must be free of overlap with everything placed before.
+    /// True if the instance must not overlap any instance that was placed before.
     avoids_others: bool,
     rotation: Rotation,
     /// Object or fixture to move.
@@ -237,16 +238,17 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // With a large radius the bounds are in reverse order; the original draws regardless.
+            // If the radius is large, the bounds are in reverse order; the original nevertheless
+            // draws between them.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],
                 y + origin[1] + site[1],
                 self.z_offset + origin[2] + site[2] - self.footprint.bottom,
             ];
-            let mut others = placed.iter().zip(samplers);
+            let mut obstacles = placed.iter().zip(samplers);
             if !self.avoids_others
-                || others.all(|(pose, other)| self.is_clear(pos, pose.pos, other.footprint))
+                || obstacles.all(|(pose, sampler)| self.is_clear(pos, pose.pos, sampler.footprint))
             {
                 let quat = self.rotation.sample(rng);
                 return Ok(Pose { pos, quat });
@@ -259,10 +261,11 @@ impl PoseSampler {
         })
     }
 
-    fn is_clear(&self, pos: [f64; 3], other_pos: [f64; 3], other: Footprint) -> bool {
-        let distance = (pos[0] - other_pos[0]).hypot(pos[1] - other_pos[1]);
-        let is_beside = distance > other.radius + self.footprint.radius;
-        let is_above = pos[2] - other_pos[2] > other.top - self.footprint.bottom;
+    /// Returns true if the instance at `pos` does not overlap an obstacle.
+    fn is_clear(&self, pos: [f64; 3], obstacle_pos: [f64; 3], obstacle: Footprint) -> bool {
+        let distance = (pos[0] - obstacle_pos[0]).hypot(pos[1] - obstacle_pos[1]);
+        let is_beside = distance > obstacle.radius + self.footprint.radius;
+        let is_above = pos[2] - obstacle_pos[2] > obstacle.top - self.footprint.bottom;
         is_beside || is_above
     }
 }

@@ -25,7 +25,7 @@ impl AssetPack {
         Ok(files)
     }
 
-    /// Verifies the files of tasks, and fetches missing or altered ones from the origin that the
+    /// Verifies the files of tasks, and fetches missing or altered files from the origin that the
     /// environment variables set. Does nothing for a pack that is not managed, since its files
     /// belong to its owner.
     ///

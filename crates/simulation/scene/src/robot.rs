@@ -19,7 +19,7 @@ const ROBOT_COLLISION_RGBA: &str = "0 0.5 0 1";
 const MOUNT_COLLISION_RGBA: &str = "0.5 0.5 0 1";
 const GRIPPER_COLLISION_RGBA: &str = "0 0 0.5 1";
 
-/// Height of the pedestal's top above its own origin, m.
+/// Height of the pedestal's top above the pedestal's origin, m.
 const PEDESTAL_TOP: f64 = -0.01;
 
 pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, SceneError> {

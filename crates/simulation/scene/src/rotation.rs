@@ -1,5 +1,5 @@
-//! Rotations of placed instances, in the original's order and precision: it computes quaternion
-//! products and rotation matrices in single precision.
+//! Rotations of placed instances, in the original's order and precision: the original computes
+//! quaternion products and rotation matrices in single precision.
 
 use libero_ctrl::numpy::LegacyRng;
 

@@ -108,7 +108,7 @@ impl Sources {
         &self.dir
     }
 
-    /// Returns the path of a task's BDDL file: suite's full name, file stem.
+    /// Returns the path of a task's BDDL file; `suite` is the full name of the suite.
     pub fn bddl_file(&self, suite: &str, stem: &str) -> PathBuf {
         self.dir
             .join("libero/bddl_files")
@@ -116,7 +116,7 @@ impl Sources {
             .join(format!("{stem}.bddl"))
     }
 
-    /// Returns the path of a task's released initial states: suite's full name, file stem.
+    /// Returns the path of a task's released initial states; `suite` is the full name of the suite.
     pub fn init_file(&self, suite: &str, stem: &str) -> PathBuf {
         self.dir
             .join("libero/init_files")
@@ -172,13 +172,13 @@ impl AssetRoot {
     }
 
     /// Strips the folder's placeholder from a file name of composed MJCF; `None` if the file is in
-    /// the other folder.
+    /// a folder of the other kind.
     pub(crate) fn inside<'a>(&self, file: &'a str) -> Option<&'a str> {
         file.strip_prefix(self.kind.token())?.strip_prefix('/')
     }
 
-    /// Verifies a file against LIBERO's table, if the pack is named `libero`. A missing file is not
-    /// an error here; reading it will fail.
+    /// Verifies a file against LIBERO's table, if the pack is named `libero`. A missing file is no
+    /// error of this function; the caller's attempt to read the file fails.
     pub(crate) fn verify(&self, inside: &str, what: &str) -> Result<(), SceneError> {
         let Some(verified) = &self.verified else {
             return Ok(());

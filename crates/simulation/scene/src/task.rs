@@ -19,20 +19,20 @@ const BDDL: &str = "BDDL file";
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskFiles {
     pub bddl: PathBuf,
-    /// The `.pruned_init` file.
+    /// File of the initial states.
     pub init: PathBuf,
 }
 
-/// Length, bytes, and time of modification of the BDDL file and of the states; `None` of a missing
-/// file. A change of a file changes them.
+/// Stamps of the BDDL file and of the file of initial states: length in bytes, and time of
+/// modification. The stamp of a missing file is `None`. A change of a file changes its stamp.
 pub type FileStamps = [Option<(u64, SystemTime)>; 2];
 
 impl TaskFiles {
-    /// Returns the stamps of both files as they are now.
+    /// Returns the current stamps of both files.
     pub fn stamps(&self) -> FileStamps {
         [&self.bddl, &self.init].map(|path| {
-            let facts = path.metadata().ok()?;
-            Some((facts.len(), facts.modified().ok()?))
+            let metadata = path.metadata().ok()?;
+            Some((metadata.len(), metadata.modified().ok()?))
         })
     }
 
@@ -45,8 +45,8 @@ impl TaskFiles {
         }
     }
 
-    /// Returns the files of a LIBERO-Plus variant: LIBERO's own if the variant has none, else those
-    /// that `worker assets fetch --suite libero-plus` has put beside them.
+    /// Returns the files of a LIBERO-Plus variant. Files in which the variant differs from LIBERO
+    /// are those that `worker assets fetch --suite libero-plus` has put beside LIBERO's files.
     pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
         let libero_files = Self::of_task(sources, variant.task);
         let (suite, stem) = (variant.task.suite(), variant.bddl_stem());

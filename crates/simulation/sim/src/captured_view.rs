@@ -3,8 +3,8 @@
 use crate::environment::Environment;
 use crate::mujoco::Model;
 
-/// State that cameras show at an observed instant: a few kilobytes, from which every environment of
-/// the compiled scene renders the same bits later.
+/// State that cameras show at the observed instant of a step (see [`Environment`]): a few
+/// kilobytes, from which every environment of the compiled scene renders the same bits later.
 pub struct CapturedView {
     model: Model,
     positions: Box<[f64]>,
@@ -33,13 +33,13 @@ impl Environment {
         render: impl FnOnce(&mut Self) -> T,
     ) -> T {
         let current = self.capture();
-        self.show(captured);
+        self.restore_view(captured);
         let result = render(self);
-        self.show(&current);
+        self.restore_view(&current);
         result
     }
 
-    fn show(&mut self, captured: &CapturedView) {
+    fn restore_view(&mut self, captured: &CapturedView) {
         self.model.copy_own(&captured.model);
         let positions = self.observed.qpos_mut(&self.model);
         positions.copy_from_slice(&captured.positions);

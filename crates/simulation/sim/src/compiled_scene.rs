@@ -49,8 +49,8 @@ pub(crate) struct Burner {
 }
 
 impl CompiledScene {
-    /// Compiles a scene with its fixtures at the scene's poses, or maps the result if this machine
-    /// has compiled it before.
+    /// Compiles a scene and places its fixtures at the scene's poses. If this machine has compiled
+    /// the scene before, maps the stored model into memory instead.
     ///
     /// # Errors
     /// If MuJoCo rejects the scene, or an element that every LIBERO scene has is missing.
@@ -110,7 +110,7 @@ impl CompiledScene {
                 prepared
             }
         };
-        // Another thread may have been faster; its result is used.
+        // If another thread was faster, all threads use that thread's data.
         Ok(Arc::clone(self.prepared.get_or_init(|| prepared)))
     }
 }

@@ -14,7 +14,8 @@ use crate::mujoco::{Data, Model, ObjectKind};
 pub const ARM_JOINTS: usize = 7;
 /// Controlled site, between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";
-/// Arm joints at a reset, rad (`MountedPanda.init_qpos`); LIBERO-Plus has other robots.
+/// Angles of the arm's joints at a reset, rad (`MountedPanda.init_qpos`). Robots of LIBERO-Plus
+/// have other angles.
 pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
     0.0,
     -1.61037389e-01,
@@ -30,7 +31,7 @@ pub const SUBSTEPS: usize = 25;
 /// Goal displacement of a full-scale action: m, rad (`osc_pose.json`).
 const TRANSLATION_SCALE: f64 = 0.05;
 const ROTATION_SCALE: f64 = 0.5;
-/// Stiffness, 1/s²; damping is critical.
+/// Stiffness of the end-effector's pose, 1/s²; damping is critical.
 const STIFFNESS: f64 = 150.0;
 /// Stiffness of the null-space posture, 1/s²; damping is critical.
 const POSTURE_STIFFNESS: f64 = 10.0;
@@ -43,14 +44,14 @@ type ArmMatrix = SMatrix<f64, ARM_JOINTS, ARM_JOINTS>;
 /// Interpretation of the first six numbers of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ActionFrame {
-    /// Displacement, as a fraction of the largest one: 0.05 m, 0.5 rad (`use_delta`).
+    /// Displacement, as a fraction of the largest displacement: 0.05 m, 0.5 rad (`use_delta`).
     #[default]
     Relative,
     /// Pose in the world frame: m, and axis times angle, rad.
     Absolute,
 }
 
-/// Both controllers with their state between steps.
+/// Controllers of the arm and of the gripper, with their state between steps.
 #[derive(Clone)]
 pub struct Controller {
     site: usize,
@@ -88,7 +89,7 @@ struct ArmState {
 }
 
 impl Controller {
-    /// Creates the controllers for a model. `reset` is its state at the reset pose, after
+    /// Creates the controllers for a model. `reset` is the model's state at the reset pose, after
     /// [`Data::forward`].
     pub fn new(model: &Model, reset: &Data) -> Result<Self, SimError> {
         let site = model.id(ObjectKind::Site, GRIP_SITE)?;
@@ -118,8 +119,8 @@ impl Controller {
         })
     }
 
-    /// Returns the end-effector's pose as it was last read: position, m, and rotation matrix, row
-    /// by row, in the world frame.
+    /// Returns the end-effector's pose that the controller read last: position, m, and rotation
+    /// matrix, row by row, in the world frame.
     pub fn last_pose(&self) -> ([f64; 3], [f64; 9]) {
         let (pos, matrix) = &self.last_pose;
         let row_by_row = std::array::from_fn(|index| matrix[(index / 3, index % 3)]);
@@ -140,8 +141,8 @@ impl Controller {
         self.uses_reset_arm = true;
     }
 
-    /// Sets the goal from a new action; `data` is after the first half of a step (positions and
-    /// velocities are up to date).
+    /// Sets the goal from a new action. `data` must be the state after [`Data::step1`], in which
+    /// positions and velocities are up to date.
     pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], frame: ActionFrame) {
         if frame == ActionFrame::Absolute {
             let [x, y, z, axis_angle @ ..] = *action;
@@ -168,14 +169,15 @@ impl Controller {
         };
         self.goal_pos = pos + Vector3::new(delta[0], delta[1], delta[2]);
         let rotation = Vector3::new(delta[3], delta[4], delta[5]);
-        // An action without a rotation keeps the previous goal, not the arm's current orientation.
+        // An action without a rotation keeps the previous goal orientation, rather than the arm's
+        // current orientation.
         if rotation != Vector3::zeros() {
             self.goal_orientation = rotation_of(rotation) * orientation;
         }
     }
 
-    /// Computes the controls of one simulation step; `data` is after the first half of a step.
-    /// Returns false if the arm's inertia cannot be inverted.
+    /// Computes the controls of one simulation step. `data` must be the state after
+    /// [`Data::step1`]. Returns false if the arm's inertia cannot be inverted.
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
         let arm = if std::mem::take(&mut self.uses_reset_arm) {

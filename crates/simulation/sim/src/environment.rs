@@ -1,5 +1,5 @@
-//! A running scene: loading a state, control steps, success, readings and frames at the original's
-//! instants. Independent of perturbations.
+//! A running scene: loading a state, control steps, success, and observations of the instants that
+//! the original observes. This module does not depend on perturbations.
 
 use std::sync::Arc;
 
@@ -20,13 +20,15 @@ const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
 const CANVAS_SIZE: u32 = 256;
 
 /// A simulation of a compiled scene, with its own model.
+///
+/// Observations show the *observed instant*: like the original's, they lag behind the end of a
+/// control step.
 pub struct Environment {
     pub(crate) compiled: Arc<CompiledScene>,
     canvas: Option<Canvas>,
     pub(crate) model: Model,
     pub(crate) data: Data,
-    /// Positions at the observed instant, which is the instant that observations show; without
-    /// velocities.
+    /// Positions, without velocities, at the observed instant.
     pub(crate) observed: Data,
     /// True if the poses in `observed` were computed from its positions.
     pub(crate) has_observed_poses: bool,
@@ -50,11 +52,11 @@ pub(crate) struct JointReadings {
 impl Environment {
     /// Creates an environment with its own compiled scene.
     pub fn new(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
-        Self::of(Arc::new(CompiledScene::compile(scene, pack, sources)?))
+        Self::from_compiled(Arc::new(CompiledScene::compile(scene, pack, sources)?))
     }
 
     /// Creates an environment of a compiled scene, which other environments may share.
-    pub fn of(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
+    pub fn from_compiled(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let mut environment = Self::before_load(compiled)?;
         let Self { model, data, .. } = &mut environment;
         data.reset(model);
@@ -64,8 +66,8 @@ impl Environment {
     }
 
     /// Creates an environment that must be loaded or reset before use. Computes the home pose of
-    /// the arm but no contacts: unplaced objects overlap, and solving their contacts takes longer
-    /// than everything else here, and megabytes that the environment then keeps.
+    /// the arm but no contacts: unplaced objects overlap, and solving their contacts would take
+    /// most of the time and allocate megabytes that the environment keeps.
     ///
     /// # Errors
     /// If memory is exhausted.
@@ -170,7 +172,7 @@ impl Environment {
     }
 
     /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
-    /// after it.
+    /// after the step.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }
@@ -342,7 +344,7 @@ impl Environment {
         output
     }
 
-    /// Sets the observed state to the current one.
+    /// Records the current state as the observed instant.
     pub(crate) fn record_all(&mut self) {
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;
@@ -394,7 +396,7 @@ impl Environment {
     }
 
     /// Updates the burners like the original: the opacity of a burner that disagrees with its knob
-    /// becomes 1 minus its previous value.
+    /// becomes 1 minus the previous opacity.
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {

@@ -67,7 +67,8 @@ pub struct Episode<'a> {
 }
 
 impl Conditions {
-    /// Loads a row's initial state into an environment of its scene, and perturbs the environment.
+    /// Loads a row's initial state into an environment of the row's scene, and perturbs the
+    /// environment.
     ///
     /// # Errors
     /// If the task does not have the initial state.
@@ -81,7 +82,8 @@ impl Conditions {
         Self::begin_at(state, ready, environment, row, realisation)
     }
 
-    /// As `begin`, with any state of the scene (time, qpos, qvel) in place of the row's own.
+    /// As [`begin`](Self::begin), but loads `state` (time, qpos, qvel) instead of the row's initial
+    /// state.
     ///
     /// # Errors
     /// If an element to be perturbed is missing from the scene.
@@ -176,8 +178,8 @@ impl Conditions {
     /// Returns the robot's command for a policy's action, before the actuation axis distorts it.
     /// The command is clipped into -1..1, except in the reference realisation, which like the
     /// released code distorts the unclipped action and clips afterwards. Without an actuation axis
-    /// both give the same step, because the controller clips. The function is idempotent, so
-    /// recorded commands can be simulated again.
+    /// both realisations give the same step, because the controller clips. The function is
+    /// idempotent, so recorded commands can be simulated again.
     pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
         match self.realisation {
             Realisation::Matched => clip(policy_action),
@@ -185,8 +187,8 @@ impl Conditions {
         }
     }
 
-    /// Simulates one control step with the policy's action, through the actuation axis. Returns
-    /// true if the goal holds after it.
+    /// Simulates one control step with the policy's action, which the actuation axis distorts.
+    /// Returns true if the goal holds after the step.
     ///
     /// # Errors
     /// [`SimError::DistortedPose`] if the action is a pose and actuation is perturbed; the state is
@@ -214,9 +216,9 @@ impl Conditions {
         environment.step_in(&action, frame)
     }
 
-    /// Corrupts a frame with its camera's sensor perturbation; frames of cameras that policies do
-    /// not receive stay unchanged. For a given camera and size, the pixels depend only on the
-    /// control step.
+    /// Corrupts a frame with the sensor perturbation of the frame's camera. Frames of cameras that
+    /// policies do not receive stay unchanged. For a given camera and size, the corruption depends
+    /// only on the control step.
     pub fn corrupt(&mut self, frame: &mut Frame) {
         if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
             stage.apply(&mut perturb::Frame {
@@ -282,8 +284,8 @@ impl<'a> Episode<'a> {
         self.conditions.command(policy_action)
     }
 
-    /// Simulates one control step with a policy's action, or with the command derived from it.
-    /// Returns true if the goal holds after it.
+    /// Simulates one control step with a policy's action, or with the command derived from the
+    /// action. Returns true if the goal holds after the step.
     ///
     /// # Errors
     /// As [`Environment::step`].
@@ -293,7 +295,8 @@ impl<'a> Episode<'a> {
     }
 
     /// Removes the perturbations: from now on the policy sees the nominal scene, and its actions
-    /// reach the robot unchanged. Their effects so far stay, including a displaced arm.
+    /// reach the robot unchanged. Effects that the perturbations have had on the state remain,
+    /// including a displaced arm.
     pub fn lift(&mut self) {
         self.environment.restore_appearance();
         self.conditions.sensor = None;
@@ -302,8 +305,8 @@ impl<'a> Episode<'a> {
     }
 
     /// Moves the point between the fingertips up by [`NUDGE_M`] with the smallest change of the
-    /// joints. Nothing else changes, and observations show it from the next step on. A rollout
-    /// whose outcome changes because of it is chaotic at this point.
+    /// joints. Nothing else changes, and observations show the new pose from the next step on. A
+    /// rollout whose outcome changes because of the nudge is chaotic at this point.
     pub fn nudge(&mut self) {
         let site = self.environment.model().id(ObjectKind::Site, GRIP_SITE);
         let site = site.expect("the controller requires the site");
@@ -320,9 +323,9 @@ impl<'a> Episode<'a> {
         }
     }
 
-    /// Returns the policy's current observation, every perturbation included. Draws only
-    /// the requested frames. The pixels of a camera at a size depend on the control step
-    /// alone, however often and at whatever sizes the scene was drawn before.
+    /// Returns the policy's current observation, including the effects of all perturbations. Draws
+    /// only the requested frames. For a given camera and size, the pixels depend only on the
+    /// control step, not on how often and at which sizes the scene was drawn before.
     pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
         let mut frames = Vec::with_capacity(request.cameras.len());
         for camera in &request.cameras {

@@ -62,8 +62,9 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Returns true if the fault lies with this machine and would not occur on a working one.
-    pub fn is_of_the_machine(&self) -> bool {
+    /// Returns true if this machine causes the error, for example by missing files, and another
+    /// machine could simulate the rollout.
+    pub fn is_machine_fault(&self) -> bool {
         matches!(
             self,
             SimError::Scene(

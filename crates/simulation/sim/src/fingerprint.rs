@@ -1,8 +1,8 @@
 //! Fingerprint of a slot's arithmetic: a digest over a fixed motion of a small scene, the algebra
 //! of the arm's controller, functions of the C library, and two frames. Slots with equal
 //! fingerprints simulate and render with equal bits; a processor, C library, driver or build that
-//! rounds differently gives another fingerprint. The fingerprint excludes the asset pack and is no
-//! proof: computations that the scene does not exercise may differ.
+//! rounds differently gives another fingerprint. The fingerprint excludes the asset pack. Equal
+//! fingerprints are no proof: computations that the scene does not exercise may differ.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -145,7 +145,8 @@ mod tests {
     use super::*;
     use crate::render::Renderer;
 
-    fn simulated() -> (Model, Data, Vec<f64>) {
+    /// Simulates the motion; returns the model, its last state and the numbers of the motion.
+    fn simulate() -> (Model, Data, Vec<f64>) {
         let mut model = Model::compile(SCENE).expect("a model");
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
         let mut data = Data::new(&model).expect("data");
@@ -168,7 +169,7 @@ mod tests {
 
     #[test]
     fn the_fingerprint_depends_on_every_bit_of_motion_and_frames() {
-        let (_, _, numbers) = simulated();
+        let (_, _, numbers) = simulate();
         let frames = vec![vec![1, 2, 3], vec![4]];
         let whole = digest(&numbers, &frames);
         for place in [0, numbers.len() / 2, numbers.len() - 1] {
@@ -182,7 +183,7 @@ mod tests {
 
     #[test]
     fn the_motion_is_finite_and_has_contacts() {
-        let (model, data, numbers) = simulated();
+        let (model, data, numbers) = simulate();
         assert!(numbers.iter().all(|number| number.is_finite()));
         assert_eq!(data.instabilities(), 0);
         let touching: BTreeSet<i32> = data.contacts().flat_map(|contact| contact.geoms).collect();
@@ -196,7 +197,7 @@ mod tests {
 
     #[test]
     fn the_frames_show_the_scene() {
-        let (mut model, mut data, _) = simulated();
+        let (mut model, mut data, _) = simulate();
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
         let frames = frames(&drawer, &mut model, &mut data).expect("frames");
         for (frame, (camera, width, height)) in frames.iter().zip(FRAMES) {

@@ -4,8 +4,8 @@
 //! Comments call hf-libero 0.1.4 with robosuite 1.4.0 the original.
 //!
 //! The only crate of the workspace with `unsafe` code: in [`mujoco`], in the OpenGL calls of
-//! [`render`], and in the mapping of scene files. It is behind safe types, with a reason at every
-//! block.
+//! [`render`], and in the mapping of scene files. All `unsafe` code is behind safe types, and every
+//! block states why it is sound.
 
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 

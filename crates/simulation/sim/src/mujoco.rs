@@ -1,4 +1,4 @@
-//! Safe interface to MuJoCo 3.3.7. Together with the renderer it contains all calls into C. Each C
+//! Safe interface to MuJoCo 3.3.7. All calls into C are in this module and in the renderer. Each C
 //! object has one owner, and every array is exposed as a slice of its true length.
 
 mod arrays;
@@ -64,7 +64,8 @@ pub(crate) fn install_handlers() {
 pub(crate) fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        // SAFETY: glibc's declaration. It may be called at any time, on any thread.
+        // SAFETY: the declaration is glibc's, and the function may be called at any time, on any
+        // thread.
         unsafe extern "C" {
             safe fn malloc_trim(pad: usize) -> std::ffi::c_int;
         }

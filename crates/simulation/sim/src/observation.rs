@@ -20,8 +20,8 @@ pub struct CameraRequest {
     pub height: u32,
 }
 
-/// Observation of a policy at the original's `env.step`: frames and end-effector poses lag 4 ms
-/// behind the end of the control step, joint readings 2 ms.
+/// Observation of a policy. As in the original's `env.step`, frames and end-effector poses lag 4 ms
+/// behind the end of the control step, and joint readings 2 ms.
 #[derive(Debug, Clone)]
 pub struct Observation {
     /// Frames in the order of the request, with sensor perturbations applied.

@@ -1,8 +1,8 @@
 //! Evaluation of goals with LIBERO's predicates (hf-libero 0.1.4, `object_states` and `objects`),
 //! resolved to ids once per scene.
 //!
-//! As in the original, predicates use body positions and contacts after the first half of the last
-//! step, and joint positions after its integration.
+//! As in the original, predicates use the body positions and contacts that the last simulation step
+//! computed before it integrated, and the joint positions that the integration resulted in.
 
 use libero_ctrl::Predicate;
 use scene::catalog::{Articulation, Threshold};
@@ -19,9 +19,10 @@ pub struct Goal {
 }
 
 enum Check {
-    /// One object on another.
+    /// An object on another object or a fixture.
     OnObject { upper: ObjectRef, lower: ObjectRef },
-    /// An object on a region, in contact with the instance that has the region, if any.
+    /// An object on a region. The object must touch `parent`, the instance that has the region;
+    /// `None` for a zone on the workspace.
     OnSite {
         object: ObjectRef,
         site: Site,

@@ -44,7 +44,8 @@ impl ReadyScene {
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, SimError> {
-        // Taken before the files are read, so that a change during the reading is noticed later.
+        // The stamps are taken before the files are read, so that a change of a file during the
+        // reading is noticed later.
         let stamps = files.stamps();
         let problem = files.problem()?;
         let states = InitialStates::read(&files.init)?;
@@ -98,7 +99,7 @@ impl ReadyScene {
 }
 
 /// Returns the pose of `agentview` as written in the arena of a problem class, before `MuJoCo`
-/// normalises it; `None` if the class is unknown or its arena does not write it.
+/// normalises it; `None` if the class is unknown or its arena does not set the camera.
 pub fn written_camera(problem: &str) -> Option<WrittenPose> {
     arena(problem)?.camera(PERTURBED_CAMERA)
 }
@@ -112,7 +113,7 @@ fn nominal_camera(environment: &Environment) -> Result<CameraPose, SimError> {
     })
 }
 
-/// Returns the centres of mass of everything with a free joint, world frame, m.
+/// Returns the centres of mass of all bodies with a free joint, world frame, m.
 fn movable_centres(environment: &Environment) -> Vec<[f64; 3]> {
     let (model, data) = (environment.model(), environment.data());
     let joints = model.jnt_type().iter().zip(model.jnt_bodyid());

@@ -133,7 +133,8 @@ pub(crate) enum Canvas {
 }
 
 impl Canvas {
-    /// Creates a canvas for a model, its prepared data, and pictures up to this size, pixels.
+    /// Creates a canvas for a model and for pictures up to this size, pixels. `prepared` returns
+    /// the software renderer's data of the model.
     pub(crate) fn new(
         drawer: &Drawer,
         model: &mut Model,
@@ -236,7 +237,7 @@ mod tests {
     fn opengl(test: &str) -> Option<[Drawer; 2]> {
         let open = || Drawer::open(Renderer::Gl(GlDevice::Auto));
         match (open(), open()) {
-            (Ok(one), Ok(other)) => Some([one, other]),
+            (Ok(first), Ok(second)) => Some([first, second]),
             (Err(error), _) | (_, Err(error)) => {
                 println!("skipped {test}: {error}");
                 None
@@ -263,24 +264,26 @@ mod tests {
 
     #[test]
     fn each_canvas_is_drawn_and_freed_in_its_own_context() {
-        let Some([one, other]) = opengl("each_canvas_is_drawn_and_freed_in_its_own_context") else {
+        let drawers = opengl("each_canvas_is_drawn_and_freed_in_its_own_context");
+        let Some([first_drawer, second_drawer]) = drawers else {
             return;
         };
         let (mut model, mut data) = scene();
-        let mut first = canvas(&one, &mut model);
+        let mut first = canvas(&first_drawer, &mut model);
         let picture = first.draw(view(&model, &mut data)).expect("a picture");
-        let mut second = canvas(&other, &mut model);
-        assert!(first.is_usable_for(&one, 64, 48) && !first.is_usable_for(&other, 64, 48));
+        let mut second = canvas(&second_drawer, &mut model);
+        assert!(first.is_usable_for(&first_drawer, 64, 48));
+        assert!(!first.is_usable_for(&second_drawer, 64, 48));
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
-                let again = canvas.draw(view(&model, &mut data)).expect("a picture");
-                assert!(again == picture, "the picture has changed");
+                let redrawn = canvas.draw(view(&model, &mut data)).expect("a picture");
+                assert!(redrawn == picture, "the picture has changed");
             }
         }
         drop(second);
-        drop(other);
-        let again = first.draw(view(&model, &mut data)).expect("a picture");
-        assert!(again == picture, "the picture has changed");
+        drop(second_drawer);
+        let redrawn = first.draw(view(&model, &mut data)).expect("a picture");
+        assert!(redrawn == picture, "the picture has changed");
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! Reset without an initial state, like robosuite's `reset`: LIBERO's samplers place everything.
+//! Reset without an initial state, like robosuite's `reset`: LIBERO's samplers place all objects
+//! and fixtures.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::SceneError;
@@ -24,7 +25,7 @@ pub enum Reset {
 
 /// The samplers, resolved to indices in MuJoCo's arrays.
 pub(crate) struct Resets {
-    /// Per joint sampler: indices in qpos of its joints' first positions.
+    /// For each joint sampler: indices in qpos of the first positions of the sampler's joints.
     joints: Vec<Vec<usize>>,
     targets: Vec<Target>,
     sites: Vec<usize>,
@@ -87,7 +88,8 @@ impl Resets {
         }
     }
 
-    /// Makes one attempt at placing everything, starting from the fixtures' current poses.
+    /// Makes one attempt at placing all objects and fixtures, starting from the fixtures' current
+    /// poses.
     pub(crate) fn place(
         &self,
         samplers: &Samplers,

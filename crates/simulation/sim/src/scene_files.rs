@@ -3,10 +3,10 @@
 //! writes it; the kernel keeps one copy of the pages in use.
 //!
 //! A file is written under a temporary name and renamed, and afterwards neither changed nor
-//! truncated, since truncating a mapped file kills the process that maps it. Its name is a digest
-//! of everything that it depends on, so different builds never share a file. Textures have files of
-//! their own, since scenes share them. On any failure, the scene is compiled into the process's own
-//! memory, and [`SceneFolder::take_problem`] returns the first error.
+//! truncated, since truncating a mapped file kills the process that maps it. A file's name is a
+//! digest of everything that its contents depend on, so different builds never share a file.
+//! Textures have files of their own, since scenes share them. On any failure, the scene is compiled
+//! into the process's own memory, and [`SceneFolder::take_problem`] returns the first error.
 
 mod container;
 mod evict;
@@ -148,7 +148,8 @@ impl LoadedScene {
     }
 }
 
-/// Returns the file name of a scene: a digest of its MJCF, the files in it, and the program.
+/// Returns the file name of a scene: a digest of the scene's MJCF, of the files that the MJCF
+/// references, and of the program's [`layout`].
 pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) -> Name {
     let mut hash = Sha256::new();
     hash.update(layout());
@@ -171,8 +172,8 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
     digits(&hash.finalize())
 }
 
-/// Describes everything that the layout of files depends on: machine, MuJoCo, and the preparing
-/// code.
+/// Describes everything that the layout of scene files depends on: the machine, MuJoCo, and the
+/// renderer's code that prepares meshes and textures.
 fn layout() -> String {
     let endian = if cfg!(target_endian = "big") {
         "big"

@@ -82,7 +82,7 @@ impl Simulator {
         self.begin_with(files, row, realisation)
     }
 
-    /// As `begin`, with other files than those of the row's task.
+    /// As [`begin`](Self::begin), with `files` instead of the files of the row's task.
     pub fn begin_with(
         &mut self,
         files: TaskFiles,
@@ -130,7 +130,8 @@ impl Simulator {
             self.scenes[..=index].rotate_right(1);
             return Ok(());
         }
-        // Evicts first, so that the buffers of both scenes are not allocated at once.
+        // The oldest scene is evicted before the new one is compiled, so that the buffers of both
+        // are not allocated at once.
         self.scenes
             .truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;

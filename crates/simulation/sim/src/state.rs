@@ -1,5 +1,5 @@
 //! State of an environment in robosuite's terms: reset without an initial state, the state as one
-//! vector, and observation on request. Also snapshots, which hold the complete state.
+//! vector, and observation on request. Snapshots hold the complete state of an environment.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::placement::MAX_DRAWS;
@@ -30,12 +30,12 @@ impl Environment {
     /// observes once.
     ///
     /// `joint_sampler_rounds` is the number of times that the original has loaded its model so far:
-    /// 1 at construction, plus 1 for each hard reset. Each time, its list of samplers for joints
-    /// that start open, closed, on or off grows by one copy.
+    /// 1 at construction, plus 1 for each hard reset. Each time, the original appends its samplers
+    /// for joints that start open, closed, on or off to its list of samplers once more.
     ///
-    /// If there is no room for an object, everything is drawn again, as in the original's wrapper;
-    /// in a hard reset, each repetition counts as another hard reset. Returns the resulting number
-    /// of rounds, to be passed to the next reset.
+    /// If there is no room for an object, all joints and poses are drawn again, as in the
+    /// original's wrapper; in a hard reset, each repetition counts as another hard reset. Returns
+    /// the resulting number of rounds, to be passed to the next reset.
     ///
     /// # Errors
     /// [`NoRoom`](scene::SceneError::NoRoom) if a thousand attempts find no room.
@@ -128,8 +128,8 @@ impl Environment {
         self.record_all();
     }
 
-    /// Returns the end-effector as the controller last read it: position, m, and rotation matrix,
-    /// row by row, in the world frame.
+    /// Returns the end-effector's pose that the controller read last: position, m, and rotation
+    /// matrix, row by row, in the world frame.
     pub fn controller_pose(&self) -> ([f64; 3], [f64; 9]) {
         self.controller.last_pose()
     }

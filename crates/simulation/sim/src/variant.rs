@@ -45,13 +45,13 @@ pub struct VariantStart {
     pub corruption: Option<Corruption>,
 }
 
-/// Progress of a corruption.
+/// Corruption of a rollout's pictures, and its progress in the random numbers.
 #[derive(Clone)]
 pub(crate) struct Noise {
     corruption: Corruption,
-    /// Generator state at the start of the corruption of picture `picture`.
+    /// Generator before it draws the numbers of picture number `picture`.
     rng: LegacyRng,
-    /// Control steps before that picture.
+    /// Number of a picture: the number of control steps before it.
     picture: u32,
 }
 

@@ -171,8 +171,9 @@ prop_compose! {
     }
 }
 
-/// Calls `compare` for each axis of every condition with one or two axes. Its arguments are the
-/// axis, the perturbation realised in that condition, and the one realised in the combination.
+/// Calls `compare` for each axis of every condition with one or two axes. The arguments of
+/// `compare` are the axis, the perturbation realised in that condition, and the perturbation
+/// realised in the combination.
 fn each_axis(
     design: &Design,
     mode: Realisation,

@@ -31,8 +31,8 @@ pub fn with_variables(command: Command) -> Command {
     })
 }
 
-/// Parses the command line of a server program. If its first word is a subcommand, variables are
-/// ignored: they are meant for the server.
+/// Parses the command line of a server program. If its first argument is a subcommand, variables
+/// are ignored: they are meant for the server.
 ///
 /// # Errors
 /// If the arguments are invalid or help was requested.
@@ -79,7 +79,8 @@ fn name_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     error
 }
 
-/// Returns the variable's name for an option that has none yet.
+/// Returns the name of an option's variable; `None` if the option is hidden or already has a
+/// variable.
 fn variable(arg: &Arg) -> Option<String> {
     let is_public = !arg.is_hide_set() && arg.get_env().is_none();
     arg.get_long().filter(|_| is_public).map(variable_name)

@@ -16,8 +16,8 @@ pub fn log(default_level: &str) {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
-        // Otherwise a log on a full disk would make the subscriber print its error to the same
-        // place, and panic.
+        // Otherwise, if the log is on a full disk, the subscriber would print its error to the same
+        // log, and panic.
         .log_internal_errors(false)
         .with_ansi(in_colour(io::stderr().is_terminal(), var_os("NO_COLOR")))
         .with_target(false)
@@ -32,16 +32,16 @@ fn in_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
 /// Prints a line to standard output.
 ///
 /// # Errors
-/// If it cannot be written; see [`reader_is_gone`].
+/// If the line cannot be written; see [`reader_is_gone`].
 pub fn print_line(text: &str) -> io::Result<()> {
     print(&format!("{text}\n"))
 }
 
 /// Prints to standard output, without terminal control sequences (see [`printable`]). Unlike
-/// `print!`, it does not panic when the pipe is closed.
+/// `print!`, this function does not panic when the pipe is closed.
 ///
 /// # Errors
-/// If it cannot be written; see [`reader_is_gone`].
+/// If the text cannot be written; see [`reader_is_gone`].
 pub fn print(text: &str) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
     stdout.write_all(printable(text).as_bytes())?;
@@ -52,7 +52,7 @@ pub fn print(text: &str) -> io::Result<()> {
 /// the next output.
 ///
 /// # Errors
-/// If it cannot be written; see [`reader_is_gone`].
+/// If the control sequence cannot be written; see [`reader_is_gone`].
 pub fn clear_lines(count: usize) -> io::Result<()> {
     write!(io::stdout().lock(), "\x1b[{count}A\r\x1b[J")
 }
@@ -119,15 +119,15 @@ mod tests {
     }
 
     #[test]
-    fn words_are_wrapped_at_80_columns_below_their_indent() {
+    fn text_is_wrapped_at_80_columns_and_indented_from_the_second_line_on() {
         let words = "seven letters ".repeat(12);
         let text = wrapped("FAIL  it answers:", 6, &words);
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines.len() > 1 && lines.iter().all(|line| line.chars().count() <= 80));
         assert!(lines[0].starts_with("FAIL  it answers: seven"));
         assert!(lines[1..].iter().all(|line| line.starts_with("      ")));
-        let again: Vec<&str> = text.split_whitespace().skip(3).collect();
-        assert_eq!(again, words.split_whitespace().collect::<Vec<_>>());
+        let wrapped_words: Vec<&str> = text.split_whitespace().skip(3).collect();
+        assert_eq!(wrapped_words, words.split_whitespace().collect::<Vec<_>>());
         let long = "x".repeat(100);
         assert_eq!(wrapped("", 2, &long), long);
     }

@@ -1,5 +1,5 @@
-//! gRPC calls without a socket: message frames are passed directly to a service, past the access
-//! checks, and the whole answer is read.
+//! gRPC calls without a socket: message frames are passed directly to a service, which bypasses the
+//! access checks, and the whole answer is read.
 
 use http_body_util::{BodyExt, Full};
 use tonic::body::Body;

@@ -22,18 +22,18 @@ use tonic::Code;
 use crate::call::{block_on, is_internal_fault};
 use crate::script;
 use methods::METHODS;
-use service::{TestCoordinator, after};
+use service::{TestCoordinator, run_valid};
 
 pub(crate) use seeds::seeds;
 
 /// Bytes of a database with a campaign, a worker and a lease.
-static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&messages::lease_calls()).0);
+static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| run_valid(&messages::lease_calls()).0);
 
 /// Makes the calls of an input in order; returns true if none was refused.
 ///
 /// # Panics
 /// If a check of this module fails.
-pub(crate) fn messages(input: &[u8]) -> bool {
+pub(crate) fn check_calls(input: &[u8]) -> bool {
     let database = &*DATABASE;
     block_on(async {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -98,10 +98,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_release_of_no_job_is_refused_and_changes_nothing() {
+    fn a_release_of_an_unknown_attempt_is_refused_and_changes_nothing() {
         // Worker `w` releases attempt 1 of job 0.
         let release = b"\x0a\x05\x0a\x01w\x18\x01\x10\x02\x1a\x01e";
-        assert!(!messages(&script::write(4, release)));
+        assert!(!check_calls(&script::write(4, release)));
     }
 
     #[test]

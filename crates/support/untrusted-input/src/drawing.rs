@@ -9,7 +9,7 @@ use raster::{
 
 use crate::script;
 
-/// Kinds of messages, by the method number of a call.
+/// Kinds of messages; the method number of a script's call selects one.
 const QUALITY: u8 = 0;
 const MESH: u8 = 1;
 const PLANE: u8 = 2;
@@ -24,7 +24,7 @@ const DRAW: u8 = 8;
 const MOST_PIXELS: usize = 1 << 12;
 /// Most bytes of a texture.
 const MOST_TEXELS: usize = 1 << 16;
-/// Most lights; the renderer takes eight.
+/// Most lights of a scene, of which the renderer uses eight.
 const MOST_LIGHTS: usize = 20;
 const MOST_TRIANGLES: usize = 1 << 11;
 const MOST_FRAMES: usize = 8;
@@ -49,7 +49,7 @@ pub(crate) fn draw(input: &[u8]) -> bool {
         drawing.add_to_model(kind, bytes);
     }
     for (kind, bytes) in messages() {
-        drawing.step(kind, bytes);
+        drawing.run_command(kind, bytes);
     }
     !drawing.is_refused
 }
@@ -57,7 +57,8 @@ pub(crate) fn draw(input: &[u8]) -> bool {
 /// A model, a scene and the canvas.
 struct Drawing {
     model: Model,
-    largest: Vec<Vec<u8>>,
+    /// For each texture: the bytes of its largest mipmap level.
+    largest_levels: Vec<Vec<u8>>,
     scene: Scene,
     canvas: Canvas,
     frames: usize,
@@ -68,11 +69,11 @@ impl Drawing {
     fn new(quality: Quality) -> Option<Self> {
         Some(Self {
             model: Model::new(quality).ok()?,
-            largest: Vec::new(),
+            largest_levels: Vec::new(),
             scene: Scene {
                 geoms: Vec::new(),
                 lights: Vec::new(),
-                camera: CAMERA_AT_REST,
+                camera: DEFAULT_CAMERA,
                 sky: None,
                 reflections: true,
                 shadows: None,
@@ -95,7 +96,7 @@ impl Drawing {
                 match Texture::new(kind, width, height, channels, &texels) {
                     Ok(texture) => {
                         self.model.textures.push(texture.into());
-                        self.largest.push(texels);
+                        self.largest_levels.push(texels);
                     }
                     Err(error) => {
                         assert!(!error.to_string().is_empty());
@@ -107,7 +108,8 @@ impl Drawing {
         }
     }
 
-    fn step(&mut self, kind: u8, mut bytes: Bytes<'_>) {
+    /// Changes the scene, or draws it; ignores model data.
+    fn run_command(&mut self, kind: u8, mut bytes: Bytes<'_>) {
         match kind {
             GEOM => {
                 let at = usize::from(bytes.byte());
@@ -143,13 +145,13 @@ impl Drawing {
         }
     }
 
-    /// Draws on the reused canvas and on a new one, and compares the frames.
+    /// Draws on the reused canvas and on a new canvas, and compares the frames.
     fn draw(&mut self, [width, height]: [usize; 2]) {
-        let largest: Vec<&[u8]> = self.largest.iter().map(Vec::as_slice).collect();
+        let levels: Vec<&[u8]> = self.largest_levels.iter().map(Vec::as_slice).collect();
         let mut fresh = Canvas::new();
-        let redrawn = fresh.draw(&self.model, &largest, &self.scene, [width, height]);
+        let redrawn = fresh.draw(&self.model, &levels, &self.scene, [width, height]);
         let size = [width, height];
-        let drawn = self.canvas.draw(&self.model, &largest, &self.scene, size);
+        let drawn = self.canvas.draw(&self.model, &levels, &self.scene, size);
         match (drawn, redrawn) {
             (Ok(drawn), Ok(redrawn)) => {
                 assert_eq!(drawn.len(), width * height * 3);
@@ -157,7 +159,7 @@ impl Drawing {
                 let at = first_difference.map(|byte| (byte / 3 % width, byte / 3 / width));
                 assert_eq!(at, None, "a pixel depends on an earlier frame");
                 let [depths, redrawn_depths] = [&mut self.canvas, &mut fresh].map(|canvas| {
-                    let depths = canvas.depths(&self.model, &largest, &self.scene, size);
+                    let depths = canvas.depths(&self.model, &levels, &self.scene, size);
                     depths.expect("depths of a valid scene")
                 });
                 assert!(
@@ -186,7 +188,7 @@ impl Drawing {
     }
 }
 
-const CAMERA_AT_REST: Camera = Camera {
+const DEFAULT_CAMERA: Camera = Camera {
     pos: [1.2, 0.2, 0.9],
     forward: [-0.8, -0.1, -0.6],
     up: [-0.6, 0.0, 0.8],
@@ -199,7 +201,7 @@ const CAMERA_AT_REST: Camera = Camera {
     orthographic: false,
 };
 
-/// Reader of a message. Past its end it yields zeros.
+/// Reader of a message's values; yields zeros after the end of the message.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -211,7 +213,7 @@ impl Bytes<'_> {
         *first
     }
 
-    /// Reads the upper half of an `f32`. The precision suffices, and any two bytes are a number;
+    /// Reads the upper two bytes of an `f32`. The precision suffices, any two bytes are valid, and
     /// half of all values are huge, tiny or NaN.
     fn number(&mut self) -> f32 {
         f32::from_bits(u32::from_le_bytes([0, 0, self.byte(), self.byte()]))
@@ -425,7 +427,8 @@ impl Bytes<'_> {
         }
     }
 
-    /// Reads a frame size, from zero to one more than the limit, with a small area.
+    /// Reads a frame size with a small area. A side has between zero and one more than the largest
+    /// allowed number of pixels.
     fn frame_size(&mut self) -> [usize; 2] {
         let mut side = || usize::from(u16::from_le_bytes([self.byte(), self.byte()])) % 4098;
         let (width, height) = (side(), side());
@@ -445,35 +448,35 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let model = [
         quality.clone(),
         script::write(MESH, &bumps()),
-        script::write(PLANE, &written(&[0xf8, 0], &[2.0, 0.5, 0.0, 10.0])),
+        script::write(PLANE, &encoded(&[0xf8, 0], &[2.0, 0.5, 0.0, 10.0])),
         script::write(TEXTURE, &[0, 32, 32, 3, 0, 37]),
         script::write(TEXTURE, &[1, 21, 13, 3, 0, 11]),
         script::write(TEXTURE, &[2, 8, 48, 4, 0, 5]),
     ]
     .concat();
     let lights = [
-        written(&[0], &[0.0, 0.0, 0.0, -0.6, 0.2, -0.77]),
-        written(&[], &[0.1, 0.1, 0.1, 0.4, 0.4, 0.4, 0.5, 0.5, 0.5]),
-        written(&[1], &[45.0, 10.0, 1.0, 0.1, 0.05, 0.5, 1.0, 2.0]),
-        written(&[], &[-0.2, -0.4, -0.9, 0.0, 0.0, 0.0, 0.8, 0.7, 0.6]),
-        written(&[], &[0.3, 0.3, 0.3]),
+        encoded(&[0], &[0.0, 0.0, 0.0, -0.6, 0.2, -0.77]),
+        encoded(&[], &[0.1, 0.1, 0.1, 0.4, 0.4, 0.4, 0.5, 0.5, 0.5]),
+        encoded(&[1], &[45.0, 10.0, 1.0, 0.1, 0.05, 0.5, 1.0, 2.0]),
+        encoded(&[], &[-0.2, -0.4, -0.9, 0.0, 0.0, 0.0, 0.8, 0.7, 0.6]),
+        encoded(&[], &[0.3, 0.3, 0.3]),
     ];
     let geom = |place: u8, shape: [u8; 2], numbers: [f32; 10], more: &[u8]| {
         let head = [place, shape[0], shape[1]];
-        script::write(GEOM, &[written(&head, &numbers), more.to_vec()].concat())
+        script::write(GEOM, &[encoded(&head, &numbers), more.to_vec()].concat())
     };
     let white = [1.0; 4];
-    let at = |size: [f32; 3], pos: [f32; 3], rgba: [f32; 4]| -> [f32; 10] {
+    let numbers = |size: [f32; 3], pos: [f32; 3], rgba: [f32; 4]| -> [f32; 10] {
         let all = [&size[..], &pos[..], &rgba[..]].concat();
         all.try_into().expect("ten numbers")
     };
-    let mirror = written(&[8], &[0.0, 0.5, 0.5, 0.4, 0.0]);
+    let mirror = encoded(&[8], &[0.0, 0.5, 0.5, 0.4, 0.0]);
     let capsule = |z: f32| {
         let pos = [-0.2, 0.3, z];
         geom(
             2,
             [6, 0],
-            at([0.08, 0.08, 0.2], pos, [0.2, 0.7, 0.3, 1.0]),
+            numbers([0.08, 0.08, 0.2], pos, [0.2, 0.7, 0.3, 1.0]),
             &[],
         )
     };
@@ -481,38 +484,38 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         geom(
             99,
             [1, 0],
-            at([2.0, 2.0, 0.5], [0.0; 3], white),
-            &written(&[3, 1], &[2.0, 3.0]),
+            numbers([2.0, 2.0, 0.5], [0.0; 3], white),
+            &encoded(&[3, 1], &[2.0, 3.0]),
         ),
         geom(
             99,
             [3, 0],
-            at([0.25, 0.3, 0.1], [0.3, 0.0, 0.1], white),
+            numbers([0.25, 0.3, 0.1], [0.3, 0.0, 0.1], white),
             &mirror,
         ),
         capsule(0.4),
         geom(
             99,
             [0, 0],
-            at([0.3; 3], [-0.4, -0.1, 0.3], white),
-            &written(&[5, 0], &[1.0, 1.0]),
+            numbers([0.3; 3], [-0.4, -0.1, 0.3], white),
+            &encoded(&[5, 0], &[1.0, 1.0]),
         ),
         geom(
             99,
             [3, 0],
-            at([0.15, 0.1, 0.2], [-0.5, 0.6, 0.2], white),
-            &written(&[1, 2], &[1.0, 1.0]),
+            numbers([0.15, 0.1, 0.2], [-0.5, 0.6, 0.2], white),
+            &encoded(&[1, 2], &[1.0, 1.0]),
         ),
         geom(
             99,
             [5, 0],
-            at([0.1, 0.1, 0.3], [0.0, -0.5, 0.3], white),
+            numbers([0.1, 0.1, 0.3], [0.0, -0.5, 0.3], white),
             &[],
         ),
         geom(
             99,
             [4, 0],
-            at([0.4; 3], [0.1, -0.2, 0.35], [0.3, 0.5, 1.0, 0.4]),
+            numbers([0.4; 3], [0.1, -0.2, 0.35], [0.3, 0.5, 1.0, 0.4]),
             &[],
         ),
     ]
@@ -524,13 +527,13 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         geoms,
     ]
     .concat();
-    let near = written(
+    let near = encoded(
         &[0],
         &[
             0.3, 0.1, 0.5, -0.8, -0.1, -0.2, 0.0, 0.0, 1.0, 0.0, 0.0, -0.02, 0.02, 0.01, 50.0,
         ],
     );
-    let from_above = written(
+    let from_above = encoded(
         &[1],
         &[
             0.0, 0.0, 3.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.1, 1.5, -1.0, 1.0, 0.5, 9.0,
@@ -557,8 +560,8 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Encodes bytes and numbers for [`Bytes`].
-fn written(bytes: &[u8], numbers: &[f32]) -> Vec<u8> {
+/// Encodes bytes and numbers as [`Bytes`] reads them.
+fn encoded(bytes: &[u8], numbers: &[f32]) -> Vec<u8> {
     let mut all = bytes.to_vec();
     for number in numbers {
         all.extend(&number.to_le_bytes()[2..]);
@@ -568,7 +571,7 @@ fn written(bytes: &[u8], numbers: &[f32]) -> Vec<u8> {
 
 /// Returns a bumpy mesh with texture coordinates and more than one cluster.
 fn bumps() -> Vec<u8> {
-    let mut mesh = written(&[1, 7], &[0.09, 0.0, 0.0]);
+    let mut mesh = encoded(&[1, 7], &[0.09, 0.0, 0.0]);
     for y in 0..8_u8 {
         let y = f32::from(y) * 0.07 - 0.3;
         let corners = [
@@ -585,8 +588,8 @@ fn bumps() -> Vec<u8> {
                 .iter()
                 .flat_map(|point| [point[0] * 3.0, point[1] * 3.0])
                 .collect();
-            mesh.extend(written(&[], &pos));
-            mesh.extend(written(&[], &st));
+            mesh.extend(encoded(&[], &pos));
+            mesh.extend(encoded(&[], &st));
         }
     }
     mesh

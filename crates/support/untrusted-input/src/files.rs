@@ -1,4 +1,4 @@
-//! Files provided by users, except those of scenes. Checks that parsed data survives a round trip,
+//! Files that users provide, other than scene files. Checks that parsed data survives a round trip,
 //! that accepted data can be used, and that no error contains a secret.
 
 use std::io::{Cursor, Write};
@@ -22,8 +22,8 @@ pub(crate) fn manifest(input: &[u8]) -> bool {
         return false;
     };
     let written = manifests::to_text(&rows);
-    let again = manifests::parse(&written).expect("a written manifest");
-    assert_eq!(again, rows, "{written}");
+    let parsed = manifests::parse(&written).expect("a written manifest");
+    assert_eq!(parsed, rows, "{written}");
     true
 }
 
@@ -32,8 +32,8 @@ pub(crate) fn campaign_spec(input: &[u8]) -> bool {
         return false;
     };
     let written = serde_json::to_string(&spec).expect("JSON");
-    let again = CampaignSpec::from_json(&written);
-    assert_eq!(again.as_ref(), Ok(&spec), "{written}");
+    let parsed = CampaignSpec::from_json(&written);
+    assert_eq!(parsed.as_ref(), Ok(&spec), "{written}");
     true
 }
 
@@ -42,7 +42,7 @@ pub(crate) fn result_rows(input: &[u8]) -> bool {
     imports(input, b"{}")
 }
 
-/// Parses `about.json` beside valid rows.
+/// Parses the input as the `about.json` of a folder with valid rows.
 pub(crate) fn about_file(input: &[u8]) -> bool {
     imports(ROWS.as_bytes(), input)
 }
@@ -105,7 +105,7 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
     })
 }
 
-/// Two results, one in the format of the reference and one as exported.
+/// Two results: one in the reference implementation's format, one in the format of an export.
 const ROWS: &str = concat!(
     r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true, "steps": 113, "axis": "camera", "#,
     r#""level": "L2", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": 1, "#,
@@ -199,7 +199,7 @@ pub(crate) fn zipped(name: &str, bytes: &[u8]) -> Vec<u8> {
     zip.finish().expect("a zip").into_inner()
 }
 
-/// Imports a folder of results; an accepted one must have records and be writable.
+/// Imports a folder with these files. Accepted results must have records and be serialisable.
 fn imports(rows: &[u8], about: &[u8]) -> bool {
     let folder = tempfile::tempdir().expect("a temporary folder");
     std::fs::write(folder.path().join("rollouts.jsonl"), rows).expect("written");

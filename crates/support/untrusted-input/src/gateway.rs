@@ -17,7 +17,7 @@ use crate::call::{block_on, call, is_internal_fault};
 use crate::script;
 
 /// Prefix of the gateway's message for a query that the policy refused.
-const POLICY: &str = "the policy failed: ";
+const POLICY_FAILED: &str = "the policy failed: ";
 /// All methods; an input selects one by its index.
 const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];
 
@@ -25,7 +25,7 @@ const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];
 ///
 /// # Panics
 /// If a call gets no answer, or the gateway reports an internal fault.
-pub(crate) fn messages(input: &[u8]) -> bool {
+pub(crate) fn check_calls(input: &[u8]) -> bool {
     block_on(async {
         let routes = ["noop=builtin:noop", "expert=builtin:expert"];
         let routes = routes.map(|route| route.parse().expect("a route"));
@@ -38,7 +38,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
             let path = format!("/rollout.policy.v1.Policy/{method}");
             if let Err(refusal) = call(&mut services, &path, &called.messages).await {
                 let is_internal_fault =
-                    is_internal_fault(&refusal) && !refusal.message().contains(POLICY);
+                    is_internal_fault(&refusal) && !refusal.message().contains(POLICY_FAILED);
                 assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
                 are_all_accepted = false;
             }
@@ -51,7 +51,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 ///
 /// # Panics
 /// If an accepted answer contains actions that a robot may not execute.
-pub(crate) fn answers(input: &[u8]) -> bool {
+pub(crate) fn check_answers(input: &[u8]) -> bool {
     let mut is_accepted = false;
     if let Ok(described) = wire::DescribeResponse::decode(input)
         && policy_protocol::description(&described).is_ok()
@@ -88,12 +88,13 @@ pub(crate) fn answers(input: &[u8]) -> bool {
     is_accepted
 }
 
-/// Returns seed inputs for [`messages`]: a session with two queries for each policy.
+/// Returns seed inputs for [`check_calls`]: for each policy, a session with one query and a batch
+/// of two queries.
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
     ["noop", "expert"].map(session).to_vec()
 }
 
-/// Returns seed inputs for [`answers`].
+/// Returns seed inputs for [`check_answers`].
 pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
     let described = wire::DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
@@ -112,7 +113,7 @@ pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
         actions: vec![0.5; 14],
         action_width: 7,
     };
-    // {"actions": an array of one action, as msgpack_numpy writes it}
+    // A map whose key `actions` holds an array of one action, as msgpack_numpy writes it.
     let mut chunk = b"\x81\xa7actions\x84\xc4\x0b__ndarray__\xc3\xc4\x04data\xc4\x1c".to_vec();
     chunk.extend([0; 28]);
     chunk.extend(b"\xc4\x05dtype\xa3<f4\xc4\x05shape\x92\x01\x07");

@@ -1,8 +1,8 @@
-//! Checks of every file parser and message handler with arbitrary input: each must answer and leave
-//! a consistent state. One function per parser or service takes bytes and panics if a check fails,
-//! and has seed inputs. `fuzz/` drives these functions with a fuzzer; this package's tests use
-//! seeded mutations. The checks do not cover whether an input is interpreted correctly. No program
-//! depends on this package.
+//! Checks of every file parser and message handler with arbitrary input: each must return a value
+//! or an error, and leave a consistent state. A [`Target`] for each parser or service has a
+//! function that takes bytes and panics if a check fails, and seed inputs. `fuzz/` drives these
+//! functions with a fuzzer; this package's tests use seeded mutations. The checks do not cover
+//! whether an input is interpreted correctly. No program depends on this package.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
@@ -18,9 +18,9 @@ mod script;
 /// A parser or service under test.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Name of the target, shared with the fuzz target.
+    /// Name, which is also the name of the program in `fuzz/fuzz_targets`.
     pub name: &'static str,
-    /// Runs one input; returns true if no part of it was refused.
+    /// Runs one input; returns true if no part of the input was refused.
     pub run: fn(&[u8]) -> bool,
     /// Valid inputs to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,
@@ -54,9 +54,13 @@ pub const TARGETS: [Target; 15] = [
     ),
     target("recording", files::recording, files::recording_seeds),
     target("token_file", files::token_file, files::token_file_seeds),
-    target("rpc", coordinator::messages, coordinator::seeds),
-    target("rpc_policy", gateway::messages, gateway::seeds),
-    target("policy_answer", gateway::answers, gateway::answer_seeds),
+    target("rpc", coordinator::check_calls, coordinator::seeds),
+    target("rpc_policy", gateway::check_calls, gateway::seeds),
+    target(
+        "policy_answer",
+        gateway::check_answers,
+        gateway::answer_seeds,
+    ),
     target("drawing", drawing::draw, drawing::seeds),
 ];
 

@@ -1,4 +1,4 @@
-//! Scene files: problems, object models and initial states.
+//! Scene files: BDDL problems, object models and initial states.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use scene::fuzzing::{object_model, pickled_states};
 use scene::{InitialStates, Problem};
 
-/// Parses a problem, which must survive a round trip.
+/// Parses a BDDL problem, which must survive a round trip.
 pub(crate) fn bddl(input: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(input) else {
         return false;
@@ -29,8 +29,9 @@ pub(crate) fn mjcf(input: &[u8]) -> bool {
     fixture || object
 }
 
-/// Checks that accepted initial states are finite and that no index beyond the last returns one.
-/// Also parses the input as the pickle inside, since a fuzzer cannot guess the zip's checksums.
+/// Checks that accepted initial states are finite, and that an index after the last state returns
+/// `None`. Also parses the input as the bare pickle of a zip archive, since a fuzzer cannot guess
+/// the archive's checksums.
 pub(crate) fn pruned_init(input: &[u8]) -> bool {
     let mut is_accepted = false;
     if let Ok(states) = InitialStates::from_reader(Cursor::new(input), Path::new("fuzzed")) {

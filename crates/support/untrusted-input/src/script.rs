@@ -15,7 +15,8 @@ pub(crate) struct Call<'a> {
     pub(crate) messages: Vec<&'a [u8]>,
 }
 
-/// Parses an input. Every input is valid: a message that claims too many bytes gets the rest.
+/// Parses an input. Every input is valid: a message that is longer than the rest of the input ends
+/// with the input.
 pub(crate) fn read(mut input: &[u8]) -> Vec<Call<'_>> {
     let mut calls: Vec<Call<'_>> = Vec::new();
     while let [number, low, high, rest @ ..] = input {

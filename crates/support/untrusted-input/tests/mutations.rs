@@ -1,6 +1,6 @@
-//! Runs every reader and handler on nearly valid inputs: the seeds, and seeded mutations of them. A
-//! fuzzer finds more (`fuzz/README.md`), but these tests run everywhere.
-//! `ROLLOUT_HOSTILE_SEEDS=1000-1099` selects other seeds, any number of them.
+//! Runs every parser and handler on nearly valid inputs: the seed inputs, and random mutations of
+//! them. A fuzzer finds more faults (`fuzz/README.md`), but these tests run everywhere.
+//! `ROLLOUT_HOSTILE_SEEDS=1000-1099` repeats the mutations with each of these random seeds.
 
 use std::ops::RangeInclusive;
 use std::panic;
@@ -51,14 +51,14 @@ fn the_seeds_are_accepted() {
 #[test]
 fn mutated_files_do_not_crash_their_parsers() {
     let services = ["rpc", "rpc_policy"];
-    let readers = TARGETS.into_iter();
-    for target in readers.filter(|target| !services.contains(&target.name)) {
+    let targets = TARGETS.into_iter();
+    for target in targets.filter(|target| !services.contains(&target.name)) {
         check_mutations(target, INPUTS);
     }
 }
 
 #[test]
-fn mutated_messages_do_not_crash_the_coordinator_and_refused_ones_change_nothing() {
+fn mutated_messages_do_not_crash_the_coordinator_and_refused_messages_change_nothing() {
     check_mutations(untrusted_input::named("rpc"), DATABASE_INPUTS);
 }
 
@@ -67,8 +67,8 @@ fn mutated_messages_do_not_crash_the_gateway() {
     check_mutations(untrusted_input::named("rpc_policy"), INPUTS);
 }
 
-/// Gives a target mutated inputs. An input that makes it fail is stored as a file, for the fuzz
-/// target of this name.
+/// Runs a target on mutated inputs. An input that makes the target fail is stored in a file, which
+/// the fuzz target of the same name can run.
 fn check_mutations(target: Target, inputs: usize) {
     static PANICS: AtomicUsize = AtomicUsize::new(0);
     static COUNTING: Once = Once::new();

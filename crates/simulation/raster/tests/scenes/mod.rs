@@ -33,7 +33,7 @@ pub(crate) fn model() -> Model {
     model.meshes.push(bumpy.build().into());
     let lines = plane_grid(2.0, 0.5, None, 10.0);
     model.planes.push(plane(&lines, &lines));
-    for ((kind, width, height), bytes) in TEXTURES.into_iter().zip(largest()) {
+    for ((kind, width, height), bytes) in TEXTURES.into_iter().zip(largest_levels()) {
         let texture = Texture::new(kind, width, height, 3, bytes).expect("a texture");
         model.textures.push(texture.into());
     }
@@ -49,7 +49,7 @@ const TEXTURES: [(TextureKind, usize, usize); 5] = [
 ];
 
 /// Returns the bytes of the largest level of each of the model's textures.
-pub(crate) fn largest() -> Vec<&'static [u8]> {
+pub(crate) fn largest_levels() -> Vec<&'static [u8]> {
     static BYTES: LazyLock<Vec<u8>> = LazyLock::new(|| {
         let byte = |byte: usize| (byte * 37 + byte / 7 * 11) as u8;
         (0..32 * 32 * 3).map(byte).collect()

@@ -37,7 +37,8 @@ impl Samplers {
     ///
     /// # Errors
     /// [`SceneError::Inconsistent`] where the original fails too: the initial state places an
-    /// object twice or on an instance that is not placed, or opens one that cannot be opened.
+    /// object twice, places it on an instance that is not placed, or opens an instance that cannot
+    /// be opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,
@@ -196,8 +197,8 @@ impl<'a> Plan<'a> {
                 let (base, _) = self.site(predicate, region, false)?;
                 (base, vec![[[0.0; 2]; 2]], 0.0)
             }
-            Place::OnObject(other) => (
-                Base::Top(self.placed_index(predicate, other)?),
+            Place::OnObject(carrier) => (
+                Base::Top(self.placed_index(predicate, carrier)?),
                 vec![[[0.0; 2]; 2]],
                 OBJECT_Z_OFFSET,
             ),

@@ -78,8 +78,8 @@ macro_rules! arrays {
     ($($name:ident: $rows:ident x $columns:tt $(* $factor:literal)?,)*) => {
         const NAMES: &[&str] = &[$(stringify!($name),)*];
 
-        /// Returns the array with a name; `None` if the table does not have it.
-        pub(super) fn one(model: &mjModel, name: &str) -> Option<ModelArray> {
+        /// Returns the array with this name; `None` if the table below does not list the name.
+        pub(super) fn array(model: &mjModel, name: &str) -> Option<ModelArray> {
             match name {
                 $(
                     stringify!($name) => {
@@ -95,11 +95,11 @@ macro_rules! arrays {
     };
 }
 
-/// Returns all arrays.
-pub(super) fn all(model: &mjModel) -> Vec<NamedArray> {
+/// Returns all arrays of the table below.
+pub(super) fn all_arrays(model: &mjModel) -> Vec<NamedArray> {
     let named = |name: &&'static str| NamedArray {
         name,
-        values: one(model, name)
+        values: array(model, name)
             .expect("an array of the table")
             .values
             .widen(),

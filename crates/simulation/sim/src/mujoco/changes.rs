@@ -72,7 +72,7 @@ mod tests {
     </worldbody></mujoco>"#;
 
     #[test]
-    fn changes_of_one_model_do_not_affect_another() {
+    fn changes_of_one_model_do_not_affect_another_model() {
         let mut first = Model::compile(SCENE).expect("a model");
         let before = first.cam_pos().to_vec();
         let mut second = first.share();

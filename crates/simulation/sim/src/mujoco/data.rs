@@ -51,7 +51,7 @@ macro_rules! slices_mut {
         $(#[$doc])*
         pub fn $method<'a>(&'a mut self, model: &Model) -> &'a mut [f64] {
             self.assert_made_for(model);
-            // SAFETY: as for the shared slices; `&mut self` makes it exclusive.
+            // SAFETY: as for the shared slices; `&mut self` makes the access exclusive.
             unsafe {
                 std::slice::from_raw_parts_mut(
                     self.raw.as_mut().$name,
@@ -93,11 +93,11 @@ impl Data {
         );
     }
 
-    /// Copies another state of the same model into this one.
+    /// Copies another state of the same model into this state.
     pub fn copy_from(&mut self, model: &Model, other: &Self) {
         self.assert_made_for(model);
         other.assert_made_for(model);
-        // SAFETY: both were made for this model, as asserted, and it is alive.
+        // SAFETY: both states were made for this model, as asserted, and the model is alive.
         unsafe { c::mj_copyData(self.raw.as_ptr(), model.as_ptr(), other.raw.as_ptr()) };
     }
 
@@ -117,7 +117,7 @@ impl Data {
 
     /// Sets the simulated time, s.
     pub fn set_time_secs(&mut self, secs: f64) {
-        // SAFETY: owned and alive; `&mut self` makes it exclusive.
+        // SAFETY: owned and alive; `&mut self` makes the access exclusive.
         unsafe { self.raw.as_mut() }.time = secs;
     }
 
@@ -132,8 +132,8 @@ impl Data {
         })
     }
 
-    /// Returns how often the simulation became unstable: bad positions, velocities or
-    /// accelerations.
+    /// Returns the number of times that MuJoCo found the simulation unstable: bad positions,
+    /// velocities or accelerations.
     pub fn instabilities(&self) -> i32 {
         let warnings = &self.raw().warning;
         [

@@ -15,11 +15,11 @@ use super::slices::values;
 pub(crate) const ALIGNMENT: usize = 64;
 /// Size of MuJoCo's structure, bytes.
 pub(crate) const STRUCTURE: usize = size_of::<mjModel>();
-/// Position of all pointers in the structure. They point into MuJoCo's buffer; the first one points
-/// to the buffer's start.
+/// Byte range of all pointers in the structure. They point into MuJoCo's buffer, the first one to
+/// the buffer's start.
 const POINTERS: std::ops::Range<usize> =
     offset_of!(mjModel, buffer)..offset_of!(mjModel, signature);
-/// Represents a null pointer.
+/// Offset that represents a null pointer.
 const NULL: usize = usize::MAX;
 
 const _: () = assert!(
@@ -92,8 +92,8 @@ impl Model {
         })
     }
 
-    /// Restores a model without copying its arrays out of the image's bytes, which follow one
-    /// another. `None` if they are misaligned or have another size.
+    /// Restores a model whose arrays stay in `arrays`, which holds both parts of the image's arrays
+    /// one after the other. `None` if `arrays` is misaligned, or the structure has another size.
     ///
     /// # Safety
     /// The bytes must come from [`Model::image`] of the same version of MuJoCo on the same kind of

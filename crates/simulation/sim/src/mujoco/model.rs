@@ -29,8 +29,8 @@ pub struct Model {
 pub(super) struct Compilation {
     raw: NonNull<c::mjModel>,
     owner: MemoryOwner,
-    /// Unique in the process. States and scenes have the sizes of the model that they were made
-    /// for, and check this number before they are used with a model.
+    /// Serial number, unique in the process. States and scenes have the sizes of the model that
+    /// they were made for, and compare serial numbers before they are used with a model.
     serial: u64,
 }
 
@@ -147,8 +147,8 @@ impl Model {
         ))))
     }
 
-    /// Returns another model of this compilation, whose own arrays are copies of this model's
-    /// current ones.
+    /// Returns another model of this compilation, whose own arrays are copies of this model's own
+    /// arrays.
     #[must_use]
     pub fn share(&self) -> Self {
         let mut other = Self::from_compilation(Arc::clone(&self.compilation));
@@ -265,12 +265,12 @@ impl Model {
 
     /// Returns every numeric array except the contents of meshes and textures.
     pub fn arrays(&self) -> Vec<NamedArray> {
-        arrays::all(self.raw())
+        arrays::all_arrays(self.raw())
     }
 
     /// Returns one numeric array; `None` if no array has this name.
     pub fn array(&self, name: &str) -> Option<ModelArray> {
-        arrays::one(self.raw(), name)
+        arrays::array(self.raw(), name)
     }
 
     /// Returns the headlight's ambient colour.
@@ -335,7 +335,7 @@ impl Model {
         mat_texid: i32 = nmat * 10;
         /// Repeats of a material's texture along x and y.
         mat_texrepeat: f32 = nmat * 2;
-        /// True if the texture repeats by metres.
+        /// 1 if a material's texture repeats per metre, 0 if it repeats per geom.
         mat_texuniform: u8 = nmat * 1;
         /// Joint types (`mjtJoint`).
         jnt_type: i32 = njnt * 1;
@@ -383,12 +383,12 @@ pub(crate) struct TextureData {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) channels: usize,
-    /// Index of its first byte among the texels of all textures.
+    /// Index of the texture's first byte among the texels of all textures.
     start: usize,
 }
 
 impl TextureData {
-    /// Returns the range of its texels among those of all textures.
+    /// Returns the range of the texture's texels among the texels of all textures.
     pub(crate) fn texels(&self) -> Range<usize> {
         self.start..self.start + self.width * self.height * self.channels
     }

@@ -79,8 +79,9 @@ each_own_array!(define_own_arrays);
 mod tests {
     use super::*;
 
-    /// Fills each array of a model with numbers that occur in no other array.
-    macro_rules! fill {
+    /// Defines arrays for a model, in which every number is unique, and functions that access them
+    /// through the model's pointers.
+    macro_rules! define_test_arrays {
         ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
             /// The arrays that a model points at.
             #[derive(Debug, Default, PartialEq)]
@@ -131,11 +132,11 @@ mod tests {
         };
     }
 
-    each_own_array!(fill);
+    each_own_array!(define_test_arrays);
 
     /// Under Miri, this test also detects pointers that a move has invalidated.
     #[test]
-    fn pointers_stay_valid_when_the_owner_moves_and_lead_to_copies() {
+    fn own_arrays_are_copies_whose_pointers_stay_valid_when_the_owner_moves() {
         let mut shared = Arrays::with_rows(2);
         let mut model = shared.model(2);
         let arrays = OwnArrays::copy_of(&mut model);

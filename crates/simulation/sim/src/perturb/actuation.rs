@@ -19,7 +19,7 @@ pub struct ActuationStage {
     gain: f64,
     misalignment: Rotation3<f64>,
     bias: [f64; ARM],
-    /// Weight of the new command in the lagged one; 1 without lag.
+    /// Weight of the new action in the lagged action; 1 without lag.
     responsiveness: f64,
     noise_sigma: [f64; ARM],
     noise: StepNoise,
@@ -203,11 +203,11 @@ mod tests {
     #[test]
     fn single_axis_and_combination_distort_actions_equally_at_every_step() {
         let distortion = ActuationDistortion::from([0.1, 0.2, 3.0, 1.0, 0.3]);
-        let mut alone = stage("goal/t0/actuation/L3/c07", &distortion);
+        let mut single_axis = stage("goal/t0/actuation/L3/c07", &distortion);
         let mut combined = stage("goal/t0/combination/L3/c07", &distortion);
-        assert_eq!(alone.realised(), combined.realised());
+        assert_eq!(single_axis.realised(), combined.realised());
         for _ in 0..50 {
-            assert_eq!(alone.apply(&ACTION), combined.apply(&ACTION));
+            assert_eq!(single_axis.apply(&ACTION), combined.apply(&ACTION));
         }
     }
 

@@ -41,8 +41,9 @@ pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64
 
 /// Returns the camera's perturbed pose.
 ///
-/// The nominal position is converted to spherical coordinates about `look_at`, shifted, and applied
-/// about the shifted look-at point; the camera looks at that point with world z up.
+/// The nominal position is converted to spherical coordinates about `look_at`. The shifted
+/// coordinates give the position about the shifted look-at point. The camera looks at the shifted
+/// point, with world z up.
 pub fn shift_camera(nominal: &CameraPose, look_at: [f64; 3], shift: &CameraShift) -> CameraPose {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(nominal.position) - look_at;

@@ -104,7 +104,7 @@ fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     })
 }
 
-/// Rotations that the transform and its inverse share.
+/// Computes the rotations for the odd coefficients, which the transform and its inverse share.
 fn odd_part([a, b, c, d]: [i32; 4]) -> [i32; 4] {
     let common = (a + c + b + d) * F_1_175;
     let ad = -(a + d) * F_0_899;

@@ -99,8 +99,8 @@ impl Plane {
         }
     }
 
-    /// Averages 2 × 2 samples, padded on the right to whole blocks. The rounding alternates along a
-    /// row, padding included, so that it has no bias.
+    /// Averages 2 × 2 samples, and pads the result on the right to whole blocks. Rounding
+    /// alternates between up and down along a row and its padding, so that it has no bias.
     fn halved(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let stride = width.next_multiple_of(SIDE);
@@ -127,7 +127,7 @@ impl Plane {
     }
 
     /// Doubles the size with a triangle filter: 9/16 of the nearest sample, 3/16 of each of its two
-    /// neighbours, 1/16 of the diagonal one.
+    /// neighbours, 1/16 of the diagonal neighbour.
     fn doubled(&self, width: usize, height: usize) -> Self {
         let mut samples = Vec::with_capacity(width * height);
         for y in 0..height {
@@ -199,7 +199,7 @@ fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
             })
             .collect(),
     };
-    // The differences round half down, so that white stays below 256.
+    // The blue and red differences are rounded half down, so that none of them reaches 256.
     let centre = (128 << 16) + HALF - 1;
     [
         convert([fixed(0.299), fixed(0.587), fixed(0.114)], HALF),
@@ -247,7 +247,7 @@ mod tests {
     /// The expected digests are the first eight bytes of the SHA-256 of Pillow 13's results for the
     /// same pictures, most of whose sides are not multiples of the block size.
     #[test]
-    fn pictures_with_incomplete_blocks_equal_pillows() {
+    fn pictures_with_incomplete_blocks_equal_pillows_results() {
         let check = |width: usize, height: usize, quality, expected: &str| {
             let mut rgb: Vec<u8> = (0..width * height * 3)
                 .map(|i| (i * i % 251) as u8)

@@ -14,7 +14,7 @@ const OVERHEAD_M: f64 = 1e-9;
 pub struct Light {
     /// Position, m.
     pub position: [f64; 3],
-    /// Unit direction of its beam.
+    /// Unit direction of the light's beam.
     pub direction: [f64; 3],
     /// Diffuse colour, red, green and blue.
     pub diffuse: [f64; 3],
@@ -63,7 +63,7 @@ fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
 }
 
 /// Rotates a light's position about the look-at point, and its direction, by `angle` rad about the
-/// horizontal axis perpendicular to its offset.
+/// horizontal axis that is perpendicular to the light's offset from that point.
 fn elevate(light: &Light, look_at: [f64; 3], angle: f64) -> ([f64; 3], [f64; 3]) {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(light.position) - look_at;

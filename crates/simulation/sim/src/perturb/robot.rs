@@ -4,11 +4,11 @@
 use libero_ctrl::RobotShift;
 use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 
-/// Joints of the arm.
+/// Number of the arm's joints.
 pub const JOINTS: usize = 7;
 /// Damping λ of the least squares.
 const DAMPING: f64 = 0.08;
-/// Iterations after which the best posture so far is taken.
+/// Number of iterations after which the search stops with the last posture.
 const MAX_ITERATIONS: u32 = 200;
 /// Position error that counts as converged, m.
 const POSITION_TOLERANCE_M: f64 = 2e-4;
@@ -51,8 +51,8 @@ pub struct IkSolution {
     pub iterations: u32,
 }
 
-/// Finds the posture whose end-effector pose is that of `nominal` displaced by `shift`: translated
-/// in the world frame, and rotated in place by a rotation vector applied on the left.
+/// Finds the posture whose end-effector pose is the pose at `nominal` displaced by `shift`:
+/// translated in the world frame, and rotated in place by a rotation vector applied on the left.
 ///
 /// `kinematics` returns the end-effector at a posture. Joint limits may keep the solution from
 /// reaching the target; the residual is the remaining distance.
@@ -105,7 +105,7 @@ impl Target {
         }
     }
 
-    /// Position error, m, then orientation error as a rotation vector, rad.
+    /// Returns the position error, m, and then the orientation error as a rotation vector, rad.
     fn error(&self, state: &ArmState) -> Vector6<f64> {
         let position = self.position - state.position;
         let rotation = rotation_vector(&(self.rotation * state.rotation.transpose()));
@@ -115,7 +115,7 @@ impl Target {
     }
 }
 
-/// Jᵀ (J Jᵀ + λ² I)⁻¹ e. The bracket is positive definite for any J.
+/// Returns Jᵀ (J Jᵀ + λ² I)⁻¹ e. The bracket is positive definite for any J.
 fn damped_step(jacobian: &Jacobian, error: &Vector6<f64>) -> JointVector {
     let damped = jacobian * jacobian.transpose() + Matrix6::identity() * (DAMPING * DAMPING);
     let solved = damped

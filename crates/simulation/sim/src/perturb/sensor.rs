@@ -48,7 +48,7 @@ impl FrameSource {
 #[derive(Debug)]
 pub struct Frame<'a> {
     pub source: FrameSource,
-    /// Control step of the policy for which it was rendered, from 0.
+    /// Control step of the policy for which the picture was rendered, from 0.
     pub step: u32,
     /// Pixels per row.
     pub width: usize,
@@ -170,7 +170,7 @@ impl SensorStage {
             }
             FrameNoise::Reference(frames) => {
                 let index = step as usize * FrameSource::ALL.len() + source.lane() as usize;
-                let mut rng = frames.at(index, values.len());
+                let mut rng = frames.generator_at(index, values.len());
                 for value in values {
                     *value += rng.normal(0.0, sigma);
                 }
@@ -198,7 +198,8 @@ impl NumpyFrames {
         }
     }
 
-    fn at(&mut self, index: usize, values_per_frame: usize) -> DefaultRng {
+    /// Returns the generator at the start of the picture with this index.
+    fn generator_at(&mut self, index: usize, values_per_frame: usize) -> DefaultRng {
         if self.values_per_frame != values_per_frame {
             self.values_per_frame = values_per_frame;
             self.starts = vec![self.first.clone()];
@@ -451,15 +452,15 @@ mod tests {
     #[test]
     fn single_axis_and_combination_give_equal_pictures_in_any_order() {
         let corruption = SensorCorruption::from(STRONG);
-        let mut alone = stage("goal/t3/sensor/L3/c02", &corruption);
+        let mut single_axis = stage("goal/t3/sensor/L3/c02", &corruption);
         let mut combined = stage("goal/t3/combination/L3/c02", &corruption);
-        assert_eq!(alone.realised(), combined.realised());
+        assert_eq!(single_axis.realised(), combined.realised());
         let requests = [
             (FrameSource::Wrist, 4),
             (FrameSource::Agentview, 0),
             (FrameSource::Agentview, 4),
         ];
-        let pictures = requests.map(|(source, step)| corrupted(&mut alone, source, step));
+        let pictures = requests.map(|(source, step)| corrupted(&mut single_axis, source, step));
         let expected = corrupted(&mut combined, FrameSource::Agentview, 4);
         assert_eq!(pictures[2], expected);
         assert_ne!(

@@ -12,8 +12,8 @@ use crate::mujoco::{Model, Segment, VisualScene};
 use super::gl_context::GlContext;
 use super::view::View;
 
-/// MuJoCo's state for drawing one scene. It belongs to an OpenGL context, which is therefore freed
-/// after it.
+/// MuJoCo's state for drawing one scene. The state belongs to an OpenGL context, and is freed
+/// before the context.
 pub(crate) struct GlCanvas {
     visual_scene: VisualScene,
     context: Box<c::mjrContext>,
@@ -104,7 +104,7 @@ impl GlCanvas {
             .collect())
     }
 
-    /// Renders with these flags set.
+    /// Renders into `target` with these flags set.
     fn render(
         &mut self,
         view: View<'_>,

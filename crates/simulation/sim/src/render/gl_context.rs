@@ -30,9 +30,9 @@ const GL_RENDERER: u32 = 0x1F01;
 /// Maximum number of listed devices, more than any machine has.
 const MAX_DEVICES: usize = 32;
 
-const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtask setup --gl` (Debian: `apt-get \
-     install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with the NVIDIA driver, or \
-     choose another device with --renderer gl:N";
+const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtask setup --gl` \
+     (Debian: `apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with \
+     the NVIDIA driver, or choose another device with --renderer gl:N";
 
 /// An OpenGL context, bound to the thread that opened it. Canvases share ownership of it.
 pub struct GlContext {
@@ -105,7 +105,7 @@ fn candidates(egl: &Egl, device: GlDevice) -> Result<Vec<egl::Display>, SimError
     let devices = devices(egl);
     let display = |platform: egl::Enum, native: *mut c_void| {
         // SAFETY: the native handle is one that the driver just listed, or the
-        // default one of the surfaceless platform.
+        // default handle of the surfaceless platform.
         unsafe { egl.get_platform_display(platform, native, &[egl::ATTRIB_NONE]) }.ok()
     };
     if let GlDevice::Index(index) = device {

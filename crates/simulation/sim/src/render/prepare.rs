@@ -21,8 +21,8 @@ const REMEDY: &str = "draw it with --renderer gl";
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
-/// Prepared items of this process by the digest of their source. The digest is chosen for speed: a
-/// forged collision would gain nothing.
+/// Prepared items of this process by the digest of their source. The digest is chosen for speed,
+/// because nobody would gain from a forged collision.
 type Cache<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
 static MESHES: Cache<Mesh> = LazyLock::new(Mutex::default);
@@ -33,6 +33,7 @@ static TEXTURES: Cache<Texture> = LazyLock::new(Mutex::default);
 pub(super) struct Material {
     pub(super) texture: usize,
     pub(super) repeat: [f32; 2],
+    /// True if `repeat` is per metre rather than per geom.
     pub(super) uniform: bool,
 }
 
@@ -43,11 +44,11 @@ pub(crate) struct Prepared {
     /// Index of the first sky texture.
     pub(super) sky: Option<usize>,
     /// Largest mipmap level of each texture.
-    pub(super) largest: Vec<Bytes>,
+    pub(super) largest_levels: Vec<Bytes>,
 }
 
 /// Serialised rendering data of a model: each mesh, and for each texture the largest mipmap level
-/// and the smaller ones.
+/// and the smaller levels.
 pub(crate) struct PreparedBytes {
     pub(crate) meshes: Vec<Bytes>,
     pub(crate) textures: Vec<[Bytes; 2]>,
@@ -60,7 +61,7 @@ impl Prepared {
     /// If the software renderer cannot draw the model.
     pub(crate) fn from_model(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
-        let largest: Vec<Bytes> = model
+        let largest_levels: Vec<Bytes> = model
             .textures()
             .map(|texture| texels.slice(texture.texels()))
             .collect();
@@ -74,12 +75,12 @@ impl Prepared {
                 build_texture(&texture, texels)
             })
         };
-        let textures = model.textures().zip(&largest).map(texture);
+        let textures = model.textures().zip(&largest_levels).map(texture);
         Self::assemble(
             model,
             (0..meshes.count()).map(mesh).collect::<Result<_, _>>()?,
             textures.collect::<Result<_, _>>()?,
-            largest,
+            largest_levels,
         )
     }
 
@@ -94,12 +95,12 @@ impl Prepared {
             let sizes = [texture.width, texture.height, texture.channels];
             Texture::with_smaller(texture_kind(&texture), sizes, smaller.clone())
         });
-        let largest = bytes.textures.iter().map(|[largest, _]| largest.clone());
+        let largest_levels = bytes.textures.iter().map(|[largest, _]| largest.clone());
         Self::assemble(
             model,
             meshes.map(share_part).collect::<Result<_, _>>()?,
             textures.map(share_part).collect::<Result<_, _>>()?,
-            largest.collect(),
+            largest_levels.collect(),
         )
     }
 
@@ -110,15 +111,15 @@ impl Prepared {
 
     /// Returns the largest mipmap level and the smaller levels of each texture.
     pub(crate) fn textures(&self) -> impl Iterator<Item = [&[u8]; 2]> {
-        let textures = self.largest.iter().zip(&self.model.textures);
+        let textures = self.largest_levels.iter().zip(&self.model.textures);
         textures.map(|(largest, texture)| [largest, texture.smaller()])
     }
 
     /// Returns the texels of all textures in MuJoCo's format.
     pub(super) fn texels(&self, model: &Model) -> Vec<u8> {
         let mut all = vec![0; model.raw().ntexdata as usize];
-        for (texture, largest) in model.textures().zip(&self.largest) {
-            all[texture.texels()].copy_from_slice(largest);
+        for (texture, level) in model.textures().zip(&self.largest_levels) {
+            all[texture.texels()].copy_from_slice(level);
         }
         all
     }
@@ -127,7 +128,7 @@ impl Prepared {
         model: &Model,
         meshes: Vec<Arc<Mesh>>,
         textures: Vec<Arc<Texture>>,
-        largest: Vec<Bytes>,
+        largest_levels: Vec<Bytes>,
     ) -> Result<Self, SimError> {
         let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
         let mut prepared = with_planes(model)?;
@@ -137,7 +138,7 @@ impl Prepared {
             model: prepared,
             materials: materials(model),
             sky: model.textures().position(|texture| texture.kind == sky),
-            largest,
+            largest_levels,
         })
     }
 }
@@ -178,7 +179,7 @@ fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
     Ok(prepared)
 }
 
-/// Returns the cached item of the same source if it is still in use, or creates it.
+/// Returns the cached item with this digest if the item is still in use, or creates one.
 fn shared<T>(
     cache: &Cache<T>,
     digest: u128,
@@ -297,7 +298,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn models_share_equal_meshes_and_textures_until_the_last_is_dropped() {
+    fn models_share_equal_meshes_and_textures_until_the_last_model_is_dropped() {
         let scene = |height: f32| {
             Model::compile(&format!(
                 r#"<mujoco><asset>

@@ -92,8 +92,9 @@ impl SoftwareCanvas {
         let size = view.size.map(|side| side as usize);
         self.update(view)?;
         let canvas = self.canvases.entry(camera).or_default();
-        let largest: Vec<&[u8]> = self.prepared.largest.iter().map(|level| &**level).collect();
-        draw(canvas, &self.prepared.model, &largest, &self.scene, size)
+        let levels = self.prepared.largest_levels.iter();
+        let levels: Vec<&[u8]> = levels.map(|level| &**level).collect();
+        draw(canvas, &self.prepared.model, &levels, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))
     }
 

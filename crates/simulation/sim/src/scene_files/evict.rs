@@ -16,14 +16,16 @@ struct Scene {
 }
 
 impl SceneFolder {
-    /// Removes temporary files of crashed writers. Then removes scenes until the others are within
-    /// the limit, except the scene `keep` and mapped scenes. The caller holds the folder's lock.
+    /// Removes temporary files of crashed writers. Then removes the least recently used scenes
+    /// until all remaining files are within the size limit, but never the scene `keep` or a mapped
+    /// scene. The caller holds the folder's lock.
     pub(super) fn make_room(&self, keep: &str) -> io::Result<()> {
         let (mut total, mut scenes, mut textures) = (0, Vec::<Scene>::new(), Vec::new());
         let mut records = Vec::new();
         for entry in fs::read_dir(&self.dir)? {
             let entry = entry?;
-            // Another process has removed the file: a replaced check record or a temporary file.
+            // Without metadata, the file is gone: another process has replaced a check record, or
+            // removed a temporary file.
             let Ok(metadata) = entry.metadata() else {
                 continue;
             };

@@ -15,7 +15,7 @@ use super::{LoadedScene, Name, Preparation, digits, layout, name_text};
 use crate::mujoco::Model;
 use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
-/// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another.
+/// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another limit.
 const LIMIT_GIB: u64 = 16;
 /// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
 /// worker treats a slot without progress for minutes as stuck.
@@ -24,7 +24,7 @@ const MAX_LOCK_WAIT: Duration = Duration::from_secs(60);
 const POLL: Duration = Duration::from_millis(10);
 /// Permissions of a finished file.
 const READ_ONLY: u32 = 0o444;
-/// Permission bits for writing by others.
+/// Permission bits that let users other than the owner write.
 const OTHERS_WRITE: u32 = 0o022;
 /// User id of root, whose files are always trusted.
 const ROOT: u32 = 0;
@@ -81,7 +81,7 @@ pub struct SceneFolder {
     pub(super) room: std::sync::atomic::AtomicU64,
 }
 
-/// An opened file with trusted permissions, and with a header that has its name and length.
+/// An opened file with trusted permissions, whose header has the file's name and length.
 struct Opened {
     file: File,
     checksum: u128,
@@ -105,11 +105,11 @@ impl SceneFolder {
         }
     }
 
-    /// Creates the folder, or checks that it is trusted. It may be read-only: another user may have
-    /// filled it.
+    /// Creates the folder, or checks that it is trusted. The folder may be read-only: another user
+    /// may have filled it.
     ///
     /// # Errors
-    /// If it cannot be created or is not trusted.
+    /// If the folder cannot be created or is not trusted.
     pub fn check(&self) -> Result<(), SceneFileError> {
         if self.exists_and_is_trusted()? {
             return Ok(());
@@ -172,8 +172,7 @@ impl SceneFolder {
         Ok(assemble(&sections, textures))
     }
 
-    /// Stores a scene and those of its textures that are missing; evicts other scenes if there is
-    /// no room.
+    /// Stores a scene and its missing textures; evicts other scenes if there is no room.
     ///
     /// # Errors
     /// If files cannot be written; no incomplete file is left under a final name.
@@ -347,8 +346,8 @@ impl SceneFolder {
         written.map_err(|source| failure("write", path, source))
     }
 
-    /// Returns true if these files in their current state were checked since this machine booted;
-    /// marks them as used.
+    /// Returns true if the checksums of these files in their current state were checked since this
+    /// machine booted. Then also marks the scene as used.
     fn was_checked(&self, name: &Name, stamps: &str) -> bool {
         let Some(record) = self.check_record_path(name) else {
             return false;
@@ -374,7 +373,8 @@ impl SceneFolder {
         false
     }
 
-    /// Records the check. If that fails, the files are checked again next time.
+    /// Records that the files' checksums were checked. If the record cannot be written, the files
+    /// are checked again next time.
     fn record_check(&self, name: &Name, stamps: &str) {
         let Some(record) = self.check_record_path(name) else {
             return;

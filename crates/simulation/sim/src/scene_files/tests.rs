@@ -1,5 +1,5 @@
-//! Fault tests of scene files: every scene obtained must behave and look like a freshly compiled
-//! one.
+//! Fault tests of scene files: every obtained scene must behave and look like a freshly compiled
+//! scene.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -19,7 +19,7 @@ use crate::mujoco::{Data, ObjectKind};
 use crate::render::{Canvas, Drawer, View};
 
 const NAME: Name = [b'a'; NAME_DIGITS];
-const OTHER: Name = [b'b'; NAME_DIGITS];
+const OTHER_NAME: Name = [b'b'; NAME_DIGITS];
 
 /// Environment variables of the child process that is killed while it writes a scene: the scene
 /// folder, and the number of bytes after which the process is killed.
@@ -200,8 +200,8 @@ fn a_scene_is_compiled_once_and_its_file_gives_the_same_behaviour() {
             .obtain(&NAME, || unreachable!("the file exists"));
         obtained.expect("a scene").model
     }];
-    for (one, other) in compiled.arrays().iter().zip(&mapped.arrays()) {
-        assert!(one.values == other.values, "{}", one.name);
+    for (array, mapped_array) in compiled.arrays().iter().zip(&mapped.arrays()) {
+        assert!(array.values == mapped_array.values, "{}", array.name);
     }
 }
 
@@ -410,10 +410,10 @@ fn a_read_only_folder_is_read_and_never_written() {
                 access_files_as(12_345);
             }
             assert_eq!(fixture.obtain(), (false, true));
-            let other = fixture.folder.obtain(&OTHER, || compile(0.1));
-            let other = other.expect("a scene");
-            assert!(!matches!(other.prepared, Preparation::InFile(_)));
-            assert!(behaviour(other) == fixture.expected);
+            let unstored = fixture.folder.obtain(&OTHER_NAME, || compile(0.1));
+            let unstored = unstored.expect("a scene");
+            assert!(!matches!(unstored.prepared, Preparation::InFile(_)));
+            assert!(behaviour(unstored) == fixture.expected);
         });
         reader.join().expect("the reader's assertions hold");
     });
@@ -468,8 +468,8 @@ fn programs_with_different_layouts_use_separate_texture_files() {
     fixture.obtain();
     let before = fixture.files(".texture");
     fixture.folder.layout += "another";
-    // Another program would also use other scene names; `OTHER` stands for one of them.
-    let obtained = fixture.folder.obtain(&OTHER, || compile(0.1));
+    // Another program would also use other scene names; `OTHER_NAME` stands for one of them.
+    let obtained = fixture.folder.obtain(&OTHER_NAME, || compile(0.1));
     assert!(behaviour(obtained.expect("a scene")) == fixture.expected);
     assert_eq!(fixture.files(".texture").len(), 2 * before.len());
     assert_eq!(fixture.obtain(), (false, true));
@@ -492,7 +492,7 @@ fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
         names.sort();
         names
     };
-    drop(obtain(&fixture, &OTHER, 0.2));
+    drop(obtain(&fixture, &OTHER_NAME, 0.2));
     assert_eq!(
         names(&fixture),
         ["a", "b"],

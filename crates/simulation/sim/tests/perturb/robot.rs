@@ -57,7 +57,7 @@ impl Arm {
         }
     }
 
-    fn at(&self, joints: &JointVector) -> ArmState {
+    fn state_at(&self, joints: &JointVector) -> ArmState {
         let mut position = Vector3::zeros();
         let mut rotation = UnitQuaternion::identity();
         let mut pivots = Vec::new();
@@ -89,8 +89,8 @@ fn quaternion(model: &Arrays, array: &str, index: usize) -> UnitQuaternion<f64> 
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// The reference holds two initial states per task. Only configurations that start from one of them
-/// are compared.
+/// The reference holds two initial states per task. Only configurations that start from one of
+/// these states are compared.
 #[test]
 fn arm_postures_equal_the_reference() {
     let (Some(perturb), Some(tasks)) = (folder("perturb"), folder("tasks")) else {
@@ -113,7 +113,7 @@ fn arm_postures_equal_the_reference() {
             let start = &states["state"][init_id * state_len + 1..];
             let nominal = JointVector::from_column_slice(&start[..JOINTS]);
             let shift = perturbation.robot.expect("set");
-            let solution = solve_shifted_pose(|q| arm.at(q), &nominal, &arm.ranges, &shift);
+            let solution = solve_shifted_pose(|q| arm.state_at(q), &nominal, &arm.ranges, &shift);
 
             let case = format!("{name} {level} c{config}");
             let index = usize::from(config);

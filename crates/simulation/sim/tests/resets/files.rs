@@ -17,7 +17,7 @@ pub(crate) fn sources() -> Sources {
     Sources::open(&Sources::default_dir()).expect("the sources; run `cargo xtask setup`")
 }
 
-/// Returns the built-in pack, followed by LIBERO's own if it can be fetched.
+/// Returns the built-in pack, followed by LIBERO's pack if it can be fetched.
 pub(crate) fn packs() -> Vec<AssetPack> {
     let open = |name: &str| AssetPack::open(name, &sources()).expect("a pack");
     let libero = open("libero");

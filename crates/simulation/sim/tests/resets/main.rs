@@ -35,7 +35,7 @@ fn loading_a_state_after_a_reset_restores_the_campaign_fixtures() {
 
 /// MuJoCo's warnings are stored per thread, not per environment.
 #[test]
-fn a_diverging_environment_does_not_stop_others_on_its_thread() {
+fn a_diverging_environment_does_not_stop_other_environments_on_its_thread() {
     let pack = &packs()[0];
     let [mut first, mut second] = [(); 2].map(|()| compile(&crowded(), pack).unwrap());
     for joints in [1..8, 1..3, 7..8] {
@@ -52,7 +52,7 @@ fn a_diverging_environment_does_not_stop_others_on_its_thread() {
 }
 
 #[test]
-fn a_hard_reset_removes_perturbations_and_a_soft_one_keeps_them() {
+fn a_hard_reset_removes_perturbations_and_a_soft_reset_keeps_them() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
     let nominal_diffuse = environment.model().light_diffuse().to_vec();
     let mut rng = LegacyRng::seed(2);

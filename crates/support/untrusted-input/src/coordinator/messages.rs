@@ -1,4 +1,4 @@
-//! Valid messages.
+//! Valid messages to the coordinator.
 
 use prost::Message;
 use proto::coordinator as wire;
@@ -8,16 +8,16 @@ use rollout_types::AttemptId;
 
 use super::methods::CLAIM;
 
-/// A method and an encoded message of it.
+/// A method's name and the encoded message of a call.
 pub(super) type EncodedCall = (&'static str, Vec<u8>);
 
-/// Specification with two rollouts, a perturbed and a nominal one.
+/// Specification with two rollouts: one perturbed, one nominal.
 const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
     "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
     "nominal":"eval"}"#;
 /// Seed of the coordinator's attempt ids.
 pub(super) const SEED: u64 = 1;
-/// Control steps of the rollout.
+/// Control steps of the committed rollout.
 const STEPS: u32 = 100;
 
 /// Calls made before an input, after which worker `w` holds a lease.
@@ -119,7 +119,7 @@ pub(super) fn release() -> EncodedCall {
     ("WorkerService/Release", request.encode_to_vec())
 }
 
-pub(super) fn name() -> wire::GetCampaignRequest {
+pub(super) fn get_campaign() -> wire::GetCampaignRequest {
     wire::GetCampaignRequest {
         campaign: "c".into(),
     }

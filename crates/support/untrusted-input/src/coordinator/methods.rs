@@ -29,5 +29,5 @@ pub(super) const METHODS: [&str; 25] = [
     "OperatorService/SkipJobs",
 ];
 
-/// The only method whose answer may wait, namely for a job.
+/// The only method that may wait before it answers, namely for a job.
 pub(super) const CLAIM: &str = "WorkerService/Claim";

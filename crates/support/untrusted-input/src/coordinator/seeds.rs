@@ -1,14 +1,14 @@
-//! Seed inputs.
+//! Seed inputs for calls of the coordinator.
 
 use prost::Message;
 use proto::coordinator as wire;
 use tonic::codegen::Bytes;
 
 use super::messages::{
-    EncodedCall, attempt, claim, commit, create, digest, heartbeat, job, name, release,
+    EncodedCall, attempt, claim, commit, create, digest, get_campaign, heartbeat, job, release,
 };
 use super::methods::METHODS;
-use super::service::after;
+use super::service::run_valid;
 use crate::script;
 
 /// File name of a worker's video.
@@ -17,7 +17,7 @@ const VIDEO: &str = "video.mp4";
 /// Returns seed inputs: every method alone, and the calls of a rollout from its lease to its
 /// export.
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
-    let named = name().encode_to_vec();
+    let campaign = get_campaign().encode_to_vec();
     let job = wire::GetJobRequest {
         campaign: "c".into(),
         job: Some(job()),
@@ -80,10 +80,10 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         asset_pack_digest: digest(),
         mujoco_version: "3.3.7".into(),
     };
-    let alone = [
+    let single_calls = [
         ("WorkerService/NextFilm", film.encode_to_vec()),
         ("OperatorService/ListCampaigns", vec![]),
-        ("OperatorService/GetCampaign", named.clone()),
+        ("OperatorService/GetCampaign", campaign.clone()),
         ("OperatorService/ChangeCampaign", pause.encode_to_vec()),
         ("OperatorService/ListJobs", jobs.encode_to_vec()),
         ("OperatorService/GetJob", job.encode_to_vec()),
@@ -91,20 +91,20 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/SkipJobs", skip.encode_to_vec()),
         ("OperatorService/ListWorkers", vec![]),
         ("OperatorService/Backup", vec![]),
-        ("OperatorService/Report", named.clone()),
-        ("OperatorService/Export", named.clone()),
+        ("OperatorService/Report", campaign.clone()),
+        ("OperatorService/Export", campaign.clone()),
         ("OperatorService/AlterCampaign", alter.encode_to_vec()),
         ("OperatorService/Forecast", forecast.encode_to_vec()),
         ("WorkerService/SignOff", sign_off.encode_to_vec()),
-        ("OperatorService/ArchiveCampaign", named.clone()),
+        ("OperatorService/ArchiveCampaign", campaign.clone()),
         ("OperatorService/ImportCampaign", import.encode_to_vec()),
     ];
-    let mut seeds: Vec<Vec<u8>> = alone.iter().map(|call| calls(&[call])).collect();
-    // A video is accepted only after its outcome.
+    let mut seeds: Vec<Vec<u8>> = single_calls.iter().map(|call| calls(&[call])).collect();
+    // A video is accepted only after its rollout's outcome.
     let committed = [
         calls(&[&heartbeat(), &commit()]),
         upload().concat(),
-        calls(&[&commit(), &claim(), &("OperatorService/Export", named)]),
+        calls(&[&commit(), &claim(), &("OperatorService/Export", campaign)]),
     ];
     seeds.push(committed.concat());
     let cancelled = ("OperatorService/ChangeCampaign", cancel.encode_to_vec());
@@ -120,20 +120,21 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     seeds
 }
 
+/// Returns the archive of campaign `c`.
 fn archive() -> Vec<u8> {
-    let archived = ("OperatorService/ArchiveCampaign", name().encode_to_vec());
-    let (_, chunks) = after(&[create(), archived]);
+    let request = get_campaign().encode_to_vec();
+    let (_, chunks) = run_valid(&[create(), ("OperatorService/ArchiveCampaign", request)]);
     let data = |chunk: Bytes| wire::ArchiveChunk::decode(chunk).expect("a chunk").data;
     chunks.into_iter().flat_map(data).collect()
 }
 
 /// Encodes several calls as an input.
 fn calls(calls: &[&EncodedCall]) -> Vec<u8> {
-    let write = |call: &&EncodedCall| script::write(number(call.0), &call.1);
+    let write = |call: &&EncodedCall| script::write(method_number(call.0), &call.1);
     calls.iter().flat_map(write).collect()
 }
 
-fn number(method: &str) -> u8 {
+fn method_number(method: &str) -> u8 {
     let index = METHODS.iter().position(|name| *name == method);
     u8::try_from(index.expect("a method")).expect("fewer than 256 methods")
 }
@@ -149,7 +150,7 @@ fn upload() -> [Vec<u8>; 2] {
         data: vec![4, 5],
         ..wire::ArtifactChunk::default()
     };
-    let number = number("WorkerService/PutArtifact");
+    let number = method_number("WorkerService/PutArtifact");
     [
         script::write(number, &first.encode_to_vec()),
         script::write(number | script::MORE, &second.encode_to_vec()),

@@ -34,8 +34,8 @@ pub(super) struct TestCoordinator {
 }
 
 impl TestCoordinator {
-    /// Opens a data folder like a starting coordinator. The seed differs from that of an earlier
-    /// start, since attempt ids are never reused.
+    /// Opens a data folder like a starting coordinator. The random seed differs from the seed of
+    /// the start that created the database, since attempt ids are never reused.
     pub(super) async fn in_folder(data: &Path) -> TestCoordinator {
         let starts = u64::from(data.join(DATABASE_FILE).exists());
         let coordinator = Coordinator::open(Config {
@@ -63,8 +63,8 @@ impl TestCoordinator {
         }
         let answer = timeout(ANSWER_TIMEOUT, answering).await.ok();
         if answer.is_none() {
-            // The abandoned call may still be committed. A further call waits for that, so that the
-            // effect is not attributed to the next call.
+            // The abandoned claim may still be committed. A registration waits for that commit, so
+            // that its effect is not attributed to the input's next call.
             let (method, message) = registration("next");
             let path = format!("/rollout.coordinator.v1.{method}");
             let after = call(&mut self.services, &path, &[&message]).await;
@@ -78,8 +78,8 @@ impl TestCoordinator {
     }
 }
 
-/// Returns the database after valid calls, and the answer to the last one.
-pub(super) fn after(calls: &[EncodedCall]) -> (Vec<u8>, Vec<Bytes>) {
+/// Makes valid calls on a new coordinator; returns its database file and the last call's answer.
+pub(super) fn run_valid(calls: &[EncodedCall]) -> (Vec<u8>, Vec<Bytes>) {
     block_on(async {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut coordinator = TestCoordinator::in_folder(folder.path()).await;

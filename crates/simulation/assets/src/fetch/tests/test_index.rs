@@ -19,7 +19,7 @@ pub(super) const LARGE: &str = "scenes/large texture.png";
 /// A small file, the last one in the first wheel.
 pub(super) const SMALL: &str = "scenes/room.xml";
 /// A file in the second wheel.
-pub(super) const OTHER: &str = "textures/wall.png";
+pub(super) const IN_SECOND_WHEEL: &str = "textures/wall.png";
 /// A file between [`LARGE`] and [`SMALL`] in the first wheel; no test requests the file.
 pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
 
@@ -55,7 +55,7 @@ pub(super) enum Fault {
     /// Wheels arrive byte by byte.
     SlowWheels,
     /// The wheels have the wrong size.
-    OtherWheel,
+    WrongSize,
     /// Requests without credentials are refused.
     NeedsCredentials,
 }
@@ -73,7 +73,7 @@ pub(super) fn content(path: &str) -> Vec<u8> {
     match path {
         LARGE => noise(400_000),
         UNWANTED => noise(300_000),
-        OTHER => noise(3_000),
+        IN_SECOND_WHEEL => noise(3_000),
         _ => b"<mujoco/>".repeat(20),
     }
 }
@@ -93,7 +93,7 @@ impl Wheels {
     pub(super) fn make() -> Self {
         let mut bytes = [Vec::new(), Vec::new()];
         let mut files = "heading\n".to_owned();
-        for (wheel, path) in [(0, LARGE), (0, UNWANTED), (0, SMALL), (1, OTHER)] {
+        for (wheel, path) in [(0, LARGE), (0, UNWANTED), (0, SMALL), (1, IN_SECOND_WHEEL)] {
             let content = content(path);
             let whole = &mut bytes[wheel];
             whole.extend_from_slice(b"a local header of some bytes");
@@ -295,7 +295,7 @@ impl Server {
             Fault::Forbidden => return send(stream, "403 Forbidden", "", b"no"),
             Fault::WrongBytes => whole[1000] ^= 1,
             Fault::WrongBytesOnce if is_first => whole[1000] ^= 1,
-            Fault::OtherWheel => whole.push(0),
+            Fault::WrongSize => whole.push(0),
             _ => {}
         }
         let supports_ranges = !matches!(self.fault, Fault::NoRanges | Fault::NoRangesAndCutsOnce);

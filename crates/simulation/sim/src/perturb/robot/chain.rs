@@ -1,4 +1,4 @@
-//! Arm for tests: a chain of 0.2 m links about alternating axes.
+//! Arm for tests: a chain of 0.2 m links that turn about alternating axes.
 
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 
