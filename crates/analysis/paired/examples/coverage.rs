@@ -84,6 +84,7 @@ impl Table {
             for (measure, estimate) in estimates.iter().enumerate() {
                 self.add_each(&name(MEASURES[measure]), estimate, truths_of(measure));
             }
+            // New tasks; success rate.
             let truth = truths[1][0][row];
             let percentiles = difference.difference_ci95;
             self.add(&name("A - B, percentiles"), 1, percentiles, truth);
@@ -99,7 +100,7 @@ impl Table {
 }
 
 fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(seed + tasks as u64);
     let all_tasks_truth = population.truth_of_all_tasks(suites, None);
     let mut coverage = Table::default();
@@ -130,7 +131,7 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
 }
 
 fn simulate_two(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
-    let policies = TwoPolicies::usual();
+    let policies = TwoPolicies::standard();
     let mut chance = Chance::new(seed + tasks as u64);
     let all_tasks_truth = policies.truth_of_all_tasks(suites, None);
     let mut coverage = Table::default();

@@ -242,7 +242,8 @@ impl DifferenceBounds {
     }
 }
 
-/// Returns the tally of each task that has a pair with both outcomes, ordered by task.
+/// Returns the tally of each task that has a rollout with an outcome for both policies, ordered by
+/// task.
 fn tallies(pairs: &[Pair]) -> Vec<Tally> {
     let mut tasks: BTreeMap<TaskRef, Tally> = BTreeMap::new();
     for Pair { task, a, b, .. } in pairs {
@@ -265,7 +266,7 @@ fn resampled_difference(clusters: &[Tally], draws: &[u32]) -> f64 {
     net / n
 }
 
-/// Returns a row for each pair with both outcomes, with the columns 1 and A − B.
+/// Returns a row for each rollout with an outcome for both policies, with the columns 1 and A − B.
 fn rows(pairs: &[Pair]) -> Vec<Row> {
     let rows = pairs.iter().filter_map(|pair| {
         let number = |outcome: Outcome| Some(f64::from(u8::from(outcome.success()?)));

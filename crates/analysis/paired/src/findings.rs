@@ -22,7 +22,7 @@ pub const FINDING_ALPHA: f64 = 0.01;
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
 /// Returns the findings about replicate 0: success, then for each level costs, simultaneity
-/// and, if success depends on them, directions.
+/// and, if success depends on the direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
     let cells: Vec<&Cell> = cells.collect();

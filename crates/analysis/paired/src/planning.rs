@@ -240,20 +240,20 @@ fn excess(base: f64, correlation: f64, [compared, reference]: [Planned; 2]) -> O
         (compared.variance(share, correlation) + reference.variance(reference_share, correlation))
             .sqrt()
     };
-    // Negative if the excess is detectable.
-    let lacking = |excess: f64| {
+    // Required minus given excess: negative if the given excess is detectable.
+    let shortfall = |excess: f64| {
         let share = base + excess;
         let all = compared.total() + reference.total();
         let pooled = (compared.total() * share + reference.total() * base) / all;
         Z_TEST * spread(pooled, pooled) + Z_POWER * spread(share, base) - excess
     };
     let (mut low, mut high) = (0.0, 1.0 - base);
-    if !(compared.total() > 0.0 && reference.total() > 0.0) || lacking(high) > 0.0 {
+    if !(compared.total() > 0.0 && reference.total() > 0.0) || shortfall(high) > 0.0 {
         return None;
     }
     for _ in 0..BISECTIONS {
         let middle = f64::midpoint(low, high);
-        match lacking(middle) > 0.0 {
+        match shortfall(middle) > 0.0 {
             true => low = middle,
             false => high = middle,
         }

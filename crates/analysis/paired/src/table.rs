@@ -81,7 +81,7 @@ fn quarantined(names: &[String]) -> String {
         more => format!(" and {more} more"),
     };
     format!(
-        "in quarantine and in no rate ({}): {named}{more}",
+        "in quarantine and excluded from every rate ({}): {named}{more}",
         names.len()
     )
 }
@@ -179,7 +179,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
     for cell in cells {
         let count = |condition| match condition {
             Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
-            Condition::Latency => cell.latency.as_ref().map(|late| late.count),
+            Condition::Latency => cell.latency.as_ref().map(|latency| latency.count),
             _ => cell.simultaneous,
         };
         let loss = |condition| match condition {
@@ -187,7 +187,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
             Condition::Latency => percent(
                 cell.latency
                     .as_ref()
-                    .and_then(|late| late.clean_relative_loss),
+                    .and_then(|latency| latency.clean_relative_loss),
             ),
             _ => String::new(),
         };

@@ -327,11 +327,11 @@ proptest! {
     #[test]
     fn a_set_has_the_same_difference_alone_and_among_others(
         pairs in outcomes(),
-        other in outcomes(),
+        other_pairs in outcomes(),
     ) {
         let bootstrap = Bootstrap { replicates: 60, seed: 1 };
         let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
-        let among = Difference::of_each(&[other, pairs], &bootstrap);
+        let among = Difference::of_each(&[other_pairs, pairs], &bootstrap);
         // Corrections for multiple rows depend on the other rows.
         let without_corrections = |difference: &Option<Difference>| {
             difference.clone().map(|difference| Difference {

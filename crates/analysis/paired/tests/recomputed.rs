@@ -193,7 +193,7 @@ fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> 
 /// campaigns declares that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(1000 + seed);
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
@@ -215,7 +215,7 @@ fn simulated_comparison(seed: u64) -> Value {
 /// third has replicates.
 fn simulated_campaign(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (10, 1), (20, 4)][seed as usize % 5];
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(seed);
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);

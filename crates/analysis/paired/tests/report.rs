@@ -275,7 +275,7 @@ fn an_incomplete_cell_counts_complete_configurations_and_lists_gaps() {
 
     let text = table(&report);
     for expected in [
-        "in quarantine and in no rate (1): spatial/t2/sensor/L2/c00",
+        "in quarantine and excluded from every rate (1): spatial/t2/sensor/L2/c00",
         "nominal success: 100.0 % (2/2); 1 missing",
         "incomplete L2: camera 1 missing; sensor 1 quarantined",
         "1 of 3",

@@ -67,8 +67,8 @@ fn met_at(records: &Records, level: Level, stop: &Stop) -> Option<usize> {
             .iter()
             .find(|configuration| (configuration.task, configuration.config) == *unit);
         let possible = matched.and_then(|matched| matched.possible_transitions());
-        let taken = sequential.complete(unit, &possible.expect("published outcomes are known"));
-        taken.expect("a configuration of the order");
+        let result = sequential.complete(unit, &possible.expect("published outcomes are known"));
+        result.expect("a configuration of the order");
         sequential.look().meets(&stop.rule)
     })
 }

@@ -36,7 +36,7 @@ pub struct SequentialCell {
     pub used: usize,
     /// Interval of the difference, fractions.
     pub difference: [f64; 2],
-    /// Number of configurations after which the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met; `None` if it was not met.
     pub met_after: Option<usize>,
 }
 

@@ -48,7 +48,7 @@ pub struct Subject {
     /// Assignment of perturbation directions to configurations.
     #[serde(default)]
     pub directions: Directions,
-    /// Radius of the placebo level, if the campaign has one and it is known.
+    /// Radius of the placebo level, if the campaign has such a level and its radius is known.
     #[serde(default)]
     pub placebo_radius: Option<f64>,
     /// Progress of the rollouts with an outcome, as far as known.

@@ -30,8 +30,8 @@ pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError>
     }
 }
 
-/// Writes the same table as Parquet: one row group, no compression, and pandas metadata that
-/// preserves the types of nullable columns.
+/// Writes the table of [`write_csv`] as Parquet: one row group, no compression, and pandas metadata
+/// that preserves the types of nullable columns.
 ///
 /// # Errors
 /// If `out` fails.

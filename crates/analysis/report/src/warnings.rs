@@ -30,7 +30,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
         "execution model",
         "never pooled: the robot moves differently under each",
     ));
-    warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
+    warnings.extend(subject.fingerprints.as_ref().map(describe_fingerprints));
     if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
@@ -191,7 +191,7 @@ fn mixed(values: impl Iterator<Item = String>, name: &str, consequence: &str) ->
 
 /// Returns the number of results with each fingerprint, and the configurations whose results
 /// have more than one.
-pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
+pub fn describe_fingerprints(mix: &Fingerprints) -> String {
     let results = mix.results.iter();
     let results: Vec<String> = results
         .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
@@ -263,7 +263,7 @@ fn divergent(subject: &Subject) -> Option<String> {
     let divergent = &subject.divergent;
     (!divergent.is_empty()).then(|| {
         format!(
-            "{} rollouts ran twice and came out differently (the first outcome counts): {}",
+            "{} rollouts ran twice with different outcomes (the first outcome counts): {}",
             divergent.len(),
             first_names(divergent)
         )
@@ -280,7 +280,7 @@ fn incomplete(subject: &Subject) -> Option<String> {
         .count();
     (open > 0).then(|| {
         format!(
-            "{open} of {} rollouts have no result yet: figures are of what is complete",
+            "{open} of {} rollouts have no result yet: figures cover the results so far",
             subject.records.len()
         )
     })

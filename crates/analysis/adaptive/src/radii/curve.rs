@@ -30,7 +30,7 @@ use super::threshold::{Finding, Threshold};
 
 /// One half of all configurations.
 const HALF: f64 = 0.5;
-/// Largest number of iterations of the fixed point for censored configurations.
+/// Largest number of fixed-point iterations for censored configurations.
 const MAX_ITERATIONS: u32 = 1_000;
 /// Change of a share below which the iteration has converged.
 const CONVERGED: f64 = 1e-12;
@@ -131,20 +131,21 @@ impl Survives {
             Threshold::Open { succeeds_at } => Some(Self::AtLeast(succeeds_at.radius())),
             Threshold::NominalUnknown => None,
         };
-        survives.filter(|_| finding.is_on_grid)
+        survives.filter(|_| finding.is_grid_complete)
     }
 
     /// Returns the probability of survival up to a radius for a threshold that is uniform in its
-    /// bracket. Beyond the radius of censoring, it is the survival of `others`, conditional on
-    /// survival up to the radius of censoring.
-    fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
+    /// bracket. `curve` returns the share of all configurations that survive up to a radius. Beyond
+    /// the radius of censoring, the probability is this share, conditional on survival up to the
+    /// radius of censoring.
+    fn expected(self, radius: f64, curve: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
             Self::Until([low, high]) => ((high - radius) / (high - low)).clamp(0.0, 1.0),
             Self::Throughout => 1.0,
             Self::AtLeast(until) if radius <= until => 1.0,
-            Self::AtLeast(until) => match others(until) {
-                share if share > 0.0 => others(radius) / share,
+            Self::AtLeast(until) => match curve(until) {
+                share if share > 0.0 => curve(radius) / share,
                 _ => 0.0,
             },
         }
@@ -160,6 +161,7 @@ impl Survives {
         }
     }
 
+    /// Returns the known ends of the bracket.
     fn ends(self) -> impl Iterator<Item = f64> {
         let ends = match self {
             Self::Until(ends) => [Some(ends[0]), Some(ends[1])],
@@ -316,14 +318,14 @@ impl Clusters {
     fn survival(&self, thresholds: &[(TaskRef, Survives)]) -> Vec<f64> {
         let mut survival = vec![1.0; self.radii.len()];
         for _ in 0..MAX_ITERATIONS {
-            let others = |radius: f64| {
-                let place = self.radii.partition_point(|other| *other < radius);
+            let curve = |radius: f64| {
+                let place = self.radii.partition_point(|smaller| *smaller < radius);
                 survival[place]
             };
             let share = |&radius: &f64| {
                 let expected = thresholds
                     .iter()
-                    .map(|(_, survives)| survives.expected(radius, others));
+                    .map(|(_, survives)| survives.expected(radius, curve));
                 expected.sum::<f64>() / thresholds.len() as f64
             };
             let next: Vec<f64> = self.radii.iter().map(share).collect();

@@ -26,6 +26,7 @@ pub struct Measurement {
     searches: BTreeMap<Condition, Search>,
     /// Upper bound of the number of further rollouts of each configuration.
     costs: BTreeMap<Configuration, u32>,
+    /// Configurations that are measured.
     sample: BTreeSet<Configuration>,
 }
 
@@ -101,7 +102,7 @@ impl Measurement {
     }
 
     /// Returns the upper bound of the number of further rollouts of any single configuration.
-    pub fn most_rollouts_of_one(&self) -> u32 {
+    pub fn most_rollouts_per_configuration(&self) -> u32 {
         self.costs.values().copied().max().unwrap_or_default()
     }
 
@@ -141,7 +142,7 @@ impl Measurement {
             levels.into_iter().map(move |level| (ray, level))
         });
         let mut requests: Vec<(Ray, Level)> = requests.collect();
-        // Sorted by configuration first, so that early results cover all tasks.
+        // Sorted by the number of the configuration first, so that early results cover all tasks.
         requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
         // The sample fits the budget, so that this removes requests only if rollouts return
         // from quarantine after their brackets were halved without them.

@@ -71,8 +71,8 @@ pub struct MinimalSubset {
 }
 
 impl MinimalSubset {
-    /// Returns true if the subset is certainly minimal, because all subsets between the
-    /// start and it were run.
+    /// Returns true if the subset is certainly minimal, because all subsets strictly between the
+    /// start and `set` were run.
     pub const fn is_established(&self) -> bool {
         self.open.is_empty()
     }
@@ -124,9 +124,10 @@ pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
     })
 }
 
-/// Returns the transition that the outcomes of the explained campaign form. With repeats
-/// it only selects the configuration for a test: see [`Repeats`](super::Repeats). The nominal
-/// rollout counts by its majority, because no further replicate of it is ever run.
+/// Returns the transition that the outcomes of the explained campaign form. With repeats, this
+/// transition only selects the configuration for a test: see [`Repeats`](super::Repeats). The
+/// nominal rollout counts by the majority of its replicates, because no further replicate of it is
+/// ever run.
 ///
 /// # Errors
 /// If these outcomes form no transition to explain.
@@ -147,7 +148,8 @@ pub fn selected(lattice: &Lattice) -> Result<Transition, Unexplained> {
 }
 
 /// Checks that the verdicts of each axis alone and of all axes together equal the selecting
-/// outcomes. Without repeats every decided verdict does, since the same rollouts select and decide.
+/// outcomes. Without repeats, a decided verdict always equals the selecting outcome, since both are
+/// of the same rollout.
 pub(crate) fn confirm(lattice: &Lattice) -> Result<(), Unexplained> {
     let mut is_waiting = false;
     for set in lattice.singles().chain([lattice.full()]) {

@@ -70,9 +70,9 @@ pub struct Estimate {
     pub ci95: Option<Interval>,
     /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
-    /// 95 % interval that holds simultaneously with those of all Möbius interactions, Shapley
-    /// values or pairs, respectively ([`max_t`]). Absent for success and sizes, and if
-    /// `ci95` is absent.
+    /// 95 % interval that holds simultaneously with the intervals of all other estimates of its
+    /// kind: Möbius interactions, Shapley values or pairs ([`max_t`]). Absent for success and
+    /// sizes, and if `ci95` is absent.
     pub simultaneous_ci95: Option<Interval>,
 }
 
@@ -206,7 +206,7 @@ fn set_simultaneous_intervals(
     deviations: &[Vec<f64>],
     bootstrap: &Bootstrap,
 ) {
-    // The standard errors below pool all tasks.
+    // All tasks form a single stratum, as for the standard errors below.
     let tasks = deviations.first().map_or(0, Vec::len);
     let Some(critical) = max_t(deviations, &[tasks], bootstrap) else {
         return;

@@ -136,7 +136,7 @@ fn undecided_requests(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) ->
 fn first_request(lattice: &Lattice, set: AxisSet) -> Request {
     Request {
         set,
-        rollouts: lattice.evidence().first(lattice.role(set)),
+        rollouts: lattice.evidence().first_batch(lattice.role(set)),
     }
 }
 

@@ -25,9 +25,13 @@ pub(crate) struct Sample {
     sums: Vec<f64>,
     tasks: BTreeSet<TaskRef>,
     directions: Directions,
+    /// Strata are suites, groups are tasks.
     tasks_in_suites: Vec<Stratum>,
+    /// Strata are suites, groups are single rows.
     rows_in_suites: Vec<Stratum>,
+    /// Strata are tasks, groups are single rows.
     rows_in_tasks: Vec<Stratum>,
+    /// A single stratum, whose groups are directions.
     by_direction: Stratum,
 }
 
@@ -66,7 +70,7 @@ pub(crate) struct Variances {
 }
 
 impl Sample {
-    /// Returns `None` if there are no rows.
+    /// Sums the rows by group; `None` if there are no rows.
     pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
         if rows.is_empty() {
             return None;

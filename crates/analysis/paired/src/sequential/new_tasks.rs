@@ -84,6 +84,7 @@ struct Mean {
     kept: [i64; 2],
 }
 
+/// A bet on large or on small values.
 #[derive(Clone, Debug)]
 struct Bet {
     /// Relative size; negative for the bet on small values.

@@ -133,7 +133,7 @@ type Effects = Vec<[f64; CONDITIONS + 1]>;
 impl Population {
     /// Returns a population with suites of unequal difficulty, axes of unequal cost, and an effect
     /// of the direction.
-    pub(crate) const fn usual() -> Self {
+    pub(crate) const fn standard() -> Self {
         Self {
             ease: [2.8, 3.2, 2.4, 1.4],
             costs: [1.4, 0.9, 0.7, 0.2, 0.5, 0.1, 2.2],
@@ -150,7 +150,8 @@ impl Population {
         (0..tasks).map(draw_task).collect()
     }
 
-    /// Draws the effects of directions; they have none on nominal rollouts.
+    /// Draws the effects of directions on each condition at L2; directions have no effect on
+    /// nominal rollouts.
     pub(crate) fn directions(&self, directions: u16, chance: &mut Chance) -> Effects {
         let draw_direction = |_| {
             let mut effects = [0.0; CONDITIONS + 1];
@@ -212,7 +213,7 @@ impl Population {
         directions: Option<&Effects>,
     ) -> BTreeMap<&'static str, f64> {
         let [task_deviation, condition_deviation, direction_deviation] = self.deviations;
-        let none: Effects = vec![[0.0; CONDITIONS + 1]];
+        let no_effects: Effects = vec![[0.0; CONDITIONS + 1]];
         let spread = match directions {
             Some(_) => condition_deviation,
             None => condition_deviation.hypot(direction_deviation),
@@ -223,7 +224,7 @@ impl Population {
         };
         let mut sums = [0.0; 7 + CONDITIONS];
         for ease in &self.ease[..suites] {
-            for direction in directions.unwrap_or(&none) {
+            for direction in directions.unwrap_or(&no_effects) {
                 for (z_task, weight) in normal_points() {
                     let logit = ease + task_deviation * z_task;
                     let mut nominal = [0.0; 3];
@@ -380,8 +381,8 @@ pub(crate) fn estimates(cell: &Cell) -> BTreeMap<&'static str, Estimate> {
 pub(crate) enum Planted {
     /// No effect: every rollout is a coin flip under every condition.
     Coins,
-    /// One axis makes three of ten configurations fail, alone and simultaneously. One in seven of
-    /// the other configurations fails only simultaneously: 10 points of all configurations.
+    /// The camera makes three of ten configurations fail, alone and simultaneously. One in seven of
+    /// the other configurations fails only simultaneously, which is 10 % of all configurations.
     Interaction,
     /// The camera makes three directions of ten fail in half of the tasks, alone and
     /// simultaneously.

@@ -85,9 +85,11 @@ pub(crate) struct PairedEffects {
 pub(crate) struct TwoPolicies([Policy; 2]);
 
 impl TwoPolicies {
-    pub(crate) const fn usual() -> Self {
+    /// Returns two policies that differ in the difficulty of suites, the costs of axes, and
+    /// progress.
+    pub(crate) const fn standard() -> Self {
         let first = Policy {
-            population: Population::usual(),
+            population: Population::standard(),
             half_done: 0.5,
             steps: 120.0,
         };
@@ -95,7 +97,7 @@ impl TwoPolicies {
             population: Population {
                 ease: [2.4, 3.3, 2.0, 1.5],
                 costs: [0.6, 1.2, 0.7, 0.1, 0.9, 0.1, 1.4],
-                deviations: Population::usual().deviations,
+                deviations: Population::standard().deviations,
             },
             half_done: 0.3,
             steps: 140.0,
@@ -181,19 +183,21 @@ impl TwoPolicies {
         directions: Option<&PairedEffects>,
     ) -> Truth {
         let [task_deviation, condition_deviation, direction_deviation] = self.deviations();
-        let none: Effects = vec![[0.0; ROWS]];
+        let no_effects: Effects = vec![[0.0; ROWS]];
         let mut truth = [[0.0; ROWS]; 4];
         for (sign, index) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[index];
             let given = directions.map(|directions| &directions.effects[index]);
-            let directions = given.unwrap_or(&none);
+            let directions = given.unwrap_or(&no_effects);
             for row in 0..ROWS {
                 // Nominal rollouts have no direction.
-                let unknown = match given {
+                let direction_spread = match given {
                     None if row < CONDITIONS => direction_deviation,
                     _ => 0.0,
                 };
-                let spread = task_deviation.hypot(condition_deviation).hypot(unknown);
+                let spread = task_deviation
+                    .hypot(condition_deviation)
+                    .hypot(direction_spread);
                 let mut success = 0.0;
                 for suite in 0..suites {
                     for direction in directions {

@@ -56,7 +56,7 @@ pub(super) fn comparison(comparison: &Comparison) -> Markup {
     html! {
         @if !notes.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
-                h2 { "Before you believe these figures" }
+                h2 { "Warnings" }
                 (sentences(&notes))
             }
         }
@@ -188,7 +188,7 @@ fn tasks(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Renders partial progress; empty unless it is known for both policies.
+/// Renders partial progress; empty unless progress is known for both policies.
 fn progress(comparison: &Comparison) -> Markup {
     let heads = [
         "rollouts",
@@ -201,14 +201,14 @@ fn progress(comparison: &Comparison) -> Markup {
         "new tasks and directions",
         "Holm p",
     ];
-    let row = |name: String, what: &str, mean: &MeanDifference, number: fn(f64) -> String| {
+    let row = |name: String, measure: &str, mean: &MeanDifference, number: fn(f64) -> String| {
         let signed = |value: f64| match value < 0.0 {
             true => number(value),
             false => format!("+{}", number(value)),
         };
         vec![
             plain(name),
-            plain(what),
+            plain(measure),
             plain(mean.n),
             plain(number(mean.mean_a)),
             plain(number(mean.mean_b)),

@@ -54,7 +54,7 @@ pub(super) fn warnings(document: &Document) -> Markup {
     html! {
         @if has_warnings || !document.warnings.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
-                h2 { "Before you believe these figures" }
+                h2 { "Warnings" }
                 ul {
                     @for warning in &document.warnings { li { (sentence(warning)) } }
                     @for analysis in &document.analyses {
@@ -116,9 +116,9 @@ pub(super) fn section(document: &Document) -> Markup {
                 h2 { "Findings" }
                 @for (analysis, first, others) in policies {
                     @if several { h3 { (analysis.label) } }
-                    @for finding in first { p { (finding_in_words(finding)) } }
+                    @for finding in first { p { (render_finding(finding)) } }
                     @if !others.is_empty() {
-                        ul.findings { @for finding in others { li { (finding_in_words(finding)) } } }
+                        ul.findings { @for finding in others { li { (render_finding(finding)) } } }
                     }
                 }
             }
@@ -127,7 +127,7 @@ pub(super) fn section(document: &Document) -> Markup {
 }
 
 /// Renders a finding, in bold if it claims an effect.
-fn finding_in_words(finding: &Finding) -> Markup {
+fn render_finding(finding: &Finding) -> Markup {
     let sentence = words::minus_signs(&finding.sentence);
     html! {
         @if finding.claims { strong { (in_code(&sentence)) } } @else { (in_code(&sentence)) }

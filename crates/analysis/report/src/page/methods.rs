@@ -135,8 +135,8 @@ fn policy_methods(analysis: &Analysis) -> Markup {
     }
 }
 
-/// Describes the number of clipped actions; it bounds the effect of clipping before or after the
-/// actuation axis.
+/// Describes the number of clipped actions, which bounds the effect of clipping before or after
+/// the actuation axis.
 fn beyond(range: BeyondRange, realisation: Option<Realisation>) -> String {
     let BeyondRange {
         actions,

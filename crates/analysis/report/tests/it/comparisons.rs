@@ -67,15 +67,15 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
         |id: &RolloutId| id.level().to_string() == "L2" && id.condition() == Condition::Combination;
     let pairs = a.records.iter().zip(&b.records);
     let pairs = pairs.filter(|(a, _)| is_cell(&a.id));
-    let only = |one: Outcome, other: Outcome| {
-        let found = pairs
+    let count = |outcome_a: Outcome, outcome_b: Outcome| {
+        let matching = pairs
             .clone()
-            .filter(|(a, b)| (a.outcome, b.outcome) == (one, other));
-        found.count()
+            .filter(|(a, b)| (a.outcome, b.outcome) == (outcome_a, outcome_b));
+        matching.count()
     };
     let (a_only, b_only) = (
-        only(Outcome::Success, Outcome::Failure),
-        only(Outcome::Failure, Outcome::Success),
+        count(Outcome::Success, Outcome::Failure),
+        count(Outcome::Failure, Outcome::Success),
     );
     assert!(a_only > 0 && b_only > 0);
     let comparison = compare(a, b).expect("comparable");
@@ -165,9 +165,9 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
     );
     // A subject that mixes two packs is comparable with no subject, not even with itself.
     let mut mixed = altered("second");
-    let mut more = mixed.provenances[0].clone();
-    more.pin.asset_pack_digest = "b".repeat(64);
-    mixed.provenances.push(more);
+    let mut second_pack = mixed.provenances[0].clone();
+    second_pack.pin.asset_pack_digest = "b".repeat(64);
+    mixed.provenances.push(second_pack);
     assert!(reasons(campaign("first"), mixed.clone()).contains("asset pack"));
     assert!(reasons(mixed.clone(), mixed).contains("asset pack"));
 }
@@ -243,7 +243,7 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
     assert_eq!(comparison.statistics.shared(), 8400 - 1 - from_state as u64);
     let text = comparison.text();
     assert!(
-        text.contains("1 rollout of both cannot be paired (another perturbation"),
+        text.contains("1 rollout that both policies have cannot be paired (another perturbation"),
         "{text}"
     );
 }

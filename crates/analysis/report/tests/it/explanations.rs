@@ -180,7 +180,7 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
     let document = document(vec![explaining()]);
     let html = page(&document);
     for expected in [
-        "Why outcomes of OpenVLA-OFT change",
+        "Explained outcome changes of OpenVLA-OFT",
         "emergent failures were explained",
         "More axes can undo what fewer do",
         "lighting+actuation is undone by lighting+sensor+actuation",
@@ -194,9 +194,9 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
     let text = document.text();
     assert_fits_a_terminal(&text);
     assert!(text.contains("transitions explained"), "{text}");
-    // With a measured policy beside it, the page shows both.
+    // A page about a measured policy and an explaining campaign has the sections of both.
     let both = page(&crate::subjects::document(vec![example(), explaining()]));
-    assert!(both.contains("Which axes it takes") && both.contains("Paired outcomes"));
+    assert!(both.contains("Minimal subsets of the axes") && both.contains("Paired outcomes"));
 }
 
 #[test]
@@ -274,7 +274,7 @@ fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
     );
     let text = found.text();
     assert_fits_a_terminal(&text);
-    assert!(page(&document).contains("How the axes interact"));
+    assert!(page(&document).contains("Interactions of the axes"));
 }
 
 #[test]

@@ -72,7 +72,7 @@ fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
     assert_eq!((robot.broken, noise.gained), (0, 0));
     assert!(robot.gained > 0 && robot.gained < 1550);
     assert_eq!(noise.loss, Some(100.0 * noise.broken as f64 / 1601.0));
-    // Every resampling has the same per cent, but not the same loss.
+    // The success rate is the same in every resampling, but the loss is not.
     assert_eq!(robot.no_interval, Some(NoInterval::NoSpread));
     let [low, high] = noise.loss_interval.expect("an interval");
     assert!(low < noise.loss.expect("pairs") && noise.loss.expect("pairs") < high);
@@ -174,17 +174,17 @@ fn the_family_is_never_pooled_with_other_rollouts() {
 #[test]
 fn two_protocols_are_compared_variant_by_variant() {
     let official = subject(vec![Suite::Goal], by_dimension);
-    // Under the other protocol, robot variants of tasks of odd number fail.
-    let other = Subject {
+    // Under protocol `plus-rlinf`, robot variants of tasks of odd number fail.
+    let rlinf = Subject {
         protocol: Some("plus-rlinf".to_owned()),
         ..subject(vec![Suite::Goal], |case| match by_dimension(case) {
             Outcome::Success if case.group().is_some() => {
                 Outcome::from(case.task.index().is_multiple_of(2))
             }
-            same => same,
+            outcome => outcome,
         })
     };
-    let compared = FamilyComparison::of(&official, &other).expect("comparable");
+    let compared = FamilyComparison::of(&official, &rlinf).expect("comparable");
     let compared = compared.expect("of LIBERO's family");
     let [robot, noise] = compared.groups.as_slice() else {
         panic!("{:?}", compared.groups);

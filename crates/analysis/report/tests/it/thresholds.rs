@@ -169,7 +169,7 @@ fn the_report_of_a_measuring_campaign_shows_its_findings() {
     let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
     let html = page(&document);
     for expected in [
-        "How far OpenVLA-OFT goes",
+        "Thresholds of OpenVLA-OFT",
         "class=\"curve\"",
         "Half-success radius",
     ] {

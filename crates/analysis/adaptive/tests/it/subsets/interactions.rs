@@ -121,7 +121,7 @@ fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
 }
 
 #[test]
-fn a_failing_pair_is_one_coefficient_shared_by_its_axes() {
+fn a_failing_pair_has_one_moebius_coefficient_which_its_axes_share_equally() {
     let interactions =
         Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("configurations");
     for (set, m) in &interactions.moebius {

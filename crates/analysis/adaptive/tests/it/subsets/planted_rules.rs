@@ -1,14 +1,14 @@
-//! The minimal subsets of planted rules are found at the promised cost.
+//! Searches find the minimal subsets of planted rules while they run few further subsets.
 
 use adaptive::subsets::{Evidence, Repeats, Strategy};
 
-use super::planted::{Found, Kind, Rule, search_noisy, search_rule, seeded};
+use super::planted::{Kind, Rule, SearchResult, search_noisy, search_rule, seeded};
 
 const RULES: usize = 300;
 /// Number of subsets that an ordinary campaign does not run.
-const FURTHER: f64 = 56.0;
+const FURTHER_SUBSETS: f64 = 56.0;
 
-fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, Found)> {
+fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, SearchResult)> {
     let mut rng = seeded(11);
     let search = |_| {
         let rule = Rule::draw(kind, &mut rng);
@@ -70,7 +70,7 @@ fn searches_of_the_mixture_run_at_most_a_third_of_the_lattice() {
         let means = Kind::MIXTURE
             .iter()
             .map(|&kind| mean_subsets(kind, strategy));
-        means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER
+        means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER_SUBSETS
     };
     let (adaptive, top_down) = (share(Strategy::Adaptive), share(Strategy::TopDown));
     assert!(adaptive <= 1.0 / 3.0, "{adaptive}");
@@ -107,8 +107,8 @@ fn the_rule_of_a_noisy_policy_is_found_by_replicates() {
             exact += usize::from(found.is_exact(&rule));
         }
     }
-    // The first rollouts of eight subsets all show the rule's outcomes with probability
-    // 0.98⁸ = 85 %. A transition that the first rollouts hide is not searched.
+    // The source campaign runs eight subsets once. All eight outcomes agree with the rule with
+    // probability 0.98⁸ = 85 %; a transition that they do not show is not searched.
     assert!(explained * 100 >= 80 * rules, "{explained} of {rules}");
     assert!(exact * 100 >= 98 * explained, "{exact} of {explained}");
 }

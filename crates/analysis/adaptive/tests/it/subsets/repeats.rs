@@ -36,7 +36,8 @@ fn search(coins: Coins, strategy: Strategy, rng: &mut ChaCha12Rng) -> Lattice {
     lattice
 }
 
-/// Returns the number of claims about a lattice and of false ones; with a fair coin, all are false.
+/// Returns the numbers of claims and of false claims about a lattice. Every claim about a fair coin
+/// is false.
 fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     if explain(lattice).is_err() {
         return [0, 0];
@@ -57,7 +58,7 @@ fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     claims
 }
 
-/// Returns the numbers of lattices with a claim, and with a false one.
+/// Returns the number of lattices with a claim, and the number of lattices with a false claim.
 fn lattices_with_claims(coins: Coins, strategy: Strategy, seed: u64) -> [usize; 2] {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     let mut counts = [0, 0];
