@@ -35,15 +35,15 @@ impl Mean {
         let n = results.len() as f64;
         let explained = results
             .iter()
-            .filter(|(found, _)| found.explanation.is_some());
+            .filter(|(result, _)| result.explanation.is_some());
         let explained = explained.count() as f64;
         let mean = |value: &dyn Fn(&SearchResult) -> f64| {
-            results.iter().map(|(found, _)| value(found)).sum::<f64>() / n
+            results.iter().map(|(result, _)| value(result)).sum::<f64>() / n
         };
         Self {
-            subsets: mean(&|found| found.subsets as f64),
-            rollouts: mean(&|found| f64::from(found.rollouts)),
-            batches: mean(&|found| found.batches as f64),
+            subsets: mean(&|result| result.subsets as f64),
+            rollouts: mean(&|result| f64::from(result.rollouts)),
+            batches: mean(&|result| result.batches as f64),
             explained: explained / n,
             exact: results.iter().filter(|(_, exact)| *exact).count() as f64 / explained,
         }
@@ -76,9 +76,9 @@ fn main() {
             let mut rng = seeded(1);
             let search = |_| {
                 let rule = Rule::draw(kind, &mut rng);
-                let found = search_rule(&rule, strategy);
-                let exact = found.is_exact(&rule);
-                (found, exact)
+                let result = search_rule(&rule, strategy);
+                let exact = result.is_exact(&rule);
+                (result, exact)
             };
             let mean = Mean::new(&(0..RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("{kind:?}"));
@@ -94,9 +94,9 @@ fn main() {
             let search = |i: usize| {
                 let rule = Rule::draw(Kind::MONOTONE[i % Kind::MONOTONE.len()], &mut rng);
                 let evidence = Evidence::Repeated(Repeats::default());
-                let found = search_noisy(&rule, strategy, evidence, noise, &mut rng);
-                let exact = found.is_exact(&rule);
-                (found, exact)
+                let result = search_noisy(&rule, strategy, evidence, noise, &mut rng);
+                let exact = result.is_exact(&rule);
+                (result, exact)
             };
             let mean = Mean::new(&(0..NOISY_RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("monotone, noise {:.0} %", 100.0 * noise));

@@ -304,8 +304,8 @@ mod tests {
             let variance = compared.variance(pooled, 0.0) + reference.variance(pooled, 0.0);
             (rate - reference_rate).abs() > Z_TEST * variance.sqrt()
         };
-        let found = (0..campaigns).filter(is_found).count();
-        let power = found as f64 / f64::from(campaigns);
+        let count = (0..campaigns).filter(is_found).count();
+        let power = count as f64 / f64::from(campaigns);
         assert!((0.75..0.85).contains(&power), "{power} for {excess}");
     }
 
@@ -349,8 +349,8 @@ mod tests {
             ..assumed(0.2, 0.0)
         });
         for (level, nearest) in [("L2", "L1"), ("r7", "L3"), ("r0.1", "L1"), ("L3", "L3")] {
-            let found = Assumed::nearest(&all, at(level)).expect("a perturbed level");
-            assert_eq!(found.level, at(nearest), "{level}");
+            let assumed = Assumed::nearest(&all, at(level)).expect("a perturbed level");
+            assert_eq!(assumed.level, at(nearest), "{level}");
         }
         assert_eq!(Assumed::nearest(&all[..1], Level::L2), None);
     }

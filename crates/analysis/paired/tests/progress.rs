@@ -74,8 +74,11 @@ fn differences_in_steps_and_predicates_equal_those_worked_out_by_hand() {
         (nominal.condition, nominal.progress),
         (Condition::Clean, None)
     );
-    let found = comparison.cells[1].progress.expect("progress");
-    let (goal, steps) = (found.goal.expect("goals"), found.steps.expect("steps"));
+    let progress = comparison.cells[1].progress.expect("progress");
+    let (goal, steps) = (
+        progress.goal.expect("goals"),
+        progress.steps.expect("steps"),
+    );
     assert_eq!((steps.n, steps.tasks), (10, 10));
     assert_eq!((steps.mean_a, steps.mean_b), (105.5, 100.0));
     assert!(is_near(steps.difference.value, 5.5));
@@ -118,9 +121,9 @@ fn progress_known_for_one_policy_only_is_excluded() {
     progress_b[1].goal = None;
     progress_b.pop();
     let comparison = compare(compared(&a, &progress_a), compared(&b, &progress_b));
-    let found = comparison.cells[1].progress.expect("progress");
-    assert_eq!(found.steps.map(|mean| mean.n), Some(8));
-    assert_eq!(found.goal.map(|mean| mean.n), Some(7));
+    let progress = comparison.cells[1].progress.expect("progress");
+    assert_eq!(progress.steps.map(|mean| mean.n), Some(8));
+    assert_eq!(progress.goal.map(|mean| mean.n), Some(7));
     let without_b = compare(compared(&a, &progress_a), Compared::from(b.as_slice()));
     assert!(without_b.cells.iter().all(|cell| cell.progress.is_none()));
     let text = comparison_table(&without_b, &Bootstrap::default());

@@ -237,10 +237,10 @@ fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
         "", "configurations", "established"
     );
     for occurrence in occurrences {
-        let (found, established) = (occurrence.configurations, occurrence.established);
+        let (configurations, established) = (occurrence.configurations, occurrence.established);
         let name = subset(occurrence.start, occurrence.set);
         push_name(text, &name, NAMES);
-        let _ = writeln!(text, "{found:>15}{established:>13}");
+        let _ = writeln!(text, "{configurations:>15}{established:>13}");
     }
 }
 

@@ -244,7 +244,7 @@ impl Search {
     }
 
     fn answer(&self) -> Answer {
-        let found = self.minimal();
+        let minimal_subsets = self.minimal();
         let supersets = |minimal: AxisSet| {
             let unflipped = self.unflipped.iter().copied();
             let above: Vec<AxisSet> = unflipped.filter(|set| minimal.is_subset(*set)).collect();
@@ -258,11 +258,11 @@ impl Search {
         largest.sort_by_key(|set| (std::cmp::Reverse(set.len()), *set));
         Answer {
             start: self.start,
-            non_monotone: found
+            non_monotone: minimal_subsets
                 .iter()
-                .flat_map(|found| supersets(found.set))
+                .flat_map(|minimal| supersets(minimal.set))
                 .collect(),
-            minimal: found,
+            minimal: minimal_subsets,
             largest_unflipped: largest,
         }
     }

@@ -35,9 +35,9 @@ pub(super) fn section(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
                         (progress(comparison))
                         (sequential::comparison_table(comparison))
                     }
-                    Err(refused) => {
-                        h3 { (refused.a) " and " (refused.b) " are not compared" }
-                        (sentences(&refused.reasons))
+                    Err(unpairable) => {
+                        h3 { (unpairable.a) " and " (unpairable.b) " are not compared" }
+                        (sentences(&unpairable.reasons))
                     }
                 }
             }

@@ -91,18 +91,26 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
     assert_eq!(cells.len(), 3 * 7);
     let is_expected = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
     let cell = cells.iter().find(is_expected).expect("a cell");
-    let found = &cell["difference"];
-    assert_eq!((&found["n"], &found["tasks"]), (&json!(400), &json!(40)));
+    let difference_json = &cell["difference"];
     assert_eq!(
-        (&found["a_only"], &found["b_only"]),
+        (&difference_json["n"], &difference_json["tasks"]),
+        (&json!(400), &json!(40))
+    );
+    assert_eq!(
+        (&difference_json["a_only"], &difference_json["b_only"]),
         (&json!(a_only), &json!(b_only))
     );
     let difference = (a_only as f64 - b_only as f64) / 400.0;
-    assert!((found["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
-    let ends = found["difference_ci95"].as_array().expect("an interval");
+    assert!((difference_json["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
+    let ends = difference_json["difference_ci95"]
+        .as_array()
+        .expect("an interval");
     let ends: Vec<f64> = ends.iter().filter_map(Value::as_f64).collect();
-    assert!(ends[0] < difference && difference < ends[1], "{found}");
-    assert_eq!(found["no_interval"], Value::Null);
+    assert!(
+        ends[0] < difference && difference < ends[1],
+        "{difference_json}"
+    );
+    assert_eq!(difference_json["no_interval"], Value::Null);
 }
 
 #[test]
@@ -127,8 +135,8 @@ fn a_policy_against_itself_differs_nowhere_and_has_no_interval() {
 }
 
 fn reasons(a: Subject, b: Subject) -> String {
-    let refused = compare(a, b).expect_err("nothing can be paired");
-    refused.to_string()
+    let error = compare(a, b).expect_err("nothing can be paired");
+    error.to_string()
 }
 
 #[test]
@@ -365,8 +373,8 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
 #[test]
 fn differing_directions_or_placebos_give_a_warning() {
     let (mut a, b) = (campaign("first"), altered("second"));
-    let same = compare(a.clone(), b.clone()).expect("comparable");
-    assert_eq!(same.warnings, [] as [String; 0]);
+    let alike = compare(a.clone(), b.clone()).expect("comparable");
+    assert_eq!(alike.warnings, [] as [String; 0]);
     a.directions = Directions::Own;
     a.placebo_radius = Some(0.02);
     let same_settings = Subject {

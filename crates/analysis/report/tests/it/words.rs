@@ -67,8 +67,8 @@ fn without_emergent_failures() -> Subject {
 
 #[test]
 fn a_share_of_zero_has_no_bootstrap_interval_but_one_for_new_tasks() {
-    let none = document(vec![without_emergent_failures()]);
-    let json: Value = serde_json::from_str(&none.json().expect("written")).expect("JSON");
+    let document = document(vec![without_emergent_failures()]);
+    let json: Value = serde_json::from_str(&document.json().expect("written")).expect("JSON");
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
     assert_eq!((&l2["b"], &l2["r_e_ci95"]), (&0.into(), &Value::Null));
     assert_eq!(l2["no_interval"], "no_spread");

@@ -189,8 +189,8 @@ proptest! {
     ) {
         search(&outcomes, Strategy::Adaptive, cut);
         search(&outcomes, Strategy::TopDown, cut);
-        let found = minimal_sets(&search(&outcomes, Strategy::Exhaustive, cut));
-        prop_assert_eq!(found, minimal_sets(&complete(&outcomes)));
+        let exhaustive = minimal_sets(&search(&outcomes, Strategy::Exhaustive, cut));
+        prop_assert_eq!(exhaustive, minimal_sets(&complete(&outcomes)));
     }
 
     #[test]
@@ -224,8 +224,8 @@ proptest! {
                     let pairs = sets.iter().copied().filter(|set| set.len() == 2);
                     (*start, pairs.collect::<Vec<_>>())
                 };
-                let found: Vec<_> = minimal_sets(&lattice).iter().map(pairs).collect();
-                prop_assert_eq!(found, truth.iter().map(pairs).collect::<Vec<_>>());
+                let found_pairs: Vec<_> = minimal_sets(&lattice).iter().map(pairs).collect();
+                prop_assert_eq!(found_pairs, truth.iter().map(pairs).collect::<Vec<_>>());
             }
         }
     }

@@ -192,11 +192,11 @@ impl SearchResult {
             .explanation
             .iter()
             .flat_map(|explanation| &explanation.answers);
-        let found = answers.map(|answer| {
+        let by_start = answers.map(|answer| {
             let minimal = answer.minimal.iter().map(|minimal| minimal.set);
             (answer.start, minimal.collect::<Vec<_>>())
         });
-        found.collect::<Vec<_>>() == rule.truth()
+        by_start.collect::<Vec<_>>() == rule.truth()
     }
 }
 

@@ -114,7 +114,7 @@ fn a_real_transition_is_claimed_with_its_minimal_pair() {
         if pair.is_subset(set) { 0.05 } else { 0.95 }
     };
     let mut rng = ChaCha12Rng::seed_from_u64(4);
-    let is_found = |_: &usize| {
+    let is_claimed = |_: &usize| {
         let lattice = search(coins, Strategy::Adaptive, &mut rng);
         let answers =
             explain(&lattice).map_or_else(|_| Vec::new(), |explanation| explanation.answers);
@@ -123,7 +123,7 @@ fn a_real_transition_is_claimed_with_its_minimal_pair() {
             .map(|minimal| minimal.set.name())
             .eq(["camera+robot"])
     };
-    let found = (0..200).filter(is_found).count();
+    let count = (0..200).filter(is_claimed).count();
     // Not all 200, because some transitions form by chance and are not confirmed by the repeats.
-    assert!(found >= 170, "{found} of 200");
+    assert!(count >= 170, "{count} of 200");
 }
