@@ -13,7 +13,7 @@ use crate::outcomes::{Matched, Outcome};
 ///
 /// Every range except that of `d` is sharp: some outcomes reach its ends. A
 /// quarantined rollout says nothing about the policy, so the measures themselves
-/// exclude it; the range shows how much it could have mattered.
+/// exclude such rollouts; the range shows how much their outcomes could change a measure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     /// Configurations without a missing rollout.

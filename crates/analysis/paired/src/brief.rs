@@ -11,8 +11,8 @@ use crate::text::{ABSENT, listed, percent, push_columns, push_wrapped, separate}
 
 /// Writes the report for readers who do not know the protocol's symbols: notes, three
 /// sentences, success by condition in percent, the gates, and sentences about directions and
-/// missing outcomes. It covers replicate 0 only, and sentences about a level are only those about
-/// the last level.
+/// missing outcomes. The text covers replicate 0 only, and of the sentences about a level only
+/// those about the last level.
 pub fn brief(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {

@@ -100,7 +100,7 @@ pub struct ComparedCell {
     pub bounds: Option<DifferenceBounds>,
 }
 
-/// Largest number of unpaired rollouts named per reason; the others are counted.
+/// Largest number of unpaired rollouts that are named per reason; further ones are only counted.
 const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
@@ -291,8 +291,8 @@ fn has_either(pair: &Pair, outcome: Outcome) -> bool {
     pair.a == outcome || pair.b == outcome
 }
 
-/// Returns the axes that are perturbed alone at each level; *simultaneous* perturbs the same
-/// axes.
+/// Returns the axes that are perturbed alone at each level, which are also the axes that
+/// *simultaneous* perturbs.
 fn axes(records: &[Record]) -> BTreeMap<Level, BTreeSet<Axis>> {
     let mut axes: BTreeMap<Level, BTreeSet<Axis>> = BTreeMap::new();
     for record in records {

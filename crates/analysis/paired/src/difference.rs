@@ -49,13 +49,13 @@ pub struct Difference {
     pub difference_ci95: Option<Interval>,
     /// Reason why `difference_ci95` is absent.
     pub no_interval: Option<NoInterval>,
-    /// Rollouts that both solve.
+    /// Rollouts that both policies solve.
     pub both: u64,
     /// Rollouts that only A solves.
     pub a_only: u64,
     /// Rollouts that only B solves.
     pub b_only: u64,
-    /// Rollouts that neither solves.
+    /// Rollouts that neither policy solves.
     pub neither: u64,
     /// Exact two-sided McNemar test of `a_only` against `b_only`.
     pub mcnemar_p: f64,
@@ -85,8 +85,8 @@ pub struct Profile {
     /// Tasks in which B succeeds more often.
     pub b_better: u64,
     /// Probability of improvement with intervals: the probability that A does better than B
-    /// in a task drawn at random, where ties count half. It has no interval for the tasks of
-    /// the sample, and none for new directions if tasks share their directions.
+    /// in a task drawn at random, where ties count half. The estimate has no interval for the
+    /// tasks of the sample, and none for new directions if tasks share their directions.
     ///
     /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
     /// statistical precipice, NeurIPS 2021.

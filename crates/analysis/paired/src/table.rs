@@ -26,7 +26,7 @@ const LABEL_WIDTH: usize = 20;
 const COLUMN_WIDTH: usize = 19;
 /// Largest number of levels side by side.
 const MAX_CELLS: usize = 3;
-/// Largest number of quarantined rollouts named; the others are counted.
+/// Largest number of quarantined rollouts that are named; further ones are only counted.
 const MAX_NAMED: usize = 6;
 
 /// Writes the report as a table. Rates are in percent, differences in percentage points;

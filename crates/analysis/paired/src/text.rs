@@ -11,8 +11,8 @@ pub(crate) const WIDTH: usize = 80;
 /// Mark of an absent value.
 pub(crate) const ABSENT: &str = "-";
 
-/// Appends words wrapped to the terminal's width: the first line after `prefix`, the others
-/// indented to align with it.
+/// Appends words wrapped to the terminal's width: the first line after `prefix`, all further
+/// lines indented to align with the first.
 pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
     let indent = " ".repeat(prefix.chars().count());
     let mut line = prefix.to_owned();

@@ -351,7 +351,7 @@ fn head(subject: &Subject) -> String {
             if !source.is_empty() {
                 push_wrapped(&mut head, "", source);
             }
-            let digest = warnings::short(digest);
+            let digest = warnings::abbreviated_digest(digest);
             head.push_str(&format!(
                 "SHA-256 {digest}…, realisation {realisation}\n{execution}"
             ));

@@ -26,7 +26,7 @@ pub struct Family {
     pub benchmark: String,
     /// Name of the protocol, or of the suite file with the first digits of its digest.
     pub protocol: String,
-    /// Rollouts of the campaign without an outcome so far, the unperturbed ones included.
+    /// Rollouts of the campaign, perturbed and unperturbed, without an outcome so far.
     pub missing: u64,
     /// Quarantined rollouts, that is, those with too many failed attempts; in no figure.
     pub quarantined: u64,

@@ -72,8 +72,8 @@ impl FamilyComparison {
     /// file.
     ///
     /// # Errors
-    /// If they are of different benchmarks, asset packs, MuJoCo versions or renderers, hold an
-    /// unknown variant, or have no rollout in common.
+    /// If the campaigns are of different benchmarks, asset packs, MuJoCo versions or renderers,
+    /// hold an unknown variant, or have no rollout in common.
     pub fn of(a: &Subject, b: &Subject) -> Result<Option<Self>, FamilyComparisonError> {
         let (Some(family_a), Some(family_b)) = (Family::of(a)?, Family::of(b)?) else {
             return Ok(None);

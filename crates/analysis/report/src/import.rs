@@ -25,7 +25,7 @@ const ABOUT: &str = "about.json";
 const MAX_LINE_BYTES: u64 = 64 << 10;
 /// Largest `about.json` that is read, bytes.
 const MAX_ABOUT_BYTES: u64 = 64 << 10;
-/// Largest number of bad lines listed in an error; the others are counted.
+/// Largest number of bad lines that an error lists; further ones are only counted.
 const MAX_NAMED: usize = 10;
 /// Largest number of rows in a file: ten replicates of the largest design.
 const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
@@ -84,7 +84,7 @@ struct About {
 }
 
 /// A result row of the reference implementation. Fields that repeat parts of the id are
-/// checked against it; times are ignored.
+/// checked against the id; times are ignored.
 #[derive(Deserialize)]
 struct Row {
     rollout_id: RolloutId,

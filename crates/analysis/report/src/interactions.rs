@@ -41,7 +41,7 @@ pub struct LevelInteractions {
     pub level: Level,
     /// Configurations that lack an outcome under some subset.
     pub left_out: u64,
-    /// Interactions over all other configurations.
+    /// Interactions over the configurations with an outcome under every subset.
     pub interactions: Interactions,
 }
 

@@ -14,8 +14,8 @@ use crate::subject::{EarlyStop, Subject};
 const RATE_COLUMNS: usize = 14;
 const POINTS_COLUMNS: usize = 17;
 
-/// The confidence sequences of a campaign at the look at which it stopped early or, if it
-/// did not, over all its outcomes so far.
+/// The confidence sequences of a campaign: at the look at which it stopped early, or over all
+/// outcomes so far if it has not stopped.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sequential {
     /// Rule for stopping early.

@@ -69,7 +69,7 @@ impl SequentialComparison {
     /// Compares two campaigns, A − B, without the `unpaired` rollouts.
     ///
     /// # Errors
-    /// If they did not run in the same drawn order.
+    /// If the campaigns did not run in the same drawn order.
     pub fn of(
         [a, b]: [&Analysis; 2],
         unpaired: &BTreeSet<RolloutId>,

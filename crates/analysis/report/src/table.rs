@@ -1,7 +1,7 @@
 //! Tables for further analysis, with the same columns as CSV and as Parquet. A row is a
-//! configuration with all its outcomes; a minimal subset, if the campaigns explain others;
-//! or a threshold, if they measure thresholds. No column holds a time, so that the same
-//! outcomes give the same bytes.
+//! configuration with all its outcomes; a minimal subset, if the campaigns explain other
+//! campaigns; or a threshold, if the campaigns measure thresholds. No column holds a time, so
+//! that the same outcomes give the same bytes.
 
 mod configurations;
 mod explanations;

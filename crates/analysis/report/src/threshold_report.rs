@@ -149,8 +149,8 @@ impl ThresholdReport {
         prospect
     }
 
-    /// Combines the outcomes of the campaign `measuring` with those of the campaign that it
-    /// measures; `None` if `measuring` measures no thresholds.
+    /// Combines the outcomes of the campaign `measuring` with those of the campaign whose
+    /// thresholds it measures; `None` if `measuring` measures no thresholds.
     pub fn of(measuring: &Subject) -> Option<Self> {
         let (thresholds, records) = measuring.measures()?;
         let measurement = Measurement::of(records, &measuring.records, thresholds);

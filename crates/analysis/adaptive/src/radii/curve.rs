@@ -9,8 +9,8 @@
 //! The position of a threshold within its bracket is unknown. The curve assumes a uniform
 //! distribution; the *band* covers every possible position. At a radius that was run for
 //! every configuration, curve and band coincide. A threshold without a known failure is
-//! right-censored at the largest success: beyond it the curve treats the configuration like
-//! the others that survived so far, and the band covers all possibilities.
+//! right-censored at the largest success: beyond this radius the curve treats the configuration
+//! like the configurations that survived so far, and the band covers all possibilities.
 //!
 //! Intervals cover the band: from the lower end of an interval of its minimum to the upper
 //! end of an interval of its maximum, over resampled tasks. They hold for any position of
@@ -77,7 +77,7 @@ pub struct Curve {
 pub struct Point {
     /// The radius.
     pub radius: f64,
-    /// The protocol's name of that radius, if it has one.
+    /// The level of this radius, if the protocol has one.
     pub level: Option<Level>,
     /// The share that survives.
     pub survival: f64,

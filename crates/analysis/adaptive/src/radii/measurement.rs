@@ -1,5 +1,5 @@
 //! The rays of a campaign, from its records and those of the campaign that runs further
-//! radii, and the allocation of a budget of rollouts to them.
+//! radii, and the allocation of a budget of rollouts to the rays.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -15,8 +15,8 @@
 //! A *minimal* subset flips the outcome, while none of its proper subsets that
 //! were run and contain the start does. Every one of its axes is therefore needed,
 //! as far as the outcomes show. It is *established* if every such proper subset was
-//! run; until then [`MinimalSubset::open`] lists the remaining ones. Outcomes are
-//! never inferred.
+//! run; [`MinimalSubset::open`] lists those that were not. Outcomes are never
+//! inferred.
 //!
 //! Outcomes need not be monotone: camera and robot may fail while camera, robot and
 //! sensor succeed. Such a pair of subsets is reported as [`NonMonotone`].

@@ -91,7 +91,7 @@ pub struct Interactions {
     /// The Möbius transform m(A) = Σ_{B⊆A} (−1)^{|A|−|B|} v(B) of each subset but
     /// the empty one, over `n`. For one axis it is the effect of that axis alone. For a
     /// pair it is the effect of the pair beyond the sum of the two single effects, negative
-    /// if both together do more harm. v(∅) + Σ_{A≠∅} m(A) = v(full).
+    /// if the pair does more harm than that sum. v(∅) + Σ_{A≠∅} m(A) = v(full).
     ///
     /// Source: J. C. Harsanyi, A simplified bargaining model for the n-person
     /// cooperative game, International Economic Review 4 (1963), 194–220

@@ -122,8 +122,8 @@ impl Sample {
     /// suites; V_D leaves out one direction at a time. The variance for new tasks is V_T; for
     /// new tasks and new directions it is V_T + V_D − V_TD, at least the greater of V_T and
     /// V_D, with Satterthwaite's degrees of freedom. The variance for the sampled tasks
-    /// themselves (`these_tasks`) leaves out one configuration at a time within its task. It
-    /// counts effects of directions within a task as chance, and so is never too small.
+    /// themselves (`these_tasks`) leaves out one configuration at a time within its task. This
+    /// variance counts effects of directions within a task as chance, and so is never too small.
     ///
     /// Sources: J. N. K. Rao and J. Shao, Jackknife variance estimation with survey data,
     /// Biometrika 79 (1992), 811–822 (strata); A. C. Cameron, J. B. Gelbach and

@@ -445,8 +445,8 @@ pub(crate) struct NetEffect {
 }
 
 impl NetEffect {
-    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance, the
-    /// others with the probability given by their task's effect.
+    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance; every
+    /// other configuration changes with the probability given by the effect of its task.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
         for at in 0..40 {

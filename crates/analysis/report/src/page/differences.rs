@@ -116,7 +116,7 @@ fn profiles(comparison: &Comparison) -> Markup {
         "rollouts",
         "new tasks and directions",
         "all rows together",
-        "beyond 5, p",
+        "equivalence p",
         "tasks A:B",
         "A better %",
         "A − B least",
@@ -153,11 +153,12 @@ fn profiles(comparison: &Comparison) -> Markup {
                     "; every task has its own directions, so that the variation between tasks \
                      covers both"
                 }
-                ". All rows together: simultaneous intervals about new tasks. Beyond 5, p: p-value \
-                of the hypothesis that A and B differ by more than 5 points; if it is small, A and \
-                B are equivalent. Tasks A:B: number of tasks in which A, and B, succeeds more \
-                often. A better: probability that A succeeds more often in a task drawn at random, \
-                where ties count half, with its interval about new tasks."
+                ". All rows together: simultaneous intervals about new tasks. Equivalence p: \
+                p-value of the hypothesis that A and B differ by more than 5 points; if it is \
+                small, A and B are equivalent. Tasks A:B: number of tasks in which A succeeds more \
+                often, and number in which B does. A better: probability that A succeeds more \
+                often in a task drawn at random, where ties count half, with its interval about \
+                new tasks. Least and most: the tasks with the smallest and the largest A − B."
             }
         }
     }
@@ -192,7 +193,7 @@ fn tasks(comparison: &Comparison) -> Markup {
 fn progress(comparison: &Comparison) -> Markup {
     let heads = [
         "rollouts",
-        "of",
+        "measure.",
         "n",
         "A",
         "B",

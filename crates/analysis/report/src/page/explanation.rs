@@ -108,8 +108,8 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
                 @if established == n {
                     " Every smaller subset was run."
                 } @else {
-                    " Every smaller subset was run for " (established) " of " (n) "; the others \
-                    may have smaller minimal subsets."
+                    " Every smaller subset was run for " (established) " of the " (n)
+                    " configurations; the other configurations may have smaller minimal subsets."
                 }
             }
         }
@@ -132,8 +132,8 @@ fn non_monotone(findings: &Findings) -> Markup {
     html! {
         @if all > 0 {
             li {
-                strong { "More axes can undo what fewer do" } ": in " (affected.count())
-                " configurations a larger set that contains a minimal one does not change the \
+                strong { "Larger sets can undo a change" } ": in " (affected.count())
+                " configurations, a set that contains a minimal subset does not change the \
                 outcome (" (all) @if all == 1 { " pair" } @else { " pairs" } " of sets, listed \
                 below as “undone by”)."
             }

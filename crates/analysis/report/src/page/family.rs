@@ -26,7 +26,7 @@ pub(super) fn sections(family: &Family) -> Markup {
         }
         section {
             @if family.is_paired {
-                h2 { "Against the unperturbed rollouts" }
+                h2 { "Comparison with the unperturbed rollouts" }
                 (table(
                     "Losses",
                     &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],

@@ -47,7 +47,8 @@ pub(super) fn section(document: &Document) -> Markup {
     }
 }
 
-/// Renders the table of two policies; empty if they did not run in the same drawn order.
+/// Renders the table of two policies; empty if their campaigns did not run in the same drawn
+/// order.
 pub(super) fn comparison_table(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {

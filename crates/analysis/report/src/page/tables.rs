@@ -35,7 +35,7 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
 }
 
 /// Renders a table in a scrolling box that the keyboard reaches; empty without rows. A
-/// column whose head ends with a full stop is aligned as text, the others as numbers.
+/// column whose head ends with a full stop is aligned as text, every other column as numbers.
 pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
     let class = |column: usize| heads[column].ends_with('.').then_some("words");
     html! {
@@ -251,7 +251,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
 }
 
 /// Renders the table of success under proper subsets of the axes, for campaigns that run
-/// them.
+/// such subsets.
 pub(super) fn subsets(document: &Document) -> Markup {
     let subset_rows = |Row { policy, cell, .. }: Row| {
         let subsets = cell.subsets.iter();
@@ -412,8 +412,8 @@ pub(super) fn bounds(document: &Document) -> Markup {
             section {
                 h2 { "Worst and best case of quarantined rollouts" }
                 p {
-                    "Quarantined rollouts are in no rate. Whatever their outcomes had been, the \
-                    measures would lie within these bounds."
+                    "Quarantined rollouts are excluded from every rate. Whatever their outcomes \
+                    had been, the measures would lie within these bounds."
                 }
                 (table("Worst and best case", &heads, rows))
             }

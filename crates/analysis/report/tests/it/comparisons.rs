@@ -312,8 +312,8 @@ fn quarantined_rollouts_of_either_policy_are_excluded_from_rates_and_counted_in_
     assert_fits_a_terminal(&text);
 }
 
-/// Adds progress to all rollouts; with `more` above 0, they take more steps and satisfy one
-/// predicate fewer.
+/// Adds progress to all rollouts. If `more` is above 0, the rollouts take more steps and satisfy
+/// one predicate fewer.
 fn with_progress(mut subject: Subject, more: u32) -> Subject {
     let records = subject.records.iter().enumerate();
     let progress = records.map(|(index, record)| Progress {

@@ -110,7 +110,7 @@ fn an_upset_plot_counts_each_minimal_subset_and_its_established_share() {
     let emergent = texts(&emergent);
     for expected in [
         "camera+robot: 3 configurations, established in 3",
-        // Its pair camera+lighting was not run.
+        // Not established: its proper subset camera+lighting was not run.
         "camera+lighting+sensor: 3 configurations, established in 0",
         "lighting+actuation: 3 configurations, established in 3",
         "n = 9",
@@ -182,7 +182,7 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
     for expected in [
         "Explained outcome changes of OpenVLA-OFT",
         "emergent failures were explained",
-        "More axes can undo what fewer do",
+        "Larger sets can undo a change",
         "lighting+actuation is undone by lighting+sensor+actuation",
         "first &lt;b&gt;",
     ] {

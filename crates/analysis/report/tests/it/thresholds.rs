@@ -44,7 +44,7 @@ fn thresholds(max_radius: f64) -> Thresholds {
     }
 }
 
-/// Returns a campaign with these records that measures the thresholds of a source.
+/// Returns a campaign with the given records that measures the thresholds of `source`.
 fn measuring(source: &Subject, records: Vec<Record>, max_radius: f64) -> Subject {
     Subject {
         records,

@@ -24,7 +24,7 @@ pub(crate) enum Kind {
     /// An axis fails alone unless one of its one or two compensating axes is present.
     Compensation,
     /// Two axes fail alone, each unless one of its one or two compensating axes is present. The two
-    /// axes together fail unless both are compensated.
+    /// failing axes together fail unless both are compensated.
     TwoCompensations,
     /// A pair fails unless a third axis is present; another pair or triple always fails.
     MaskedPair,
