@@ -308,9 +308,9 @@ proptest! {
     #[test]
     fn exchanging_the_policies_negates_the_difference(pairs in outcomes()) {
         let bootstrap = Bootstrap { replicates: 100, seed: 3 };
-        let both = Difference::of_each(&[pairs.clone(), exchanged(&pairs)], &bootstrap);
-        let [Some(original), Some(reversed)] = both.as_slice() else {
-            prop_assert_eq!(both, [None, None]);
+        let differences = Difference::of_each(&[pairs.clone(), exchanged(&pairs)], &bootstrap);
+        let [Some(original), Some(reversed)] = differences.as_slice() else {
+            prop_assert_eq!(differences, [None, None]);
             return Ok(());
         };
         prop_assert!((original.difference + reversed.difference).abs() < 1e-12);

@@ -328,10 +328,10 @@ impl Clusters {
                     .map(|(_, survives)| survives.expected(radius, curve));
                 expected.sum::<f64>() / thresholds.len() as f64
             };
-            let next: Vec<f64> = self.radii.iter().map(share).collect();
-            let pairs = next.iter().zip(&survival);
+            let updated: Vec<f64> = self.radii.iter().map(share).collect();
+            let pairs = updated.iter().zip(&survival);
             let change = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            survival = next;
+            survival = updated;
             if change < CONVERGED {
                 break;
             }
@@ -355,11 +355,11 @@ impl Clusters {
         for sum in values.iter_mut() {
             *sum /= n;
         }
-        let at = |k: usize, end: usize| values[2 * k + end];
+        let survival = |k: usize, end: usize| values[2 * k + end];
         let places = 0..self.radii.len();
         // The median of the brackets' lower ends, and the median of their upper ends.
-        let low = places.clone().rev().find(|&k| at(k, 0) > HALF);
-        let high = places.clone().find(|&k| at(k, 1) < HALF);
+        let low = places.clone().rev().find(|&k| survival(k, 0) > HALF);
+        let high = places.clone().find(|&k| survival(k, 1) < HALF);
         let low = low.map_or(0.0, |k| self.radii[k]);
         let last = self.radii.last().copied().unwrap_or_default();
         let high = high.map_or(last, |k| self.radii[k]);
@@ -369,8 +369,8 @@ impl Clusters {
 
     /// Returns the radius at which a curve crosses one half, by linear interpolation.
     fn crossing(&self, survival: &[f64]) -> f64 {
-        let below = survival.iter().position(|share| *share <= HALF);
-        match below {
+        let first_below_half = survival.iter().position(|share| *share <= HALF);
+        match first_below_half {
             None => self.radii.last().copied().unwrap_or_default(),
             Some(0) => 0.0,
             Some(k) => {

@@ -64,8 +64,8 @@ impl Measurement {
         let mut costs: BTreeMap<Configuration, u32> = BTreeMap::new();
         for (ray, outcomes) in &rays {
             let is_supplied = |level| outcomes.at(level).is_some();
-            let most = searches[&ray.condition].most_rollouts(is_supplied);
-            *costs.entry((ray.task, ray.config)).or_default() += most;
+            let most_rollouts = searches[&ray.condition].most_rollouts(is_supplied);
+            *costs.entry((ray.task, ray.config)).or_default() += most_rollouts;
         }
         for record in further {
             if let Some(outcomes) = rays.get_mut(&ray(record.id)) {

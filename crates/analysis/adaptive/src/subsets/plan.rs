@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_larger_budget_and_further_configurations_keep_started_ones() {
+    fn a_larger_budget_and_further_configurations_keep_started_configurations() {
         let mut small = transitions(30);
         spend(&mut small, &sample(170, 7));
         let mut large = transitions(30);

@@ -69,9 +69,9 @@ impl DirectionTest {
                     .filter(|(_, success)| *success == rarer)
                     .count(),
             ));
-            for (at, (_, success)) in task_indices.zip(outcomes) {
-                sizes[at] += 1.0;
-                rare[at] += f64::from(u8::from(*success == rarer));
+            for (direction_index, (_, success)) in task_indices.zip(outcomes) {
+                sizes[direction_index] += 1.0;
+                rare[direction_index] += f64::from(u8::from(*success == rarer));
             }
         }
         let spread = |rare: &[f64]| -> f64 {

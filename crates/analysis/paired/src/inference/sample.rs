@@ -131,11 +131,11 @@ impl Sample {
     /// Economic Statistics 29 (2011), 238–249 (crossed clusters); F. E. Satterthwaite,
     /// Biometrics Bulletin 2 (1946), 110–114.
     pub(crate) fn variances(&self, statistic: &dyn Fn(&[f64]) -> f64) -> Variances {
-        let tasks = self.jackknife(statistic, &self.tasks_in_suites);
-        let within = self.jackknife(statistic, &self.rows_in_tasks);
-        let both = match self.directions {
-            Directions::Own => tasks,
-            Directions::Shared => tasks.and_then(|tasks| {
+        let new_tasks = self.jackknife(statistic, &self.tasks_in_suites);
+        let these_tasks = self.jackknife(statistic, &self.rows_in_tasks);
+        let new_tasks_and_directions = match self.directions {
+            Directions::Own => new_tasks,
+            Directions::Shared => new_tasks.and_then(|tasks| {
                 let directions =
                     self.jackknife(statistic, std::slice::from_ref(&self.by_direction))?;
                 let cells = self.jackknife(statistic, &self.rows_in_suites)?;
@@ -143,9 +143,9 @@ impl Sample {
             }),
         };
         Variances {
-            these_tasks: within,
-            new_tasks: tasks,
-            new_tasks_and_directions: both,
+            these_tasks,
+            new_tasks,
+            new_tasks_and_directions,
         }
     }
 

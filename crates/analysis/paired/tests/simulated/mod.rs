@@ -113,7 +113,7 @@ fn floor(nominal: f64) -> [f64; 2] {
 fn normal_points() -> impl Iterator<Item = (f64, f64)> {
     const STEP: f64 = 0.5;
     let weight = |z: f64| STEP * (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
-    (-14..=14).map(move |at| (STEP * f64::from(at), weight(STEP * f64::from(at))))
+    (-14..=14).map(move |step| (STEP * f64::from(step), weight(STEP * f64::from(step))))
 }
 
 /// Parameters shared by the tasks and directions of a population.
@@ -189,9 +189,11 @@ impl Population {
         directions: &Effects,
     ) -> BTreeMap<&'static str, f64> {
         let mut sums = [0.0; 7 + CONDITIONS];
-        for (at, task) in tasks.iter().enumerate() {
+        for (task_index, task) in tasks.iter().enumerate() {
             for direction in directions {
-                let terms = self.probabilities(at % suites, task, direction).sums();
+                let terms = self
+                    .probabilities(task_index % suites, task, direction)
+                    .sums();
                 sums.iter_mut()
                     .zip(terms)
                     .for_each(|(sum, term)| *sum += term);
@@ -264,10 +266,10 @@ impl Population {
         chance: &mut Chance,
     ) -> Vec<Record> {
         let mut records = Vec::new();
-        for (at, effects) in tasks.iter().enumerate() {
-            let task = task(at, suites);
+        for (task_index, effects) in tasks.iter().enumerate() {
+            let task = task(task_index, suites);
             for (config, direction) in (0..).zip(directions) {
-                let p = self.probabilities(at % suites, effects, direction);
+                let p = self.probabilities(task_index % suites, effects, direction);
                 let mut coin = |p: f64| chance.uniform() < p;
                 records.push(record(
                     task,
@@ -327,12 +329,12 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
 }
 
 /// Returns task number `at` of a campaign over the first `suites` suites.
-pub(crate) fn task(at: usize, suites: usize) -> TaskRef {
-    let suite = Suite::ALL[at % suites];
+pub(crate) fn task(task_index: usize, suites: usize) -> TaskRef {
+    let suite = Suite::ALL[task_index % suites];
     let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);
     suite_tasks
         .into_iter()
-        .nth(at / suites)
+        .nth(task_index / suites)
         .expect("ten tasks a suite")
 }
 
@@ -401,8 +403,8 @@ impl Planted {
     /// Simulates a campaign of 40 tasks and ten configurations at L0 and L2, with nominal rollouts.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
-        for at in 0..40 {
-            let task = task(at, 4);
+        for task_index in 0..40 {
+            let task = task(task_index, 4);
             let has_failing_directions = chance.uniform() < 0.5;
             for config in 0..CONFIGURATIONS {
                 let [camera, simultaneous] = match self {
@@ -449,8 +451,8 @@ impl NetEffect {
     /// other configuration changes with the probability given by the effect of its task.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
-        for at in 0..40 {
-            let task = task(at, 4);
+        for task_index in 0..40 {
+            let task = task(task_index, 4);
             let sign = if chance.uniform() < 0.5 { 1.0 } else { -1.0 };
             let has_deviation = chance.uniform() < self.share;
             let effect = self.mean

@@ -157,11 +157,11 @@ impl TwoPolicies {
         truth[3] = [f64::NAN; ROWS];
         for (sign, index) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[index];
-            for (at, (effects, length)) in
+            for (task_index, (effects, length)) in
                 tasks.effects[index].iter().zip(&tasks.lengths).enumerate()
             {
                 for row in 0..ROWS {
-                    let logit = policy.logit(at % suites, row) + effects[row];
+                    let logit = policy.logit(task_index % suites, row) + effects[row];
                     let directions = directions.effects[index].iter();
                     let each = directions.map(|direction| logistic(logit + direction[row]));
                     let success = each.sum::<f64>() / f64::from(CONFIGURATIONS);
@@ -187,11 +187,11 @@ impl TwoPolicies {
         let mut truth = [[0.0; ROWS]; 4];
         for (sign, index) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[index];
-            let given = directions.map(|directions| &directions.effects[index]);
-            let directions = given.unwrap_or(&no_effects);
+            let known_effects = directions.map(|directions| &directions.effects[index]);
+            let directions = known_effects.unwrap_or(&no_effects);
             for row in 0..ROWS {
                 // Nominal rollouts have no direction.
-                let direction_spread = match given {
+                let direction_spread = match known_effects {
                     None if row < CONDITIONS => direction_deviation,
                     _ => 0.0,
                 };
@@ -283,14 +283,15 @@ impl TwoPolicies {
     ) -> (Vec<Record>, Vec<Progress>) {
         let policy = &self.0[index];
         let (mut records, mut progress) = (Vec::new(), Vec::new());
-        for (at, effects) in tasks.effects[index].iter().enumerate() {
+        for (task_index, effects) in tasks.effects[index].iter().enumerate() {
             for (config, direction) in (0..).zip(&directions.effects[index]) {
                 let conditions = conditions().chain([Condition::Clean]);
                 for (row, condition) in conditions.enumerate() {
-                    let logit = policy.logit(at % suites, row) + effects[row] + direction[row];
+                    let logit =
+                        policy.logit(task_index % suites, row) + effects[row] + direction[row];
                     let (success, steps, goal) =
-                        policy.rollout(logistic(logit), tasks.lengths[at], chance);
-                    let task = task(at, suites);
+                        policy.rollout(logistic(logit), tasks.lengths[task_index], chance);
+                    let task = task(task_index, suites);
                     let record = record(task, condition, Level::L2, config, success);
                     records.push(record);
                     progress.push(Progress {

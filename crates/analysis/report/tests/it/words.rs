@@ -163,7 +163,7 @@ fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
 }
 
 #[test]
-fn a_policy_that_was_taught_on_other_assets_gets_a_warning() {
+fn a_policy_that_was_taught_on_another_asset_pack_gets_a_warning() {
     let taught_on = |pack: &str| {
         let mut provenance = provenance("3.3.7", "single");
         let setting = (rollout_types::TAUGHT_ON.to_owned(), pack.to_owned());
