@@ -36,7 +36,7 @@ GIVE_BACK_SECS = 15.0
 # By default, Ray sends SIGKILL to the child processes of its actors, so a worker could not give its
 # rollouts back.
 KEEP_CHILDREN = {"RAY_kill_child_processes_on_worker_exit": "0"}
-# Variables of the launcher that are passed to the workers; their files are on every node.
+# Variables of the launcher that are passed to the workers; files that they name are on every node.
 ENVIRONMENT = ("ROLLOUT_TOKEN_FILE", "ROLLOUT_CA", "ROLLOUT_SOURCES", "RUST_LOG")
 
 
@@ -71,8 +71,9 @@ class RequestedActor:
     """A requested actor, with its placement and its worker's exit code."""
 
     actor: ActorHandle[Any]
-    # Resolve when the actor has been placed, and when its worker has ended.
+    # Id of the actor's node; resolves when the actor has been placed.
     node: ray.ObjectRef[str]
+    # Exit code of the actor's worker; resolves when the worker has ended.
     end: ray.ObjectRef[int]
 
 
@@ -90,7 +91,7 @@ class Fleet:
         self.failures = 0
 
     def collect_ended(self, wait: float) -> None:
-        """Records workers that have ended, waiting `wait` seconds for one."""
+        """Records workers that have ended, after waiting up to `wait` seconds for the first."""
         if not self.actors:
             time.sleep(wait)
             return
@@ -122,7 +123,7 @@ class Fleet:
         if self.failures >= MAX_FAILURES_IN_A_ROW:
             raise TooManyFailures(f"{self.failures} workers failed in a row")
 
-    def grow_to(self, wanted: int) -> None:
+    def scale_to(self, wanted: int) -> None:
         """Requests more workers, or cancels surplus ones that have not been placed yet."""
         while len(self.actors) < wanted:
             self.actors.append(self._start())
@@ -199,7 +200,7 @@ def run(options: argparse.Namespace) -> None:
                 wanted = min(options.max_workers, math.ceil(work / options.slots))
                 if options.until_done and work == 0 and not fleet.actors:
                     return
-                fleet.grow_to(wanted)
+                fleet.scale_to(wanted)
             fleet.collect_ended(options.look_secs)
     finally:
         fleet.stop(options.drain_secs + GIVE_BACK_SECS)
@@ -210,8 +211,8 @@ def main() -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     options = arguments()
     ray.init(address=options.address, log_to_driver=True)
-    # SIGTERM is handled like Ctrl-C, so that the workers are stopped first. Before this call, Ray's
-    # own handler is installed.
+    # SIGTERM is handled like Ctrl-C, so that the workers are stopped first. This call replaces the
+    # handler that `ray.init` installs.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         run(options)

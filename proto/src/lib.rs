@@ -11,8 +11,8 @@ pub mod policy {
 }
 
 impl policy::DescribeResponse {
-    /// Returns the reason why the settings cannot be recorded, as a text that reads
-    /// after "it"; `None` if they can be recorded.
+    /// Returns the reason why the settings cannot be recorded, as a predicate for the subject
+    /// "it", such as "names setting `a` twice"; `None` if they can be recorded.
     pub fn settings_problem(&self) -> Option<String> {
         let count = self.settings.len();
         if count > MAX_SETTINGS {
@@ -35,7 +35,7 @@ impl policy::DescribeResponse {
                 ));
             }
             let earlier = &self.settings[..index];
-            let is_repeated = earlier.iter().any(|other| other.name == *name);
+            let is_repeated = earlier.iter().any(|setting| setting.name == *name);
             is_repeated.then(|| format!("names setting `{name}` twice"))
         })
     }

@@ -62,11 +62,11 @@ fn properties(pool: &DescriptorPool) -> Vec<String> {
 }
 
 /// Returns the released properties that the current protocol lacks.
-fn incompatible_changes(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
-    let current = properties(now);
+fn incompatible_changes(released: &DescriptorPool, current: &DescriptorPool) -> Vec<String> {
+    let current_properties = properties(current);
     let released_properties = properties(released).into_iter();
     released_properties
-        .filter(|property| !current.contains(property))
+        .filter(|property| !current_properties.contains(property))
         .collect()
 }
 
@@ -104,8 +104,8 @@ fn incompatible_changes_of_a_released_file_are_detected() {
     check("LANGUAGE_IGNORED = 3;", "LANGUAGE_IGNORED = 4;", true);
     check("rpc Reset(ResetRequest)", "rpc Reset(InferRequest)", true);
     check("rpc Infer(InferRequest)", "rpc Ask(InferRequest)", true);
-    let more = "uint32 horizon = 8; uint32 later = 99;";
-    check("uint32 horizon = 8;", more, false);
+    let with_new_field = "uint32 horizon = 8; uint32 later = 99;";
+    check("uint32 horizon = 8;", with_new_field, false);
 }
 
 /// Returns a message with a value in every field of the descriptor.

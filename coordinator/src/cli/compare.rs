@@ -134,7 +134,7 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     let mut comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
     if arguments.sequential || arguments.stop.is_some() {
         let rule = arguments.stop.as_ref();
-        comparison.follow([a, b], rule).map_err(usage)?;
+        comparison.add_sequential([a, b], rule).map_err(usage)?;
     }
     let text = match arguments.json {
         true => comparison.json().map_err(anyhow::Error::from)?,

@@ -57,7 +57,7 @@ fn stopped(status: &CampaignStatus) -> Option<String> {
     let early = status.early_stop.as_ref()?;
     let configurations = [early.used?.into(), early.configurations.into()];
     let rollouts = [status.queued, status.total];
-    Some(report::stopped_in_words(
+    Some(report::describe_early_stop(
         configurations,
         &early.rule,
         rollouts,

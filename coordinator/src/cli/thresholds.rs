@@ -75,7 +75,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         must_exist: arguments.json || arguments.watch || arguments.figures.is_some(),
     };
     let prospect = |source: &Subject| {
-        ThresholdReport::is_affordable(source, &thresholds).map_err(usage)?;
+        ThresholdReport::check_budget(source, &thresholds).map_err(usage)?;
         Ok(ThresholdReport::prospect(source, &thresholds))
     };
     if !derived_campaign

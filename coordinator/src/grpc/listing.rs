@@ -29,7 +29,7 @@ pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
         waiting_reason: status.waiting_reason,
         mixed_fingerprints: status
             .fingerprints
-            .map_or_else(String::new, |mixed| ::report::fingerprints_in_words(&mixed)),
+            .map_or_else(String::new, |mixed| ::report::describe_fingerprints(&mixed)),
         state: state(campaign.state).into(),
         priority: campaign.priority,
         created_unix_ms: campaign.created_ms.0,

@@ -144,7 +144,7 @@ fn stopped(status: &CampaignStatus) -> String {
     };
     let configurations = [used.into(), early.configurations.into()];
     let rollouts = [status.counts.queued, status.counts.total()];
-    ::report::stopped_in_words(configurations, &early.stop.rule.to_string(), rollouts)
+    ::report::describe_early_stop(configurations, &early.stop.rule.to_string(), rollouts)
 }
 
 /// Returns the number of queued and leased rollouts.

@@ -65,7 +65,7 @@ pub(super) async fn section(
     let films = films.unwrap_or_default();
     let markup = html! {
         section {
-            h2 { @if explanation.is_some() { "Which axes it takes" } @else { "Under every subset of the axes" } }
+            h2 { @if explanation.is_some() { "Minimal subsets of the axes" } @else { "Under every subset of the axes" } }
             (sources(&lattice, campaign))
             @if let Some(explanation) = explanation {
                 ul { @for answer in &explanation.answers { (films::describe_answer(answer, explanation.transition)) } }

@@ -64,7 +64,7 @@ async fn report_page_and_table_show_the_explanation() {
     assert!(std::fs::metadata(&parquet).expect("written").len() > 0);
     let html = std::fs::read_to_string(&html).expect("written");
     for shown in [
-        "Which axes it takes",
+        "Minimal subsets of the axes",
         "Emergent failures",
         "Compensated successes",
     ] {
@@ -196,7 +196,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     fits_a_terminal(&words);
     assert!(words.contains("camera+lighting+robot+sensor+actuation+language"));
     let page = page(&serve, "/campaigns/whole").await;
-    assert!(page.contains("How the axes interact"));
+    assert!(page.contains("Interactions of the axes"));
     let lattice = "/campaigns/whole/configurations/object/t6/combination/L2/c00";
     let lattice = self::page(&serve, lattice).await;
     assert!(lattice.contains("64 of 64 subsets have an outcome"));

@@ -164,7 +164,7 @@ async fn planted_thresholds_are_found_again() {
     let page = http(&serve.url, "GET /campaigns/first-thresholds").await;
     let page = page.text();
     for words in [
-        "How far",
+        "<h2>Thresholds</h2>",
         "30 of 30 found in ",
         "libero_object/1",
         "class=\"curve\"",

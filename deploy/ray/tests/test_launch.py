@@ -24,7 +24,7 @@ PATIENCE = 240.0
 
 
 class Lab:
-    """A coordinator, a gateway and a campaign."""
+    """A coordinator and a gateway, with the operator's commands."""
 
     def __init__(self, data: Path) -> None:
         self.processes: list[subprocess.Popen[str]] = []
@@ -99,9 +99,9 @@ def test_a_lost_node_loses_no_rollout(cluster: Cluster, lab: Lab) -> None:
         until("a worker on each node", lambda: lab.workers() == 2)
         until("some rollouts are committed", lambda: lab.rollouts("ray")["committed"] >= 4)
         cluster.remove_node(nodes[0])
-        until("its worker is gone", lambda: lab.workers() == 1)
+        until("the lost node's worker is gone", lambda: lab.workers() == 1)
         cluster.add_node(num_cpus=1, resources={"sim": 1})
-        until("another has taken its place", lambda: lab.workers() == 2)
+        until("a replacement runs", lambda: lab.workers() == 2)
         assert launcher.wait(timeout=PATIENCE) == 0
     finally:
         launcher.kill()
@@ -121,11 +121,11 @@ def test_workers_follow_the_queue_and_end_on_sigterm(cluster: Cluster, lab: Lab)
         time.sleep(5)
         assert lab.workers() == 0, "there is no work"
         lab.create("ray")
-        until("there is work for two", lambda: lab.workers() == 2)
+        until("two workers run", lambda: lab.workers() == 2)
         lab.coordinator("campaign", "pause", "ray")
-        until("there is no work", lambda: lab.workers() == 0)
+        until("idle workers have ended", lambda: lab.workers() == 0)
         lab.coordinator("campaign", "resume", "ray")
-        until("there is work again", lambda: lab.workers() == 2)
+        until("two workers run again", lambda: lab.workers() == 2)
         launcher.terminate()
         assert launcher.wait(timeout=60) == 0
     finally:

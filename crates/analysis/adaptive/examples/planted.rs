@@ -1,23 +1,25 @@
 //! Cost and findings of each strategy on planted rules:
 //! `cargo run --release -p adaptive --example planted`.
 //!
-//! Columns per kind of rule: the number of subsets run beyond those of a campaign, and
-//! their share of the 56 further subsets; the numbers of rollouts and batches; the share of rules
-//! explained, and the share of the explained rules whose minimal subsets are exactly the
-//! planted ones. The last rows are for noisy policies, which contradict the rule with a given
-//! probability, so that the campaign's first rollouts hide some transitions.
+//! A row is the mean over the rules of one kind. Its columns: the number of *further* subsets
+//! that the search ran, which are those that an ordinary campaign does not run, and the share of
+//! all 56 of them; the numbers of rollouts and batches; the share of rules explained, and the
+//! share of the explained rules whose minimal subsets are exactly the planted ones. The last
+//! rows are for noisy policies: each rollout contradicts the rule with a given probability. If a
+//! rollout of the source campaign does, the transition may not show and is then not searched.
 
 #[path = "../tests/it/subsets/planted.rs"]
 mod planted;
 
 use adaptive::subsets::{Evidence, Repeats, Strategy};
-use planted::{Found, Kind, Rule, search_noisy, search_rule, seeded};
+use planted::{Kind, Rule, SearchResult, search_noisy, search_rule, seeded};
 
 const RULES: usize = 2000;
 const NOISY_RULES: usize = 400;
 /// Number of subsets that an ordinary campaign does not run.
-const FURTHER: f64 = 56.0;
+const FURTHER_SUBSETS: f64 = 56.0;
 
+/// Means over the rules of one kind.
 #[derive(Default)]
 struct Mean {
     subsets: f64,
@@ -29,26 +31,26 @@ struct Mean {
 }
 
 impl Mean {
-    fn new(results: &[(Found, bool)]) -> Self {
+    fn new(results: &[(SearchResult, bool)]) -> Self {
         let n = results.len() as f64;
         let explained = results
             .iter()
-            .filter(|(found, _)| found.explanation.is_some());
+            .filter(|(result, _)| result.explanation.is_some());
         let explained = explained.count() as f64;
-        let mean = |value: &dyn Fn(&Found) -> f64| {
-            results.iter().map(|(found, _)| value(found)).sum::<f64>() / n
+        let mean = |value: &dyn Fn(&SearchResult) -> f64| {
+            results.iter().map(|(result, _)| value(result)).sum::<f64>() / n
         };
         Self {
-            subsets: mean(&|found| found.subsets as f64),
-            rollouts: mean(&|found| f64::from(found.rollouts)),
-            batches: mean(&|found| found.batches as f64),
+            subsets: mean(&|result| result.subsets as f64),
+            rollouts: mean(&|result| f64::from(result.rollouts)),
+            batches: mean(&|result| result.batches as f64),
             explained: explained / n,
             exact: results.iter().filter(|(_, exact)| *exact).count() as f64 / explained,
         }
     }
 
     fn print(&self, name: &str) {
-        let share = 100.0 * self.subsets / FURTHER;
+        let share = 100.0 * self.subsets / FURTHER_SUBSETS;
         let (explained, exact) = (100.0 * self.explained, 100.0 * self.exact);
         println!(
             "{name:<22}{:>8.1}{share:>7.1} %{:>10.1}{:>9.1}{explained:>9.1} %{exact:>7.1} %",
@@ -74,9 +76,9 @@ fn main() {
             let mut rng = seeded(1);
             let search = |_| {
                 let rule = Rule::draw(kind, &mut rng);
-                let found = search_rule(&rule, strategy);
-                let exact = found.is_exact(&rule);
-                (found, exact)
+                let result = search_rule(&rule, strategy);
+                let exact = result.is_exact(&rule);
+                (result, exact)
             };
             let mean = Mean::new(&(0..RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("{kind:?}"));
@@ -85,16 +87,16 @@ fn main() {
             }
         }
         let mean = mixture.iter().sum::<f64>() / mixture.len() as f64;
-        let share = 100.0 * mean / FURTHER;
-        println!("{:<22}{mean:>8.1}{share:>7.1} %", "mean of the first six");
+        let share = 100.0 * mean / FURTHER_SUBSETS;
+        println!("{:<22}{mean:>8.1}{share:>7.1} %", "mean of Kind::MIXTURE");
         for noise in [0.0, 0.02, 0.05, 0.1] {
             let mut rng = seeded(2);
             let search = |i: usize| {
                 let rule = Rule::draw(Kind::MONOTONE[i % Kind::MONOTONE.len()], &mut rng);
                 let evidence = Evidence::Repeated(Repeats::default());
-                let found = search_noisy(&rule, strategy, evidence, noise, &mut rng);
-                let exact = found.is_exact(&rule);
-                (found, exact)
+                let result = search_noisy(&rule, strategy, evidence, noise, &mut rng);
+                let exact = result.is_exact(&rule);
+                (result, exact)
             };
             let mean = Mean::new(&(0..NOISY_RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("monotone, noise {:.0} %", 100.0 * noise));

@@ -1,4 +1,4 @@
-//! Decision of a search.
+//! Decision about the next step of a search.
 
 /// Next step of a search whose requests are of the type `R`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -12,7 +12,7 @@ pub enum Decision<R> {
 }
 
 impl<R> Decision<R> {
-    /// Returns the decision to run a batch, or [`Self::Done`] if it is empty.
+    /// Returns the decision to run a batch, or [`Self::Done`] if the batch is empty.
     pub(crate) fn run(batch: Vec<R>) -> Self {
         match batch.is_empty() {
             true => Self::Done,

@@ -68,7 +68,7 @@ impl Table {
     }
 
     fn add_comparison(&mut self, comparison: &Comparison, truths: [&Truth; 3]) {
-        let mut all_hold = Vec::new();
+        let mut row_holds = Vec::new();
         for cell in &comparison.cells {
             let (row, label) = (row(cell.condition), cell.condition.label());
             let name = |measure: &str| format!("{measure}, {label}");
@@ -84,22 +84,23 @@ impl Table {
             for (measure, estimate) in estimates.iter().enumerate() {
                 self.add_each(&name(MEASURES[measure]), estimate, truths_of(measure));
             }
+            // New tasks; success rate.
             let truth = truths[1][0][row];
             let percentiles = difference.difference_ci95;
             self.add(&name("A - B, percentiles"), 1, percentiles, truth);
             if let Some([low, high]) = difference.simultaneous_ci95 {
-                all_hold.push((low..=high).contains(&truth));
+                row_holds.push((low..=high).contains(&truth));
             }
         }
-        let all = self.0.entry(("all rows together".to_owned(), 1));
-        let all = all.or_default();
-        all.computed += u64::from(!all_hold.is_empty());
-        all.covering += u64::from(!all_hold.is_empty() && all_hold.iter().all(|holds| *holds));
+        let row = self.0.entry(("all rows together".to_owned(), 1));
+        let row = row.or_default();
+        row.computed += u64::from(!row_holds.is_empty());
+        row.covering += u64::from(!row_holds.is_empty() && row_holds.iter().all(|holds| *holds));
     }
 }
 
 fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(seed + tasks as u64);
     let all_tasks_truth = population.truth_of_all_tasks(suites, None);
     let mut coverage = Table::default();
@@ -130,7 +131,7 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
 }
 
 fn simulate_two(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
-    let policies = TwoPolicies::usual();
+    let policies = TwoPolicies::standard();
     let mut chance = Chance::new(seed + tasks as u64);
     let all_tasks_truth = policies.truth_of_all_tasks(suites, None);
     let mut coverage = Table::default();

@@ -3,11 +3,11 @@
 //!
 //! `cargo run --release -p paired --example new_tasks [CAMPAIGNS [SEED]]`
 //!
-//! New tasks are drawn for every campaign. An early end is wrong if the mean over all tasks is
-//! 0 or has the other sign. `I excludes 0` is a rule about the campaign's own configurations:
-//! its early ends are not savings for new tasks, but show that the rule says nothing about new
-//! tasks. The last two columns are for new tasks with a single look at the end: the t interval for
-//! new tasks.
+//! New tasks are drawn for every campaign. An early end is wrong if the mean of I over all tasks is
+//! 0 or has the sign opposite to the interval's. `I excludes 0` is a rule about the campaign's own
+//! configurations: its early ends are not savings for new tasks, but show that this rule says
+//! nothing about new tasks. The last two columns are for the t interval for new tasks, computed
+//! once after the whole campaign.
 
 use libero_ctrl::{Level, Measure, Stop, Strata};
 use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};

@@ -14,7 +14,8 @@ use replay::{Design, Population};
 /// Default number of orders per level.
 const ORDERS: u64 = 2000;
 /// Designs of orders, each with a divisor of the number of orders. Designs with rounds of four
-/// configurations or of one update the intervals more often, and so run fewer orders.
+/// configurations or of a single one update the intervals more often, so that an order takes
+/// longer; fewer orders are replayed.
 const DESIGNS: [(&str, Design, u64); 3] = [
     ("rounds of tasks", Design::Tasks, 1),
     ("rounds of suites", Design::Suites, 10),
@@ -42,7 +43,7 @@ const Z: f64 = 1.959963984540054;
 
 /// Returns the smallest number of configurations at which a fixed-sample interval meets a
 /// rule: the normal interval of simple random sampling without replacement,
-/// ± z·√(S²/n·(1 − n/N)), with the population's own S² and, for `excludes`, its own mean.
+/// ± z·√(S²/n·(1 − n/N)), with the true S² of the population and, for `excludes`, its true mean.
 /// Source: W. G. Cochran, Sampling Techniques (3rd ed., 1977), section 2.8.
 fn fixed_n(population: &Population, rule: &StopRule) -> usize {
     let units = population.units.len();

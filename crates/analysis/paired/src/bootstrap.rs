@@ -57,8 +57,8 @@ impl Bootstrap {
     }
 
     /// Returns the intervals of `count` statistics, whose values `statistics` writes into a
-    /// slice. One pass of resampling serves them all; each interval is the same as if it
-    /// were computed alone.
+    /// slice. All statistics are computed in one pass of resampling; each interval is the same as
+    /// if it were computed alone.
     pub fn intervals_of_many(
         &self,
         clusters: usize,

@@ -13,7 +13,7 @@ use crate::outcomes::{Matched, Outcome};
 ///
 /// Every range except that of `d` is sharp: some outcomes reach its ends. A
 /// quarantined rollout says nothing about the policy, so the measures themselves
-/// exclude it; the range shows how much it could have mattered.
+/// exclude such rollouts; the range shows how much their outcomes could change a measure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     /// Configurations without a missing rollout.
@@ -86,15 +86,17 @@ impl Possible {
     }
 }
 
+/// Lowest and highest number of configurations for which the statement behind each measure can be
+/// true.
 #[derive(Default)]
 struct Ranges {
     s_axis: BTreeMap<Axis, [u64; 2]>,
     s_conj: [u64; 2],
     s_sim: [u64; 2],
-    b: [u64; 2],
-    c: [u64; 2],
+    emergent: [u64; 2],
+    compensated: [u64; 2],
     changed: [u64; 2],
-    /// Simultaneous successes minus conjunctions.
+    /// Lowest and highest number of simultaneous successes minus conjunctions.
     i: [i64; 2],
 }
 
@@ -119,6 +121,7 @@ impl Bounds {
 }
 
 impl Ranges {
+    /// Adds a configuration; `None` if one of its rollouts is missing.
     fn add(&mut self, matched: &Matched) -> Option<()> {
         let simultaneous = Possible::new(matched.simultaneous)?;
         let mut alone = BTreeMap::new();
@@ -139,8 +142,8 @@ impl Ranges {
             conjunction.and(simultaneous.not()),
             conjunction.not().and(simultaneous),
         );
-        emergent.count(&mut self.b);
-        compensated.count(&mut self.c);
+        emergent.count(&mut self.emergent);
+        compensated.count(&mut self.compensated);
         self.changed[0] += u64::from(emergent.is_certain || compensated.is_certain);
         self.changed[1] += u64::from(emergent.is_possible || compensated.is_possible);
         self.i[0] += i64::from(simultaneous.is_certain) - i64::from(conjunction.is_possible);
@@ -166,8 +169,8 @@ impl Ranges {
             s_sim: rates(self.s_sim),
             d: [s_conj[0] - s_indep[1], s_conj[1] - s_indep[0]],
             i: self.i.map(|sum| sum as f64 / n as f64),
-            r_e: rates(self.b),
-            r_c: rates(self.c),
+            r_e: rates(self.emergent),
+            r_c: rates(self.compensated),
             r_d: rates(self.changed),
             s_axis,
         }

@@ -11,7 +11,8 @@ use crate::text::{ABSENT, listed, percent, push_columns, push_wrapped, separate}
 
 /// Writes the report for readers who do not know the protocol's symbols: notes, three
 /// sentences, success by condition in percent, the gates, and sentences about directions and
-/// missing outcomes. It covers replicate 0; sentences about a level are about the last level.
+/// missing outcomes. The text covers replicate 0 only, and of the sentences about a level only
+/// those about the last level.
 pub fn brief(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
@@ -21,15 +22,15 @@ pub fn brief(report: &Report) -> String {
     let last = cells(report).last().map(|cell| cell.level);
     let findings = report.findings.iter();
     let findings = findings.filter(|finding| finding.level.is_none() || finding.level == last);
-    let (further, first): (Vec<&Finding>, Vec<&Finding>) =
+    let (directions, main): (Vec<&Finding>, Vec<&Finding>) =
         findings.partition(|finding| finding.kind == FindingKind::Directions);
-    for finding in first {
+    for finding in main {
         push_wrapped(&mut text, "", &finding.sentence);
     }
     push_success(&mut text, report);
     separate(&mut text);
     text.push_str(&gate_lines(report));
-    for finding in further {
+    for finding in directions {
         push_wrapped(&mut text, "", &finding.sentence);
     }
     if let Some(sentence) = incomplete(report) {
@@ -73,7 +74,7 @@ fn push_success(text: &mut String, report: &Report) {
             let count = match condition {
                 Condition::Clean => nominal(report),
                 Condition::Single(axis) => cell.alone.get(axis).map(|alone| alone.count),
-                Condition::Latency => cell.latency.as_ref().map(|late| late.count),
+                Condition::Latency => cell.latency.as_ref().map(|latency| latency.count),
                 _ => cell.simultaneous,
             };
             match count.and_then(|count| count.rate()) {

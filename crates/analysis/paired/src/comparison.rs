@@ -92,15 +92,15 @@ pub struct ComparedCell {
     /// Rollouts missing for neither policy and quarantined for at least one; excluded from
     /// the rates, included in `bounds`.
     pub quarantined: u64,
-    /// Difference over all other rollouts; absent if there are none.
+    /// Difference over the rollouts with an outcome for both policies; absent if there are none.
     pub difference: Option<Difference>,
-    /// Differences in partial progress; absent if no rollout's progress is known for both.
+    /// Differences in partial progress; absent if no rollout's progress is known for both policies.
     pub progress: Option<ProgressDifference>,
     /// Worst and best case; absent if no rollout is quarantined.
     pub bounds: Option<DifferenceBounds>,
 }
 
-/// Largest number of unpaired rollouts named per reason; the others are counted.
+/// Largest number of unpaired rollouts that are named per reason; further ones are only counted.
 const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
@@ -121,24 +121,24 @@ impl Comparison {
         bootstrap: &Bootstrap,
         obstacle: impl Fn(&Record) -> Option<Obstacle>,
     ) -> Self {
-        let both: [Compared<'a>; 2] = [a.into(), b.into()];
-        let [records_a, records_b] = both.map(|side| {
-            let by_key = side
+        let policies: [Compared<'a>; 2] = [a.into(), b.into()];
+        let [records_a, records_b] = policies.map(|policy| {
+            let by_key = policy
                 .records
                 .iter()
                 .map(|record| ((record.replicate, record.id), record));
             by_key.collect::<BTreeMap<Key, &Record>>()
         });
-        let progress = both.map(|side| {
-            let by_key = side
+        let progress = policies.map(|policy| {
+            let by_key = policy
                 .progress
                 .iter()
                 .map(|progress| ((progress.replicate, progress.id), progress));
             by_key.collect::<BTreeMap<Key, &Progress>>()
         });
-        let axes = both.map(|side| axes(side.records));
+        let axes = policies.map(|policy| axes(policy.records));
         let mut comparison = Self {
-            directions: match both.map(|side| side.directions) {
+            directions: match policies.map(|policy| policy.directions) {
                 [Directions::Own, Directions::Own] => Directions::Own,
                 _ => Directions::Shared,
             },
@@ -146,7 +146,7 @@ impl Comparison {
         };
         let mut cells: BTreeMap<(u32, Level, Condition), Cell> = BTreeMap::new();
         for (key, record) in &records_a {
-            let Some(other) = records_b.get(key) else {
+            let Some(record_b) = records_b.get(key) else {
                 comparison.only_in_a += 1;
                 continue;
             };
@@ -155,7 +155,7 @@ impl Comparison {
                 && axes[0].get(&id.level()) != axes[1].get(&id.level())
             {
                 Some(Obstacle::Axes)
-            } else if record.init_id != other.init_id {
+            } else if record.init_id != record_b.init_id {
                 Some(Obstacle::InitialState)
             } else {
                 obstacle(record)
@@ -170,7 +170,7 @@ impl Comparison {
                 task: id.task(),
                 number: id.config().unwrap_or(record.init_id),
                 a: record.outcome,
-                b: other.outcome,
+                b: record_b.outcome,
             };
             let has_outcomes = pair.a.success().is_some() && pair.b.success().is_some();
             if let [Some(a), Some(b)] = progress.each_ref().map(|by_key| by_key.get(key))
@@ -233,7 +233,8 @@ impl Comparison {
         cells.map(|difference| difference.n).sum()
     }
 
-    /// Returns a line for each reason why rollouts are in no figure, with the rollouts.
+    /// Returns a line for each reason why rollouts are in no figure, with the names of some of
+    /// these rollouts or their number.
     pub fn left_out(&self) -> Vec<String> {
         let reasons = self.unpaired.iter();
         let mut lines: Vec<String> = reasons
@@ -247,7 +248,7 @@ impl Comparison {
                 let rollouts = counted(ids.len() as u64);
                 let named = named.join(", ");
                 format!(
-                    "{rollouts} of both cannot be paired ({}): {named}{more}",
+                    "{rollouts} that both policies have cannot be paired ({}): {named}{more}",
                     obstacle.name()
                 )
             })
@@ -290,8 +291,8 @@ fn has_either(pair: &Pair, outcome: Outcome) -> bool {
     pair.a == outcome || pair.b == outcome
 }
 
-/// Returns the axes that are perturbed alone at each level; *simultaneous* perturbs the same
-/// axes.
+/// Returns the axes that are perturbed alone at each level, which are also the axes that
+/// *simultaneous* perturbs.
 fn axes(records: &[Record]) -> BTreeMap<Level, BTreeSet<Axis>> {
     let mut axes: BTreeMap<Level, BTreeSet<Axis>> = BTreeMap::new();
     for record in records {

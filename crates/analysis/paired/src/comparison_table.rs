@@ -90,7 +90,7 @@ fn values(difference: &Difference) -> Vec<String> {
     let point = |value: f64| format!("{:+.1}", 100.0 * value);
     let interval = match (difference.difference_ci95, difference.no_interval) {
         (Some([low, high]), _) => format!("[{}, {}]", point(low), point(high)),
-        (None, Some(why)) => why.to_string(),
+        (None, Some(reason)) => reason.to_string(),
         (None, None) => ABSENT.to_owned(),
     };
     vec![

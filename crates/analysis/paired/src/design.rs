@@ -46,19 +46,19 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
     } = *design;
     let n = f64::from(tasks) * configs_per_task;
     let design_effect = 1.0 + (configs_per_task - 1.0) * task_correlation;
-    // Negative if |I| is detectable.
-    let lacking = |i: f64| {
+    // Required minus actual |I|·√n: negative if |I| is detectable.
+    let shortfall = |i: f64| {
         let test = Z_TEST * (r_d * design_effect).sqrt();
         let power = Z_POWER * ((r_d - i * i).max(0.0) * design_effect).sqrt();
         test + power - i * n.sqrt()
     };
-    if !(design_effect > 0.0 && n > 0.0) || r_d <= 0.0 || lacking(r_d) > 0.0 {
+    if !(design_effect > 0.0 && n > 0.0) || r_d <= 0.0 || shortfall(r_d) > 0.0 {
         return None;
     }
     let (mut low, mut high) = (0.0, r_d);
     for _ in 0..BISECTIONS {
         let middle = f64::midpoint(low, high);
-        match lacking(middle) > 0.0 {
+        match shortfall(middle) > 0.0 {
             true => low = middle,
             false => high = middle,
         }

@@ -49,13 +49,13 @@ pub struct Difference {
     pub difference_ci95: Option<Interval>,
     /// Reason why `difference_ci95` is absent.
     pub no_interval: Option<NoInterval>,
-    /// Rollouts that both solve.
+    /// Rollouts that both policies solve.
     pub both: u64,
     /// Rollouts that only A solves.
     pub a_only: u64,
     /// Rollouts that only B solves.
     pub b_only: u64,
-    /// Rollouts that neither solves.
+    /// Rollouts that neither policy solves.
     pub neither: u64,
     /// Exact two-sided McNemar test of `a_only` against `b_only`.
     pub mcnemar_p: f64,
@@ -85,8 +85,8 @@ pub struct Profile {
     /// Tasks in which B succeeds more often.
     pub b_better: u64,
     /// Probability of improvement with intervals: the probability that A does better than B
-    /// in a task drawn at random, where ties count half. It has no interval for the tasks of
-    /// the sample, and none for new directions if tasks share their directions.
+    /// in a task drawn at random, where ties count half. The estimate has no interval for the
+    /// tasks of the sample, and none for new directions if tasks share their directions.
     ///
     /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
     /// statistical precipice, NeurIPS 2021.
@@ -242,7 +242,8 @@ impl DifferenceBounds {
     }
 }
 
-/// Returns the tally of each task that has a pair with both outcomes, ordered by task.
+/// Returns the tally of each task that has a rollout with an outcome for both policies, ordered by
+/// task.
 fn tallies(pairs: &[Pair]) -> Vec<Tally> {
     let mut tasks: BTreeMap<TaskRef, Tally> = BTreeMap::new();
     for Pair { task, a, b, .. } in pairs {
@@ -265,7 +266,7 @@ fn resampled_difference(clusters: &[Tally], draws: &[u32]) -> f64 {
     net / n
 }
 
-/// Returns a row for each pair with both outcomes, with the columns 1 and A − B.
+/// Returns a row for each rollout with an outcome for both policies, with the columns 1 and A − B.
 fn rows(pairs: &[Pair]) -> Vec<Row> {
     let rows = pairs.iter().filter_map(|pair| {
         let number = |outcome: Outcome| Some(f64::from(u8::from(outcome.success()?)));

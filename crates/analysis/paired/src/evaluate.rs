@@ -43,8 +43,8 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
             gap: Gap::default(),
         });
     }
-    let first = nominal.iter().find(|nominal| nominal.replicate == 0);
-    let first = first.map_or(Count::default(), |nominal| nominal.count);
+    let first_nominal = nominal.iter().find(|nominal| nominal.replicate == 0);
+    let first_nominal = first_nominal.map_or(Count::default(), |nominal| nominal.count);
     let cells = records.configurations();
     let cells = cells.chunk_by(|a, b| (a.replicate, a.level) == (b.replicate, b.level));
     let placebos = cells
@@ -77,7 +77,7 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         axes: records.axes().collect(),
         gate: options
             .published_nominal
-            .map(|rate| Gate::new(rate, first).with_tasks(&nominal_by_task(records, None))),
+            .map(|rate| Gate::new(rate, first_nominal).with_tasks(&nominal_by_task(records, None))),
         suite_gates: options
             .published_by_suite
             .iter()
@@ -124,7 +124,7 @@ fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     })
 }
 
-/// Counts the nominal rollouts of each task in replicate 0, of one suite or all.
+/// Counts the nominal rollouts of each task in replicate 0, for one suite or for all suites.
 fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
     for (&(replicate, id), &outcome) in &records.outcomes {

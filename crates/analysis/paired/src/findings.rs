@@ -22,7 +22,7 @@ pub const FINDING_ALPHA: f64 = 0.01;
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
 /// Returns the findings about replicate 0: success, then for each level costs, simultaneity
-/// and, if success depends on them, directions.
+/// and, if success depends on the direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
     let cells: Vec<&Cell> = cells.collect();
@@ -130,7 +130,7 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     })
 }
 
-/// Writes the finding about the most costly single axis and the significance of the others.
+/// Writes the finding about the most costly single axis and the axes equivalent to nominal success.
 fn cost(cell: &Cell) -> Option<Finding> {
     let losses = cell.inference.as_ref().map(|inference| &inference.losses)?;
     let singles = losses
@@ -289,8 +289,8 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
 
 /// Returns the share of nearly identical rollouts that end differently, with the beginning of
 /// a sentence about them: nominal rollouts of two replicates, or nominal and
-/// language-perturbed ones. Language has an effect of its own, so that the latter share is an
-/// upper bound of chance.
+/// language-perturbed rollouts. Language has an effect of its own, so that the share of
+/// language-perturbed rollouts is an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     let replicate = report.replication.first();
     let replicate = replicate.and_then(|replication| {

@@ -182,13 +182,7 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
 /// rollouts.
 fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     let heads = [
-        "n",
-        "nominal",
-        "success",
-        "loss",
-        "95 %",
-        "Holm p",
-        "beyond 5, p",
+        "n", "nominal", "success", "loss", "95 %", "Holm p", "equiv. p",
     ];
     let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
     for cell in cells {
@@ -260,7 +254,7 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
         ),
         (
             "c / (1 - S_conj)",
-            "share of compensated successes among all other configurations",
+            "share of compensated successes among configurations that fail under some axis alone",
         ),
     ];
     if inferred
@@ -277,9 +271,9 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
             "sign-flip test of the loss, corrected for the conditions of the level",
         ));
         entries.push((
-            "beyond 5, p",
-            "p-value of the hypothesis that the loss lies outside +-5 points: if it is small, \
-             success is equivalent to nominal",
+            "equiv. p",
+            "equivalence: p-value of the hypothesis that the loss lies outside +-5 points; if it \
+             is small, success is equivalent to nominal",
         ));
     }
     if inferred.iter().any(|inference| inference.excess.is_some()) {

@@ -68,8 +68,8 @@ pub(crate) fn intervals<const N: usize>(
     let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
     let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
     let shown = intervals.map(|interval| interval_or_reason(tasks, interval));
-    let why = shown.iter().find_map(|interval| interval.err());
-    (shown.map(Result::ok), why)
+    let reason = shown.iter().find_map(|interval| interval.err());
+    (shown.map(Result::ok), reason)
 }
 
 /// Returns the intervals of `count` statistics, each with the reason if it is withheld.
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     fn mean_interval(values: &[f64]) -> (Option<Interval>, Option<NoInterval>) {
-        let ([interval], why) = intervals(&Bootstrap::default(), values.len(), |draws| {
+        let ([interval], reason) = intervals(&Bootstrap::default(), values.len(), |draws| {
             let sum: f64 = draws
                 .iter()
                 .zip(values)
@@ -114,7 +114,7 @@ mod tests {
                 .sum();
             [sum / values.len() as f64]
         });
-        (interval, why)
+        (interval, reason)
     }
 
     #[test]
@@ -128,10 +128,10 @@ mod tests {
             mean_interval(&values[..9]),
             (None, Some(NoInterval::TooFewTasks))
         );
-        let (interval, why) = mean_interval(&values);
+        let (interval, reason) = mean_interval(&values);
         let [low, high] = interval.expect("ten tasks");
         assert!(low < 4.5 && 4.5 < high, "{low} {high}");
-        assert_eq!(why, None);
+        assert_eq!(reason, None);
     }
 
     #[test]
@@ -151,10 +151,10 @@ mod tests {
                     *value = mean(draws, column);
                 }
             });
-            for (column, found) in columns.iter().zip(many) {
-                let (interval, why) = mean_interval(&column[..tasks]);
-                assert_eq!(found.ok(), interval);
-                assert_eq!(found.err(), why);
+            for (column, result) in columns.iter().zip(many) {
+                let (interval, reason) = mean_interval(&column[..tasks]);
+                assert_eq!(result.ok(), interval);
+                assert_eq!(result.err(), reason);
             }
         }
     }

@@ -8,7 +8,7 @@ use crate::report::{Cell, Report};
 use crate::text::push_legend;
 
 /// Writes the legend of the tables of some reports, for a terminal of 80 columns; empty if
-/// they print no symbol.
+/// the tables print no symbol.
 pub fn legend(reports: &[&Report]) -> String {
     let cells = || reports.iter().flat_map(|report| &report.cells);
     let has_pairs = cells().any(|cell| cell.simultaneous.is_some());
@@ -38,7 +38,7 @@ pub fn legend(reports: &[&Report]) -> String {
         );
         add(
             "D",
-            "how far the axes' failures coincide in the same configurations",
+            "dependence of the axes' failures: above 0 if they coincide in the same configurations",
         );
         add(
             "I",
@@ -56,7 +56,7 @@ pub fn legend(reports: &[&Report]) -> String {
             "R_e, R_c, R_d",
             "shares of configurations: emergent, compensated, changed",
         );
-        add("emergent share", "b of all simultaneous failures");
+        add("emergent share", "share of b in all simultaneous failures");
         add("McNemar p", "exact two-sided test of b against c");
         add(
             "detectable |I|",
@@ -67,7 +67,7 @@ pub fn legend(reports: &[&Report]) -> String {
     if has_pairs && reports.iter().any(|report| !report.overstated.is_empty()) {
         add(
             "*",
-            "overstated: the campaign ended because this measure was large at that look; the \
+            "overstated: the campaign ended because this measure was large at its last look; the \
              confidence sequence of the measure remains valid",
         );
     }
@@ -120,7 +120,7 @@ pub(crate) fn interval_entries(
     )];
     if absent.contains(&NoInterval::TooFewTasks) {
         let name = NoInterval::TooFewTasks.name();
-        let meaning = format!("too few tasks for an interval: it takes {MIN_TASKS}");
+        let meaning = format!("too few tasks for an interval, which needs {MIN_TASKS}");
         entries.push((name, meaning));
     }
     if absent.contains(&NoInterval::NoSpread) {

@@ -1,7 +1,7 @@
 //! Exact McNemar test of paired outcomes.
 
 /// Returns the two-sided exact p-value of `b` changes in one direction against `c` in the
-/// other, under the hypothesis that both are equally likely: twice the smaller tail of
+/// other, under the hypothesis that both directions are equally likely: twice the smaller tail of
 /// Bin(b + c, ½), at most 1:
 /// p = min(1, 2·Σ_{k ≤ min(b, c)} C(b + c, k)·2^−(b + c)).
 ///

@@ -82,8 +82,8 @@ pub struct Measures {
 }
 
 impl Measures {
-    /// Computes the measures of some configurations; `None` without a configuration. The
-    /// result does not depend on their order or on the names of tasks and axes.
+    /// Computes the measures of some configurations; `None` without a configuration. The result
+    /// does not depend on the order of the configurations or on the names of tasks and axes.
     ///
     /// # Panics
     /// If two configurations have different axes.
@@ -93,7 +93,9 @@ impl Measures {
         let total = Tally::resampled(&clusters, &vec![1; clusters.len()]);
         let point = total.rates();
         let (shown, no_interval) = intervals(bootstrap, clusters.len(), |draws| {
-            Tally::resampled(&clusters, draws).rates().with_intervals()
+            Tally::resampled(&clusters, draws)
+                .rates()
+                .measures_with_intervals()
         });
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
         let failures = total.n - total.simultaneous;
@@ -134,6 +136,7 @@ pub(crate) struct Tally {
     c: u64,
 }
 
+/// Rates over the configurations of a [`Tally`].
 pub(crate) struct Rates {
     s_axis: Vec<f64>,
     s_indep: f64,
@@ -207,7 +210,7 @@ impl Tally {
 
 impl Rates {
     /// Returns the measures that get an interval: d, i, r_e, r_c, r_d.
-    pub(crate) fn with_intervals(&self) -> [f64; 5] {
+    pub(crate) fn measures_with_intervals(&self) -> [f64; 5] {
         [
             self.s_conj - self.s_indep,
             self.s_sim - self.s_conj,

@@ -53,7 +53,7 @@ impl From<bool> for Outcome {
     }
 }
 
-/// One row of a campaign × one replicate.
+/// A rollout of one replicate, with its outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     /// Identity of the rollout.
@@ -93,10 +93,10 @@ pub struct Matched {
     /// Outcome of the nominal rollout from the same initial state; also missing if the
     /// campaign runs no nominal rollouts.
     pub nominal: Outcome,
-    /// Outcomes under each axis alone, all axes of the campaign.
+    /// Outcome under each axis alone, for all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
     /// Outcome under the latency axis, which no conjunction includes; `None` if the campaign does
-    /// not run it at this level.
+    /// not run the latency axis at this level.
     pub latency: Option<Outcome>,
     /// Outcomes under proper subsets of two or more axes, as far as recorded.
     pub subsets: BTreeMap<AxisSet, Outcome>,

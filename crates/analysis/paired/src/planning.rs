@@ -240,20 +240,20 @@ fn excess(base: f64, correlation: f64, [compared, reference]: [Planned; 2]) -> O
         (compared.variance(share, correlation) + reference.variance(reference_share, correlation))
             .sqrt()
     };
-    // Negative if the excess is detectable.
-    let lacking = |excess: f64| {
+    // Required minus given excess: negative if the given excess is detectable.
+    let shortfall = |excess: f64| {
         let share = base + excess;
         let all = compared.total() + reference.total();
         let pooled = (compared.total() * share + reference.total() * base) / all;
         Z_TEST * spread(pooled, pooled) + Z_POWER * spread(share, base) - excess
     };
     let (mut low, mut high) = (0.0, 1.0 - base);
-    if !(compared.total() > 0.0 && reference.total() > 0.0) || lacking(high) > 0.0 {
+    if !(compared.total() > 0.0 && reference.total() > 0.0) || shortfall(high) > 0.0 {
         return None;
     }
     for _ in 0..BISECTIONS {
         let middle = f64::midpoint(low, high);
-        match lacking(middle) > 0.0 {
+        match shortfall(middle) > 0.0 {
             true => low = middle,
             false => high = middle,
         }
@@ -304,8 +304,8 @@ mod tests {
             let variance = compared.variance(pooled, 0.0) + reference.variance(pooled, 0.0);
             (rate - reference_rate).abs() > Z_TEST * variance.sqrt()
         };
-        let found = (0..campaigns).filter(is_found).count();
-        let power = found as f64 / f64::from(campaigns);
+        let count = (0..campaigns).filter(is_found).count();
+        let power = count as f64 / f64::from(campaigns);
         assert!((0.75..0.85).contains(&power), "{power} for {excess}");
     }
 
@@ -349,8 +349,8 @@ mod tests {
             ..assumed(0.2, 0.0)
         });
         for (level, nearest) in [("L2", "L1"), ("r7", "L3"), ("r0.1", "L1"), ("L3", "L3")] {
-            let found = Assumed::nearest(&all, at(level)).expect("a perturbed level");
-            assert_eq!(found.level, at(nearest), "{level}");
+            let assumed = Assumed::nearest(&all, at(level)).expect("a perturbed level");
+            assert_eq!(assumed.level, at(nearest), "{level}");
         }
         assert_eq!(Assumed::nearest(&all[..1], Level::L2), None);
     }

@@ -90,11 +90,12 @@ impl ProgressDifference {
         };
         let goals = each(Progress::goal_share, Scale::Difference);
         let steps = each(|progress| progress.steps.map(f64::from), Scale::Mean);
-        let both = goals.into_iter().zip(steps);
-        both.map(|(goal, steps)| {
-            (goal.is_some() || steps.is_some()).then_some(Self { goal, steps })
-        })
-        .collect()
+        let goals_and_steps = goals.into_iter().zip(steps);
+        goals_and_steps
+            .map(|(goal, steps)| {
+                (goal.is_some() || steps.is_some()).then_some(Self { goal, steps })
+            })
+            .collect()
     }
 }
 

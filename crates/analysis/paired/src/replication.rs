@@ -47,17 +47,17 @@ impl Flips {
     }
 }
 
-/// Measures of a replicate minus those of replicate 0, over the configurations that are
-/// complete in both. The bootstrap resamples both replicates of a task together.
+/// Measures of a replicate minus those of replicate 0, over the configurations that are complete
+/// in both replicates. The bootstrap resamples the two replicates of a task together.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Change {
-    /// Configurations that are complete in both.
+    /// Configurations that are complete in both replicates.
     pub n: u64,
-    /// Configurations with the same transition in both.
+    /// Configurations with the same transition in both replicates.
     pub same_transition: u64,
     /// Configurations that are emergent or compensated in replicate 0.
     pub changed: u64,
-    /// Configurations counted in `changed` that have the same transition in this replicate.
+    /// Configurations counted in `changed` that have the same transition in the later replicate.
     pub changed_again: u64,
     /// Change of `s_sim`.
     pub s_sim: f64,
@@ -138,10 +138,10 @@ impl Change {
         let axes: Vec<_> = first[0].alone.keys().copied().collect();
         let clusters = [first, later].map(|outcomes| Tally::of_tasks(outcomes, &axes));
         let changes = |draws: &[u32]| {
-            let rates = |side: usize| {
-                Tally::resampled(&clusters[side], draws)
+            let rates = |replicate: usize| {
+                Tally::resampled(&clusters[replicate], draws)
                     .rates()
-                    .with_intervals()
+                    .measures_with_intervals()
             };
             let (first, later) = (rates(0), rates(1));
             std::array::from_fn::<f64, 5, _>(|i| later[i] - first[i])
@@ -151,7 +151,7 @@ impl Change {
         let [d, i, r_e, r_c, r_d] = changes(&once);
         let (shown, no_interval) = intervals(bootstrap, tasks, changes);
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
-        let s_sim = |side: usize| Tally::resampled(&clusters[side], &once).rates().s_sim;
+        let s_sim = |replicate: usize| Tally::resampled(&clusters[replicate], &once).rates().s_sim;
         let transition = |c: &Configuration| Transition::between(c.conjunction(), c.simultaneous);
         let (mut same, mut changed, mut again) = (0, 0, 0);
         for (first, later) in first.iter().zip(later) {

@@ -101,7 +101,8 @@ pub struct Cell {
     /// Success under each single axis over all results, including those of incomplete
     /// configurations.
     pub alone: BTreeMap<Axis, SingleAxis>,
-    /// Success under the latency axis, over all results; absent if the campaign does not run it.
+    /// Success under the latency axis, over all results; absent if the campaign does not run this
+    /// axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency: Option<SingleAxis>,
     /// Success under proper subsets of two or more axes, over all results; empty if the
@@ -123,7 +124,7 @@ pub struct Cell {
     /// Intraclass correlation of configurations of a task, see
     /// [`task_correlation`](crate::design::task_correlation).
     pub task_correlation: Option<f64>,
-    /// Inference about these figures; absent while no configuration is complete.
+    /// Inference about the paired measures; absent while no configuration is complete.
     pub inference: Option<Inference>,
     /// The smallest |`i`| detectable with this many configurations, see
     /// `minimum_detectable_effect`.

@@ -34,11 +34,11 @@
 //! The five measures share α = 5 % equally (Bonferroni).
 //!
 //! # Choice of strata
-//! Strata must be chosen before any outcome is known. With fewer strata, the
-//! minimum over their totals costs less and the rounds are shorter. Strata of
-//! suites therefore give narrower intervals than strata of tasks, unless tasks of
-//! a suite differ very much, and keep the sample balanced over suites.
-//! `cargo run --release -p paired --example sequential` compares them.
+//! Strata must be chosen before any outcome is known. With fewer strata, the minimum over their
+//! totals discards less evidence and the rounds are shorter. Strata of suites therefore give
+//! narrower intervals than strata of tasks, unless tasks of a suite differ very much, and keep the
+//! sample balanced over suites. `cargo run --release -p paired --example sequential` compares the
+//! two choices.
 //!
 //! # New tasks
 //! A rule may be about new tasks instead, see the file `new_tasks`.

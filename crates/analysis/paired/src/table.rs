@@ -26,7 +26,7 @@ const LABEL_WIDTH: usize = 20;
 const COLUMN_WIDTH: usize = 19;
 /// Largest number of levels side by side.
 const MAX_CELLS: usize = 3;
-/// Largest number of quarantined rollouts named; the others are counted.
+/// Largest number of quarantined rollouts that are named; further ones are only counted.
 const MAX_NAMED: usize = 6;
 
 /// Writes the report as a table. Rates are in percent, differences in percentage points;
@@ -81,7 +81,7 @@ fn quarantined(names: &[String]) -> String {
         more => format!(" and {more} more"),
     };
     format!(
-        "in quarantine and in no rate ({}): {named}{more}",
+        "in quarantine and excluded from every rate ({}): {named}{more}",
         names.len()
     )
 }
@@ -179,7 +179,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
     for cell in cells {
         let count = |condition| match condition {
             Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
-            Condition::Latency => cell.latency.as_ref().map(|late| late.count),
+            Condition::Latency => cell.latency.as_ref().map(|latency| latency.count),
             _ => cell.simultaneous,
         };
         let loss = |condition| match condition {
@@ -187,7 +187,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
             Condition::Latency => percent(
                 cell.latency
                     .as_ref()
-                    .and_then(|late| late.clean_relative_loss),
+                    .and_then(|latency| latency.clean_relative_loss),
             ),
             _ => String::new(),
         };

@@ -11,8 +11,8 @@ pub(crate) const WIDTH: usize = 80;
 /// Mark of an absent value.
 pub(crate) const ABSENT: &str = "-";
 
-/// Appends words wrapped to the terminal's width: the first line after `prefix`, the others
-/// indented to align with it.
+/// Appends words wrapped to the terminal's width: the first line after `prefix`, all further
+/// lines indented to align with the first.
 pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
     let indent = " ".repeat(prefix.chars().count());
     let mut line = prefix.to_owned();
@@ -100,7 +100,7 @@ pub(crate) fn rate(value: f64) -> String {
     format!("{:.2}", 100.0 * value)
 }
 
-/// Formats a rate in percent with one decimal, `87.5`, or a mark for `None`.
+/// Formats a rate in percent with one decimal, `87.5`, or `-` for `None`.
 pub(crate) fn percent(value: Option<f64>) -> String {
     let text = value.map(|value| format!("{:.1}", 100.0 * value));
     text.unwrap_or_else(|| ABSENT.to_owned())
@@ -112,23 +112,23 @@ pub(crate) fn points(value: f64) -> String {
 }
 
 /// Formats an interval of rates, or the reason why it is absent.
-pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    format_interval(rate, interval, why)
+pub(crate) fn rate_interval(interval: Option<Interval>, reason: Option<NoInterval>) -> String {
+    format_interval(rate, interval, reason)
 }
 
 /// Formats an interval of differences, or the reason why it is absent.
-pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    format_interval(points, interval, why)
+pub(crate) fn points_interval(interval: Option<Interval>, reason: Option<NoInterval>) -> String {
+    format_interval(points, interval, reason)
 }
 
 fn format_interval(
     number: fn(f64) -> String,
     interval: Option<Interval>,
-    why: Option<NoInterval>,
+    reason: Option<NoInterval>,
 ) -> String {
-    match (interval, why) {
+    match (interval, reason) {
         (Some([low, high]), _) => format!("[{}, {}]", number(low), number(high)),
-        (None, Some(why)) => why.to_string(),
+        (None, Some(reason)) => reason.to_string(),
         (None, None) => ABSENT.to_owned(),
     }
 }
@@ -145,7 +145,7 @@ pub(crate) fn p_value(p: f64) -> String {
 pub(crate) fn listed(parts: &[String]) -> String {
     match parts {
         [] => String::new(),
-        [one] => one.clone(),
+        [only] => only.clone(),
         [first @ .., last] => format!("{} and {last}", first.join(", ")),
     }
 }

@@ -308,9 +308,9 @@ proptest! {
     #[test]
     fn exchanging_the_policies_negates_the_difference(pairs in outcomes()) {
         let bootstrap = Bootstrap { replicates: 100, seed: 3 };
-        let both = Difference::of_each(&[pairs.clone(), exchanged(&pairs)], &bootstrap);
-        let [Some(original), Some(reversed)] = both.as_slice() else {
-            prop_assert_eq!(both, [None, None]);
+        let differences = Difference::of_each(&[pairs.clone(), exchanged(&pairs)], &bootstrap);
+        let [Some(original), Some(reversed)] = differences.as_slice() else {
+            prop_assert_eq!(differences, [None, None]);
             return Ok(());
         };
         prop_assert!((original.difference + reversed.difference).abs() < 1e-12);
@@ -327,11 +327,11 @@ proptest! {
     #[test]
     fn a_set_has_the_same_difference_alone_and_among_others(
         pairs in outcomes(),
-        other in outcomes(),
+        other_pairs in outcomes(),
     ) {
         let bootstrap = Bootstrap { replicates: 60, seed: 1 };
         let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
-        let among = Difference::of_each(&[other, pairs], &bootstrap);
+        let among = Difference::of_each(&[other_pairs, pairs], &bootstrap);
         // Corrections for multiple rows depend on the other rows.
         let without_corrections = |difference: &Option<Difference>| {
             difference.clone().map(|difference| Difference {

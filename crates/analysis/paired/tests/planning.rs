@@ -20,7 +20,7 @@ fn built_in_assumptions_agree_with_the_students_published_outcomes() {
         }
     };
     let records: Vec<Record> = STUDENT.lines().map(record).collect();
-    let found = Assumed::of(&records).expect("each rollout once");
+    let summary = Assumed::of(&records).expect("each rollout once");
     let rounded = |assumed: &Assumed| {
         let rates = [
             assumed.s_sim,
@@ -31,6 +31,10 @@ fn built_in_assumptions_agree_with_the_students_published_outcomes() {
         ];
         (assumed.level, rates.map(|rate| (rate * 1e4).round() / 1e4))
     };
-    let found: Vec<_> = found.iter().map(rounded).collect();
-    assert_eq!(found, Assumed::STUDENT.each_ref().map(rounded), "{found:?}");
+    let summary: Vec<_> = summary.iter().map(rounded).collect();
+    assert_eq!(
+        summary,
+        Assumed::STUDENT.each_ref().map(rounded),
+        "{summary:?}"
+    );
 }

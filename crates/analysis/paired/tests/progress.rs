@@ -74,8 +74,11 @@ fn differences_in_steps_and_predicates_equal_those_worked_out_by_hand() {
         (nominal.condition, nominal.progress),
         (Condition::Clean, None)
     );
-    let found = comparison.cells[1].progress.expect("progress");
-    let (goal, steps) = (found.goal.expect("goals"), found.steps.expect("steps"));
+    let progress = comparison.cells[1].progress.expect("progress");
+    let (goal, steps) = (
+        progress.goal.expect("goals"),
+        progress.steps.expect("steps"),
+    );
     assert_eq!((steps.n, steps.tasks), (10, 10));
     assert_eq!((steps.mean_a, steps.mean_b), (105.5, 100.0));
     assert!(is_near(steps.difference.value, 5.5));
@@ -118,18 +121,18 @@ fn progress_known_for_one_policy_only_is_excluded() {
     progress_b[1].goal = None;
     progress_b.pop();
     let comparison = compare(compared(&a, &progress_a), compared(&b, &progress_b));
-    let found = comparison.cells[1].progress.expect("progress");
-    assert_eq!(found.steps.map(|mean| mean.n), Some(8));
-    assert_eq!(found.goal.map(|mean| mean.n), Some(7));
-    let none = compare(compared(&a, &progress_a), Compared::from(b.as_slice()));
-    assert!(none.cells.iter().all(|cell| cell.progress.is_none()));
-    let text = comparison_table(&none, &Bootstrap::default());
+    let progress = comparison.cells[1].progress.expect("progress");
+    assert_eq!(progress.steps.map(|mean| mean.n), Some(8));
+    assert_eq!(progress.goal.map(|mean| mean.n), Some(7));
+    let without_b = compare(compared(&a, &progress_a), Compared::from(b.as_slice()));
+    assert!(without_b.cells.iter().all(|cell| cell.progress.is_none()));
+    let text = comparison_table(&without_b, &Bootstrap::default());
     assert!(!text.contains("partial progress"), "{text}");
 }
 
 #[test]
 fn own_directions_are_assumed_only_if_both_campaigns_have_them() {
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(9);
     let effects = population.tasks(20, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
@@ -143,10 +146,14 @@ fn own_directions_are_assumed_only_if_both_campaigns_have_them() {
             });
         compare(a, b)
     };
-    let both = compare_with(own, own);
-    assert_eq!(both.directions, own);
+    let both_own = compare_with(own, own);
+    assert_eq!(both_own.directions, own);
     let (mut nominal, mut differ) = (0, false);
-    for (cell, shared_cell) in both.cells.iter().zip(compare_with(shared, shared).cells) {
+    for (cell, shared_cell) in both_own
+        .cells
+        .iter()
+        .zip(compare_with(shared, shared).cells)
+    {
         let [own, shared] = [cell.difference.as_ref(), shared_cell.difference.as_ref()]
             .map(|difference| difference.expect("outcomes").estimate);
         assert_eq!(own.new_tasks, shared.new_tasks);
@@ -160,6 +167,6 @@ fn own_directions_are_assumed_only_if_both_campaigns_have_them() {
     }
     assert!(nominal == 1 && differ);
     assert_eq!(compare_with(own, shared).directions, shared);
-    let text = comparison_table(&both, &Bootstrap::default());
+    let text = comparison_table(&both_own, &Bootstrap::default());
     assert!(text.contains("directions of its own"), "{text}");
 }

@@ -1,5 +1,5 @@
 //! Comparison with the results that the authors of the protocol published. A test that needs more
-//! than the example data is skipped, with a message, if the data are missing.
+//! data than the example is skipped, with a message, if these data are missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,7 +16,7 @@ fn read(name: &str) -> Option<String> {
         .join(name);
     let text = std::fs::read_to_string(&path).ok();
     if text.is_none() {
-        println!("skipped: {} is not here", path.display());
+        println!("skipped: {} is missing", path.display());
     }
     text
 }
@@ -175,8 +175,8 @@ fn published_outcomes_reproduce_their_cells_exactly() {
 }
 
 /// Compares the intervals with the paper's interval of I at L2 and with those of an independent
-/// bootstrap of 200,000 replicates.
-/// With 4,000 replicates, an end is uncertain by about 0.15 points.
+/// bootstrap of 200,000 replicates. With 4,000 replicates, an end is uncertain by about 0.15
+/// points.
 #[test]
 fn intervals_agree_with_the_published_ones_within_monte_carlo_error() {
     let report = openvla_oft();

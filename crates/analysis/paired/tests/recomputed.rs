@@ -120,11 +120,14 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
 
 /// Returns the pairs of outcomes and the comparison in the form that the script reads.
 fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
-    let found = Comparison::of(a, b, &Bootstrap::default(), |_| None);
+    let comparison = Comparison::of(a, b, &Bootstrap::default(), |_| None);
     let records_b: BTreeMap<RolloutId, &Record> =
         b.records.iter().map(|record| (record.id, record)).collect();
-    let progress = [a, b].map(|side| {
-        let by_id = side.progress.iter().map(|progress| (progress.id, progress));
+    let progress = [a, b].map(|policy| {
+        let by_id = policy
+            .progress
+            .iter()
+            .map(|progress| (progress.id, progress));
         by_id.collect::<BTreeMap<RolloutId, &Progress>>()
     });
     let cell = |cell: &ComparedCell| {
@@ -148,14 +151,14 @@ fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
         });
         json!({
             "name": cell.name(),
-            "own_directions": found.directions == Directions::Own
+            "own_directions": comparison.directions == Directions::Own
                 && cell.condition != Condition::Clean,
             "pairs": pairs.collect::<Vec<_>>(),
             "difference": cell.difference,
             "progress": cell.progress,
         })
     };
-    json!({"name": name, "compared": found.cells.iter().map(cell).collect::<Vec<_>>()})
+    json!({"name": name, "compared": comparison.cells.iter().map(cell).collect::<Vec<_>>()})
 }
 
 /// Returns random steps and predicates of rollouts; one rollout in seven has no known predicates.
@@ -193,7 +196,7 @@ fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> 
 /// campaigns declares that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(1000 + seed);
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
@@ -215,7 +218,7 @@ fn simulated_comparison(seed: u64) -> Value {
 /// third has replicates.
 fn simulated_campaign(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (10, 1), (20, 4)][seed as usize % 5];
-    let population = Population::usual();
+    let population = Population::standard();
     let mut chance = Chance::new(seed);
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
@@ -228,8 +231,8 @@ fn simulated_campaign(seed: u64) -> Value {
     } else {
         1
     } {
-        let again = population.campaign(&effects, suites, &directions, &mut chance);
-        records.extend(again.into_iter().map(|record| Record {
+        let repeated = population.campaign(&effects, suites, &directions, &mut chance);
+        records.extend(repeated.into_iter().map(|record| Record {
             replicate,
             ..record
         }));

@@ -275,7 +275,7 @@ fn an_incomplete_cell_counts_complete_configurations_and_lists_gaps() {
 
     let text = table(&report);
     for expected in [
-        "in quarantine and in no rate (1): spatial/t2/sensor/L2/c00",
+        "in quarantine and excluded from every rate (1): spatial/t2/sensor/L2/c00",
         "nominal success: 100.0 % (2/2); 1 missing",
         "incomplete L2: camera 1 missing; sensor 1 quarantined",
         "1 of 3",
@@ -378,14 +378,14 @@ fn a_report_of_nominal_rollouts_alone_has_only_nominal_success() {
 #[test]
 fn later_replicates_are_compared_with_replicate_0() {
     let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
-    let mut again = records.clone();
-    for record in &mut again {
+    let mut later = records.clone();
+    for record in &mut later {
         record.replicate = 1;
     }
     // The first configuration's simultaneous rollout succeeds: no longer an emergent failure.
-    again[3].outcome = S;
-    again[4].outcome = M;
-    records.extend(again);
+    later[3].outcome = S;
+    later[4].outcome = M;
+    records.extend(later);
     let report = report(&records, &Options::default()).expect("no duplicates");
     let replication = &report.replication[0];
     let Flips { compared, flipped } = replication.flips;

@@ -99,8 +99,8 @@ fn after_all_configurations_an_interval_is_the_exact_measure() {
         let mut sequential = SequentialMeasures::new(&order, ALPHA);
         let mut configurations = Vec::new();
         for (unit, transition) in &population.units {
-            let taken = sequential.complete(unit, &[*transition]);
-            taken.expect("a configuration of the order");
+            let result = sequential.complete(unit, &[*transition]);
+            result.expect("a configuration of the order");
             configurations.push(configuration(unit.0, *transition));
         }
         let look = sequential.look();
@@ -131,10 +131,10 @@ fn configuration(task: TaskRef, transition: Transition) -> Configuration {
 }
 
 /// A unit of a small population: its stratum and number.
-type Small = (usize, usize);
+type SmallUnit = (usize, usize);
 
 /// Draws an order of strata with three units each.
-fn small_order(strata: usize) -> Order<Small> {
+fn small_order(strata: usize) -> Order<SmallUnit> {
     let units = (0..strata).flat_map(|stratum| (0..3).map(move |number| (stratum, number)));
     Order::new(1, units, |&(stratum, _)| stratum)
 }
@@ -158,11 +158,11 @@ fn triples() -> Vec<[Transition; 3]> {
 
 /// Returns true if all intervals hold at all looks, where `strata` are the transitions of the units
 /// of each stratum.
-fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> bool {
+fn all_hold(order: &Order<SmallUnit>, strata: &[[Transition; 3]], alpha: f64) -> bool {
     let mut sequential = SequentialMeasures::new(order, alpha);
     order.units().all(|unit| {
-        let taken = sequential.complete(unit, &[strata[unit.0][unit.1]]);
-        taken.expect("a unit of the order");
+        let result = sequential.complete(unit, &[strata[unit.0][unit.1]]);
+        result.expect("a unit of the order");
         let look = sequential.look();
         look.intervals.iter().all(|(&measure, interval)| {
             let total = strata
@@ -177,7 +177,7 @@ fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> boo
 
 /// Returns the share of all orders of both strata's units in which some interval excludes the true
 /// total.
-fn share_missed(order: &Order<Small>, strata: [[Transition; 3]; 2], alpha: f64) -> f64 {
+fn share_missed(order: &Order<SmallUnit>, strata: [[Transition; 3]; 2], alpha: f64) -> f64 {
     let orders = PERMUTATIONS.iter();
     let orders = orders.flat_map(|first| PERMUTATIONS.iter().map(move |second| [first, second]));
     let missed = orders.filter(|permutations| {
@@ -304,7 +304,7 @@ fn the_five_measures_share_alpha_equally() {
 #[test]
 fn later_rollouts_wait_for_a_rollout_without_outcomes_of_both_policies() {
     let order = small_order(1);
-    let units: Vec<Small> = order.units().copied().collect();
+    let units: Vec<SmallUnit> = order.units().copied().collect();
     let mut sequential = SequentialDifference::new(&order, ALPHA);
     let (success, missing) = (Outcome::Success, Outcome::Missing);
     for (unit, b) in units

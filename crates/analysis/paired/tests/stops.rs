@@ -67,8 +67,8 @@ fn met_at(records: &Records, level: Level, stop: &Stop) -> Option<usize> {
             .iter()
             .find(|configuration| (configuration.task, configuration.config) == *unit);
         let possible = matched.and_then(|matched| matched.possible_transitions());
-        let taken = sequential.complete(unit, &possible.expect("published outcomes are known"));
-        taken.expect("a configuration of the order");
+        let result = sequential.complete(unit, &possible.expect("published outcomes are known"));
+        result.expect("a configuration of the order");
         sequential.look().meets(&stop.rule)
     })
 }
@@ -190,15 +190,15 @@ fn a_configuration_counts_only_after_its_nominal_rollout_and_subsets_have_ended(
 /// Returns suites of 100 and 30 configurations, of which 80 and 16 succeed: 73.8 %.
 fn unequal_suites() -> Vec<Record> {
     let mut records = Vec::new();
-    for at in 0..13 {
-        let task = match at {
-            0..10 => simulated::task(2 * at, 2),
-            _ => simulated::task(2 * (at - 10) + 1, 2),
+    for task_index in 0..13 {
+        let task = match task_index {
+            0..10 => simulated::task(2 * task_index, 2),
+            _ => simulated::task(2 * (task_index - 10) + 1, 2),
         };
         for config in 0..10 {
-            let success = match at {
+            let success = match task_index {
                 0..10 => config < 8,
-                _ => (at - 10) * 10 + usize::from(config) < 16,
+                _ => (task_index - 10) * 10 + usize::from(config) < 16,
             };
             for condition in simulated::conditions() {
                 let success = success || condition != Condition::Combination;

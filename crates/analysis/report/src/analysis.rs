@@ -32,9 +32,9 @@ pub struct Analysis {
     /// The statistics. They are empty for a derived campaign, which runs only some of the
     /// rollouts of each configuration.
     pub report: Report,
-    /// Explanations of another campaign's transitions, if it explains one.
+    /// Explanations of another campaign's transitions, if this campaign explains one.
     pub findings: Option<Findings>,
-    /// Thresholds of another campaign, if it measures them.
+    /// Thresholds of another campaign, if this campaign measures them.
     pub thresholds: Option<ThresholdReport>,
     /// Interactions of the axes; `None` if no configuration has an outcome under every subset.
     pub interactions: Option<AxisInteractions>,

@@ -86,13 +86,13 @@ impl Comparison {
         reasons.extend(
             SHARED
                 .iter()
-                .filter_map(|property| different(property, subjects, &sides)),
+                .filter_map(|property| property_difference(property, subjects, &sides)),
         );
         reasons.extend(different_realisation(subjects, &sides));
         warnings.extend(different_directions(subjects, &sides));
-        let other_placebo = different_placebo(subjects, &sides);
-        let has_other_placebo = other_placebo.is_some();
-        warnings.extend(other_placebo);
+        let placebo_warning = different_placebo(subjects, &sides);
+        let placebos_differ = placebo_warning.is_some();
+        warnings.extend(placebo_warning);
         let notes = [a, b].into_iter().zip(&sides).flat_map(|(analysis, side)| {
             let notes = analysis.report.notes.iter();
             notes.map(move |note| format!("`{}`: {note}", side.label))
@@ -114,7 +114,7 @@ impl Comparison {
             directions: analysis.subject.directions,
         });
         let statistics = paired::Comparison::of(compared_a, compared_b, &bootstrap, |record| {
-            match has_other_placebo && record.id.is_placebo() {
+            match placebos_differ && record.id.is_placebo() {
                 true => Some(Obstacle::Perturbation),
                 false => obstacle(record, setups),
             }
@@ -123,8 +123,8 @@ impl Comparison {
             let mut reasons = statistics.left_out();
             reasons.insert(
                 0,
-                "they have no rollout in common: give both the same tasks, axes, levels and \
-                 configurations"
+                "they have no rollout in common: give both campaigns the same tasks, axes, levels \
+                 and configurations"
                     .to_owned(),
             );
             return Err(unpairable(reasons));
@@ -147,7 +147,7 @@ impl Comparison {
     ///
     /// # Errors
     /// If the two campaigns did not run in the same drawn order.
-    pub fn follow(
+    pub fn add_sequential(
         &mut self,
         analyses: [&Analysis; 2],
         rule: Option<&StopRule>,
@@ -189,7 +189,7 @@ impl Comparison {
     /// Writes the comparison as JSON, several lines.
     ///
     /// # Errors
-    /// If serde cannot write it, which is a defect.
+    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self)
     }
@@ -211,7 +211,7 @@ fn unpaired(statistics: &paired::Comparison) -> BTreeSet<RolloutId> {
     statistics.unpaired.values().flatten().copied().collect()
 }
 
-/// Returns the two sides, labelled by origin if their names are the same.
+/// Returns A and B, labelled by origin if their policies have the same name.
 fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
     let is_ambiguous = a.label == b.label;
     let side = |analysis: &Analysis, letter: &str| {
@@ -253,7 +253,7 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
 }
 
 /// Describes a property in which the subjects are known to differ.
-pub(crate) fn different(
+pub(crate) fn property_difference(
     (name, property): &(&str, Property),
     subjects: [&Subject; 2],
     sides: &[Side; 2],
@@ -268,7 +268,7 @@ pub(crate) fn different(
     });
     let descriptions: Vec<String> = descriptions.collect();
     Some(format!(
-        "they were measured with more than one {name} ({}): run both with the same",
+        "they were measured with more than one {name} ({}): run both with the same {name}",
         descriptions.join(", ")
     ))
 }

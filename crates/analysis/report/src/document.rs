@@ -156,7 +156,7 @@ impl Document {
     /// Writes the report as JSON, several lines.
     ///
     /// # Errors
-    /// If serde cannot write it, which is a defect.
+    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, DocumentError> {
         if let (Some(family), [analysis]) = (&self.family, self.analyses.as_slice()) {
             let text = serde_json::to_string_pretty(&FamilyForm {
@@ -287,7 +287,7 @@ impl Document {
 /// and with a number if the origins are equal too.
 fn labels(subjects: &[Subject]) -> Vec<String> {
     let mut labels: Vec<String> = Vec::new();
-    let mut taken = BTreeSet::new();
+    let mut used = BTreeSet::new();
     for subject in subjects {
         let namesakes = subjects
             .iter()
@@ -298,7 +298,7 @@ fn labels(subjects: &[Subject]) -> Vec<String> {
         };
         let base = label.clone();
         for number in 2.. {
-            if taken.insert(label.clone()) {
+            if used.insert(label.clone()) {
                 break;
             }
             label = format!("{base} {number}");
@@ -351,7 +351,7 @@ fn head(subject: &Subject) -> String {
             if !source.is_empty() {
                 push_wrapped(&mut head, "", source);
             }
-            let digest = warnings::short(digest);
+            let digest = warnings::abbreviated_digest(digest);
             head.push_str(&format!(
                 "SHA-256 {digest}…, realisation {realisation}\n{execution}"
             ));

@@ -48,7 +48,8 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Returns the number of transitions to explain and of rollouts that their explanation takes.
+    /// Returns the number of transitions to explain and the upper bound of the rollouts that their
+    /// explanation takes.
     ///
     /// # Errors
     /// If the campaign perturbs only one axis, or there are too few repeats to decide an outcome.
@@ -119,9 +120,9 @@ impl Findings {
                     findings.nominal_fails += 1;
                     continue;
                 }
-                Err(why @ (Unexplained::AwaitsRepeats | Unexplained::NotConfirmed)) => {
+                Err(reason @ (Unexplained::AwaitsRepeats | Unexplained::NotConfirmed)) => {
                     findings.transitions += 1;
-                    findings.not_confirmed += u64::from(why == Unexplained::NotConfirmed);
+                    findings.not_confirmed += u64::from(reason == Unexplained::NotConfirmed);
                     findings.waiting += waiting(lattice);
                     continue;
                 }
@@ -142,7 +143,7 @@ impl Findings {
     /// Writes the findings as JSON, several lines.
     ///
     /// # Errors
-    /// If serde cannot write it, which is a defect.
+    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, JsonError> {
         Ok(serde_json::to_string_pretty(self)?)
     }
@@ -153,7 +154,7 @@ impl Findings {
         push_wrapped(
             &mut text,
             "",
-            &format!("{} {}", self.explained_by, self.progress_in_words()),
+            &format!("{} {}", self.explained_by, self.describe_progress()),
         );
         let is_emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
@@ -178,7 +179,7 @@ impl Findings {
     }
 
     /// Returns the progress of the explanation: a sentence without subject and full stop.
-    pub(crate) fn progress_in_words(&self) -> String {
+    pub(crate) fn describe_progress(&self) -> String {
         let Self {
             transitions,
             explained,
@@ -236,10 +237,10 @@ fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
         "", "configurations", "established"
     );
     for occurrence in occurrences {
-        let (found, established) = (occurrence.configurations, occurrence.established);
+        let (configurations, established) = (occurrence.configurations, occurrence.established);
         let name = subset(occurrence.start, occurrence.set);
         push_name(text, &name, NAMES);
-        let _ = writeln!(text, "{found:>15}{established:>13}");
+        let _ = writeln!(text, "{configurations:>15}{established:>13}");
     }
 }
 

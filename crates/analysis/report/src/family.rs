@@ -28,7 +28,7 @@ pub struct Family {
     pub benchmark: String,
     /// Name of the protocol, or of the suite file with the first digits of its digest.
     pub protocol: String,
-    /// Rollouts of the campaign without an outcome so far, the unperturbed ones included.
+    /// Rollouts of the campaign, perturbed and unperturbed, without an outcome so far.
     pub missing: u64,
     /// Quarantined rollouts, that is, those with too many failed attempts; in no figure.
     pub quarantined: u64,
@@ -465,7 +465,7 @@ impl Family {
         }
         if full && !self.published.is_empty() {
             text.push('\n');
-            for row in self.beside_published() {
+            for row in self.published_table() {
                 let _ = write!(text, "{:<14}", row[0]);
                 for (cell, name) in row[1..].iter().zip(Dimension::ALL.map(Dimension::name)) {
                     let width = name.len() + 2;
@@ -473,13 +473,13 @@ impl Family {
                 }
                 text.push('\n');
             }
-            push_wrapped(&mut text, "", &Self::about_published());
+            push_wrapped(&mut text, "", &Self::published_note());
         }
         text
     }
 
     /// Returns the heads of the published table, the row of this campaign, and the published rows.
-    pub(crate) fn beside_published(&self) -> Vec<Vec<String>> {
+    pub(crate) fn published_table(&self) -> Vec<Vec<String>> {
         let names = Dimension::ALL.map(Dimension::name);
         let measured_percent = |name: &&str| {
             let line = self.groups.iter().find(|line| line.name == **name);
@@ -501,7 +501,7 @@ impl Family {
     }
 
     /// Describes the published table's source and scope.
-    pub(crate) fn about_published() -> String {
+    pub(crate) fn published_note() -> String {
         format!(
             "Published: successes over all 10,030 variants, per cent ({PUBLISHED_SOURCE}). A \
              published figure is comparable with this campaign only for a dimension of which the \
@@ -583,10 +583,10 @@ pub(crate) fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
 }
 
-pub(crate) fn interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    match (interval, why) {
+pub(crate) fn interval(interval: Option<Interval>, reason: Option<NoInterval>) -> String {
+    match (interval, reason) {
         (Some([low, high]), _) => format!("{low:.1} to {high:.1}"),
-        (None, Some(why)) => why.to_string(),
+        (None, Some(reason)) => reason.to_string(),
         (None, None) => "-".to_owned(),
     }
 }

@@ -10,7 +10,7 @@ use libero_family::{Case, Subject as CaseSubject};
 use paired::{Interval, NoInterval, push_wrapped};
 use serde::Serialize;
 
-use crate::comparison::{SHARED, Side, Unpairable, different};
+use crate::comparison::{SHARED, Side, Unpairable, property_difference};
 use crate::family::{Counted, Family, FamilyError, Line, group, interval, number};
 use crate::subject::Subject;
 
@@ -21,7 +21,7 @@ pub struct FamilyComparison {
     pub a: Side,
     /// Campaign B.
     pub b: Side,
-    /// Rollouts with an outcome in A, in B, but not in the other.
+    /// Number of rollouts with an outcome in A but not in B, and in B but not in A.
     pub unpaired: [u64; 2],
     /// The unperturbed rollouts.
     pub unperturbed: PairedLine,
@@ -72,8 +72,8 @@ impl FamilyComparison {
     /// file.
     ///
     /// # Errors
-    /// If they are of different benchmarks, asset packs, MuJoCo versions or renderers, hold an
-    /// unknown variant, or have no rollout in common.
+    /// If the campaigns are of different benchmarks, asset packs, MuJoCo versions or renderers,
+    /// hold an unknown variant, or have no rollout in common.
     pub fn of(a: &Subject, b: &Subject) -> Result<Option<Self>, FamilyComparisonError> {
         let (Some(family_a), Some(family_b)) = (Family::of(a)?, Family::of(b)?) else {
             return Ok(None);
@@ -85,11 +85,11 @@ impl FamilyComparison {
         });
         let shared = SHARED.iter();
         let mut reasons: Vec<String> = shared
-            .filter_map(|property| different(property, [a, b], &sides))
+            .filter_map(|property| property_difference(property, [a, b], &sides))
             .collect();
         if family_a.benchmark != family_b.benchmark {
             reasons.push(format!(
-                "their benchmarks are {} and {}: run both with the same",
+                "their benchmarks are {} and {}: run both with the same benchmark",
                 family_a.benchmark, family_b.benchmark
             ));
         }
@@ -106,7 +106,8 @@ impl FamilyComparison {
             .collect();
         if counted.is_empty() && reasons.is_empty() {
             reasons.push(
-                "they have no rollout in common: give both the same variants, suites or trials"
+                "they have no rollout in common: give both campaigns the same variants, suites or \
+                 trials"
                     .to_owned(),
             );
         }
@@ -143,7 +144,7 @@ impl FamilyComparison {
     /// Writes the comparison as JSON, as docs/JSON.md describes it.
     ///
     /// # Errors
-    /// If serde cannot write it, which is a defect.
+    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self)
     }
@@ -155,7 +156,7 @@ impl FamilyComparison {
             if unpaired > 0 {
                 let _ = writeln!(
                     text,
-                    "{unpaired} rollouts of {name} have no outcome in the other."
+                    "{unpaired} rollouts of {name} have no outcome in the other campaign."
                 );
             }
         }
@@ -185,7 +186,7 @@ impl FamilyComparison {
         }
         text.push('\n');
         for sentence in [
-            "A rollout of A is paired with that of B of the same variant and initial state. A only: \
+            "A rollout of A is paired with that of B of the same variant and initial state. Only A: \
              pairs in which A succeeds and B fails. A - B: percentage points.",
             "Intervals resample whole tasks.",
         ] {

@@ -97,7 +97,8 @@ impl Figure {
 
     /// Renders the figure for a file of its own.
     pub fn standalone(&self) -> String {
-        // A viewer may show a dark background behind light-scheme text, or the reverse.
+        // The file draws its own background, because a viewer may show a dark background behind
+        // the text of the light scheme, or the reverse.
         let style = html! {
             style { (PreEscaped(STYLE)) }
             rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
@@ -190,9 +191,9 @@ pub fn all(document: &Document) -> Vec<Figure> {
         figures.extend(pair.ok().and_then(|comparison| differences(&comparison)));
     }
     // Distinct labels can map to the same file name; files must not overwrite each other.
-    let mut taken = BTreeSet::new();
+    let mut used_names = BTreeSet::new();
     for figure in &mut figures {
-        while !taken.insert(figure.name.clone()) {
+        while !used_names.insert(figure.name.clone()) {
             figure.name.push_str("-2");
         }
     }

@@ -25,7 +25,7 @@ const ABOUT: &str = "about.json";
 const MAX_LINE_BYTES: u64 = 64 << 10;
 /// Largest `about.json` that is read, bytes.
 const MAX_ABOUT_BYTES: u64 = 64 << 10;
-/// Largest number of bad lines listed in an error; the others are counted.
+/// Largest number of bad lines that an error lists; further ones are only counted.
 const MAX_NAMED: usize = 10;
 /// Largest number of rows in a file: ten replicates of the largest design.
 const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
@@ -84,7 +84,7 @@ struct About {
 }
 
 /// A result row of the reference implementation. Fields that repeat parts of the id are
-/// checked against it; times are ignored.
+/// checked against the id; times are ignored.
 #[derive(Deserialize)]
 struct Row {
     rollout_id: RolloutId,
@@ -214,6 +214,7 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
 /// Rows and bad lines read so far.
 #[derive(Default)]
 struct Reading {
+    /// Number of the last line.
     number: usize,
     records: Vec<Record>,
     progress: Vec<Progress>,
@@ -226,7 +227,9 @@ struct Reading {
     execution: Option<Execution>,
     /// Protocol of the first row, if it is of LIBERO's family.
     protocol: Option<String>,
+    /// Number of bad lines.
     bad: usize,
+    /// The first bad lines, which the error names.
     named: Vec<BadLine>,
 }
 
@@ -266,7 +269,7 @@ impl Reading {
             let is_of_suite_file = protocol.contains('@');
             if is_of_suite_file != (row.rollout_id.task().suite() == Suite::Own) {
                 return Err(format!(
-                    "protocol `{protocol}` is not one of {}",
+                    "protocol `{protocol}` is not of the benchmark of {}",
                     row.rollout_id
                 ));
             }
@@ -277,9 +280,10 @@ impl Reading {
         }
         let policy = row.policy.clone();
         match (&self.policy, policy) {
-            (Some(one), Some(other)) if *one != other => {
+            (Some(earlier), Some(policy)) if *earlier != policy => {
                 return Err(format!(
-                    "it is of policy `{other}`, earlier lines are of `{one}`: one policy per file"
+                    "it is of policy `{policy}`, earlier lines are of `{earlier}`: one policy per \
+                     file"
                 ));
             }
             (None, Some(policy)) => self.policy = Some(policy),
@@ -312,10 +316,10 @@ impl Reading {
             ));
         }
         match (self.placebo_radius, row.placebo_radius) {
-            (Some(one), Some(other)) if one != other => {
+            (Some(earlier), Some(radius)) if earlier != radius => {
                 return Err(format!(
-                    "its `placebo_radius` is {other}, that of earlier lines {one}: one radius per \
-                     file"
+                    "its `placebo_radius` is {radius}, that of earlier lines {earlier}: one radius \
+                     per file"
                 ));
             }
             (None, radius) => self.placebo_radius = radius,

@@ -41,7 +41,7 @@ pub struct LevelInteractions {
     pub level: Level,
     /// Configurations that lack an outcome under some subset.
     pub left_out: u64,
-    /// Interactions over all other configurations.
+    /// Interactions over the configurations with an outcome under every subset.
     pub interactions: Interactions,
 }
 
@@ -67,8 +67,8 @@ pub enum NoInteractions {
 }
 
 impl AxisInteractions {
-    /// Computes the interactions of a subject from its own subsets or, if it explains a
-    /// campaign, from the outcomes of both.
+    /// Computes the interactions of a subject from its own subsets or, if it explains a campaign,
+    /// from its outcomes and those of that campaign.
     ///
     /// # Errors
     /// If no configuration has an outcome under every subset of the axes.
@@ -133,7 +133,7 @@ impl AxisInteractions {
     /// Writes the interactions as JSON, several lines.
     ///
     /// # Errors
-    /// If serde cannot write it, which is a defect.
+    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, JsonError> {
         Ok(serde_json::to_string_pretty(&self.form())?)
     }
@@ -218,13 +218,13 @@ impl LevelInteractions {
         for (axes, estimate) in sizes {
             let name = match axes {
                 1 => "+ each axis alone".to_owned(),
-                axes => format!("+ what {axes} axes do together"),
+                axes => format!("+ sets of {axes} axes"),
             };
             push_line(text, &name, "", &change(estimate));
         }
         push_line(text, "= simultaneous", &rate(simultaneous), "");
         text.push('\n');
-        push_line(text, "shares of that change", "", "share");
+        push_line(text, "shares of the change", "", "share");
         for (axis, estimate) in shapley {
             push_line(text, axis.name(), "", &change(estimate));
         }

@@ -38,7 +38,7 @@ pub use family_pride::Pride;
 pub use import::{BadLine, ImportError, import};
 pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
-pub use sequential::{Sequential, stopped_in_words};
+pub use sequential::{Sequential, describe_early_stop};
 pub use sequential_comparison::{NoCommonOrder, SequentialCell, SequentialComparison};
 pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Purpose, Quarantined, Setups, Subject,
@@ -46,4 +46,4 @@ pub use subject::{
 };
 pub use table::{ResultRow, TableError, write_csv, write_parquet, write_results_parquet};
 pub use threshold_report::{AtRadius, BudgetTooSmall, Kind, Measured, ThresholdReport};
-pub use warnings::fingerprints_in_words;
+pub use warnings::describe_fingerprints;

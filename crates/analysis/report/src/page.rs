@@ -97,7 +97,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
             of several axes that coincide in the same configurations. I: the further effect of \
             simultaneity. In brackets, 95 % intervals.",
             per_level(figures::decomposition)))
-        (figure("In which direction outcomes change. Left, every axis alone succeeds and the \
+        (figure("Outcome changes by direction. Left, every axis alone succeeds and the \
             simultaneous rollout fails; right, some axis alone fails and the simultaneous rollout \
             succeeds. Whiskers and brackets: 95 % intervals; p: exact McNemar test of left against \
             right.",
@@ -134,9 +134,11 @@ pub fn comparison(comparison: &Comparison) -> Markup {
 
 fn title(document: &Document) -> String {
     match document.analyses.as_slice() {
-        [one] if one.findings.is_some() => format!("Why outcomes of {} change", one.label),
-        [one] if one.thresholds.is_some() => format!("How far {} goes", one.label),
-        [one] => format!("Robustness of {}", one.label),
+        [analysis] if analysis.findings.is_some() => {
+            format!("Explained outcome changes of {}", analysis.label)
+        }
+        [analysis] if analysis.thresholds.is_some() => format!("Thresholds of {}", analysis.label),
+        [analysis] => format!("Robustness of {}", analysis.label),
         several => format!("Robustness of {} policies", several.len()),
     }
 }

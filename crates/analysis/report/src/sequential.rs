@@ -14,8 +14,8 @@ use crate::subject::{EarlyStop, Subject};
 const RATE_COLUMNS: usize = 14;
 const POINTS_COLUMNS: usize = 17;
 
-/// The confidence sequences of a campaign at the look at which it stopped early or, if it
-/// did not, over all its outcomes so far.
+/// The confidence sequences of a campaign: at the look at which it stopped early, or over all
+/// outcomes so far if it has not stopped.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sequential {
     /// Rule for stopping early.
@@ -47,7 +47,7 @@ pub struct Sequential {
 
 /// Describes an early stop: after how many configurations, by which rule, and how many
 /// rollouts it saved.
-pub fn stopped_in_words(
+pub fn describe_early_stop(
     [used, configurations]: [u64; 2],
     rule: &str,
     [saved, rollouts]: [u64; 2],
@@ -153,7 +153,8 @@ impl Sequential {
         self.levels.iter().map(finding).collect()
     }
 
-    /// Returns the warning that figures cover only some configurations; `None` if they cover all.
+    /// Returns the warning that figures cover only some configurations; `None` if the figures cover
+    /// all configurations.
     pub(crate) fn warning(&self) -> Option<String> {
         if self.has_stopped {
             let configurations = [self.used as u64, self.configurations as u64];
@@ -163,9 +164,9 @@ impl Sequential {
                  intervals and p-values are not valid, because they assume a sample size fixed in advance: \
                  use the confidence sequences, whose estimates weight suites as the campaign does. \
                  Other rates weight suites by the number of drawn configurations{}",
-                stopped_in_words(configurations, &self.rule.to_string(), rollouts),
+                describe_early_stop(configurations, &self.rule.to_string(), rollouts),
                 self.used,
-                self.overstated_in_words()
+                self.overstatement_clause()
             ));
         }
         (self.used < self.configurations).then(|| {
@@ -177,8 +178,8 @@ impl Sequential {
         })
     }
 
-    /// Returns the clause of the warning about overstated measures; empty if there are none.
-    fn overstated_in_words(&self) -> String {
+    /// Returns the clause of the warning about overstated measures; empty without such measures.
+    fn overstatement_clause(&self) -> String {
         let names: Vec<&str> = self
             .overstated
             .iter()
@@ -216,7 +217,7 @@ impl Sequential {
     }
 
     /// Returns the explanation of the star; empty if no estimate has one.
-    fn star_in_words(&self) -> &'static str {
+    fn star_explanation(&self) -> &'static str {
         let measures = self.levels.values().flat_map(BTreeMap::keys);
         match measures.copied().any(|measure| self.is_overstated(measure)) {
             true => {
@@ -243,7 +244,7 @@ impl Sequential {
             self.used,
             self.seed,
             self.strata.name().replace('_', " "),
-            self.star_in_words()
+            self.star_explanation()
         )
     }
 

@@ -36,7 +36,7 @@ pub struct SequentialCell {
     pub used: usize,
     /// Interval of the difference, fractions.
     pub difference: [f64; 2],
-    /// Number of configurations after which the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met; `None` if it was not met.
     pub met_after: Option<usize>,
 }
 
@@ -69,7 +69,7 @@ impl SequentialComparison {
     /// Compares two campaigns, A − B, without the `unpaired` rollouts.
     ///
     /// # Errors
-    /// If they did not run in the same drawn order.
+    /// If the campaigns did not run in the same drawn order.
     pub fn of(
         [a, b]: [&Analysis; 2],
         unpaired: &BTreeSet<RolloutId>,

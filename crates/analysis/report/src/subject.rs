@@ -48,7 +48,7 @@ pub struct Subject {
     /// Assignment of perturbation directions to configurations.
     #[serde(default)]
     pub directions: Directions,
-    /// Radius of the placebo level, if the campaign has one and it is known.
+    /// Radius of the placebo level, if the campaign has such a level and its radius is known.
     #[serde(default)]
     pub placebo_radius: Option<f64>,
     /// Progress of the rollouts with an outcome, as far as known.
@@ -60,7 +60,7 @@ pub struct Subject {
     /// Purpose and source of the campaign, if it is derived from another.
     #[serde(default)]
     pub derived: Option<Derived>,
-    /// Protocol of a campaign of LIBERO's family; `None` for all others.
+    /// Protocol of a campaign of LIBERO's family; `None` for any other campaign.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub protocol: Option<String>,
     /// Early-stop rule of the campaign and its state; `None` if the campaign has no such rule.

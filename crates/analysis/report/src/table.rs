@@ -1,7 +1,7 @@
 //! Tables for further analysis, with the same columns as CSV and as Parquet. A row is a
-//! configuration with all its outcomes; a minimal subset, if the campaigns explain others;
-//! or a threshold, if they measure thresholds. No column holds a time, so that the same
-//! outcomes give the same bytes.
+//! configuration with all its outcomes; a minimal subset, if the campaigns explain other
+//! campaigns; or a threshold, if the campaigns measure thresholds. No column holds a time, so
+//! that the same outcomes give the same bytes.
 
 mod configurations;
 mod explanations;
@@ -30,8 +30,8 @@ pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError>
     }
 }
 
-/// Writes the same table as Parquet: one row group, no compression, and pandas metadata that
-/// preserves the types of nullable columns.
+/// Writes the table of [`write_csv`] as Parquet: one row group, no compression, and pandas metadata
+/// that preserves the types of nullable columns.
 ///
 /// # Errors
 /// If `out` fails.

@@ -31,7 +31,8 @@ pub struct ThresholdReport {
     /// True if nothing remains to be run.
     pub complete: bool,
     /// Number of thresholds searched for: one per configuration and condition.
-    pub looked_for: u64,
+    #[serde(rename = "looked_for")]
+    pub searched: u64,
     /// Number of thresholds whose search is finished.
     pub found: u64,
     /// Number of thresholds not searched for because the budget does not suffice.
@@ -109,7 +110,7 @@ pub struct AtRadius {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "measure thresholds with a budget of {budget}: one configuration may take {most} rollouts; \
-     give at least as many"
+     raise the budget to {most} or more"
 )]
 pub struct BudgetTooSmall {
     pub budget: u32,
@@ -121,23 +122,21 @@ impl ThresholdReport {
     /// Checks that the budget suffices for at least one configuration of the campaign.
     ///
     /// # Errors
-    /// If the budget is smaller than one configuration may take.
-    pub fn is_affordable(
-        campaign: &Subject,
-        thresholds: &Thresholds,
-    ) -> Result<(), BudgetTooSmall> {
+    /// If the budget is smaller than the number of rollouts that one configuration may take.
+    pub fn check_budget(campaign: &Subject, thresholds: &Thresholds) -> Result<(), BudgetTooSmall> {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let is_empty = measurement.rays().next().is_none() && measurement.ray_count() > 0;
         match thresholds.budget {
             Some(budget) if is_empty => Err(BudgetTooSmall {
                 budget,
-                most: measurement.most_rollouts_of_one(),
+                most: measurement.most_rollouts_per_configuration(),
             }),
             _ => Ok(()),
         }
     }
 
-    /// Returns the number of thresholds to measure and of rollouts that the measurement takes.
+    /// Returns the number of thresholds to measure and the upper bound of the rollouts that the
+    /// measurement takes.
     pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let mut prospect = Prospect {
@@ -150,8 +149,8 @@ impl ThresholdReport {
         prospect
     }
 
-    /// Combines the outcomes of the campaign `measuring` with those of the campaign that it
-    /// measures; `None` if `measuring` measures no thresholds.
+    /// Combines the outcomes of the campaign `measuring` with those of the campaign whose
+    /// thresholds it measures; `None` if `measuring` measures no thresholds.
     pub fn of(measuring: &Subject) -> Option<Self> {
         let (thresholds, records) = measuring.measures()?;
         let measurement = Measurement::of(records, &measuring.records, thresholds);
@@ -174,7 +173,7 @@ impl ThresholdReport {
             complete: records.iter().all(is_settled)
                 && waiting == 0
                 && measurement.plan().is_empty(),
-            looked_for: measured.len() as u64,
+            searched: measured.len() as u64,
             found: measured.iter().filter(|measured| measured.is_found).count() as u64,
             beyond_budget: (measurement.ray_count() - measured.len()) as u64,
             rollouts: measuring.records.len() as u64,
@@ -187,7 +186,7 @@ impl ThresholdReport {
     /// Writes the measurement as JSON, several lines.
     ///
     /// # Errors
-    /// If serde cannot write it, which is a defect.
+    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, JsonError> {
         Ok(serde_json::to_string_pretty(self)?)
     }
@@ -198,7 +197,7 @@ impl ThresholdReport {
         push_wrapped(
             &mut text,
             "",
-            &format!("{} {}", self.measured_by, self.progress_in_words()),
+            &format!("{} {}", self.measured_by, self.describe_progress()),
         );
         let curves: Vec<&Curve> = self.curves.iter().filter(|curve| curve.n > 0).collect();
         if !curves.is_empty() {
@@ -219,12 +218,12 @@ impl ThresholdReport {
     }
 
     /// Returns the progress of the measurement: a sentence without subject and full stop.
-    pub(crate) fn progress_in_words(&self) -> String {
+    pub(crate) fn describe_progress(&self) -> String {
         let mut words = format!(
             "measures thresholds of {}: {} of {} found in {}",
             self.campaign,
             self.found,
-            self.looked_for,
+            self.searched,
             pluralise(self.rollouts, "rollout")
         );
         if self.waiting > 0 {

@@ -12,7 +12,7 @@ use crate::subject::Subject;
 
 /// The built-in asset pack, which is a different benchmark from LIBERO.
 const PRIMITIVES: &str = "primitives";
-/// Largest number of rollouts named in one warning; the others are counted.
+/// Largest number of rollouts that one warning names; further ones are only counted.
 const MAX_NAMED: usize = 5;
 /// Number of hexadecimal digits shown of a digest.
 const DIGEST_DIGITS: usize = 12;
@@ -30,7 +30,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
         "execution model",
         "never pooled: the robot moves differently under each",
     ));
-    warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
+    warnings.extend(subject.fingerprints.as_ref().map(describe_fingerprints));
     if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
@@ -151,7 +151,11 @@ pub(crate) fn mujoco(p: &Provenance) -> String {
 }
 
 pub(crate) fn pack(p: &Provenance) -> String {
-    format!("{} ({})", p.pin.asset_pack, short(&p.pin.asset_pack_digest))
+    format!(
+        "{} ({})",
+        p.pin.asset_pack,
+        abbreviated_digest(&p.pin.asset_pack_digest)
+    )
 }
 
 /// Returns the renderer, which is empty in results of older workers that rendered no frame.
@@ -174,7 +178,7 @@ fn executions(subject: &Subject) -> impl Iterator<Item = String> {
 }
 
 fn checkpoint(p: &Provenance) -> String {
-    let digest = short(&p.policy_checkpoint_digest);
+    let digest = abbreviated_digest(&p.policy_checkpoint_digest);
     format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
 }
 
@@ -191,10 +195,10 @@ fn mixed(values: impl Iterator<Item = String>, name: &str, consequence: &str) ->
 
 /// Returns the number of results with each fingerprint, and the configurations whose results
 /// have more than one.
-pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
+pub fn describe_fingerprints(mix: &Fingerprints) -> String {
     let results = mix.results.iter();
     let results: Vec<String> = results
-        .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
+        .map(|(fingerprint, count)| format!("{count} of {}", abbreviated_digest(fingerprint)))
         .collect();
     let mixture = match mix.mixed.len() {
         0 => "no configuration mixes them".to_owned(),
@@ -263,7 +267,7 @@ fn divergent(subject: &Subject) -> Option<String> {
     let divergent = &subject.divergent;
     (!divergent.is_empty()).then(|| {
         format!(
-            "{} rollouts ran twice and came out differently (the first outcome counts): {}",
+            "{} rollouts ran twice with different outcomes (the first outcome counts): {}",
             divergent.len(),
             first_names(divergent)
         )
@@ -280,13 +284,13 @@ fn incomplete(subject: &Subject) -> Option<String> {
         .count();
     (open > 0).then(|| {
         format!(
-            "{open} of {} rollouts have no result yet: figures are of what is complete",
+            "{open} of {} rollouts have no result yet: figures cover the results so far",
             subject.records.len()
         )
     })
 }
 
-/// Lists the first [`MAX_NAMED`] names and counts the others.
+/// Lists the first [`MAX_NAMED`] names and the number of further ones.
 pub(crate) fn first_names(names: &[String]) -> String {
     let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
     if names.len() > MAX_NAMED {
@@ -296,7 +300,7 @@ pub(crate) fn first_names(names: &[String]) -> String {
 }
 
 /// Abbreviates a digest to [`DIGEST_DIGITS`] digits.
-pub(crate) fn short(digest: &str) -> &str {
+pub(crate) fn abbreviated_digest(digest: &str) -> &str {
     match digest.get(..DIGEST_DIGITS).unwrap_or(digest) {
         "" => "no digest",
         digest => digest,

@@ -46,24 +46,24 @@ pub(crate) fn minus_signs(sentence: &str) -> String {
 
 /// Formats the interval of a rate, ` [9.8, 17.8]`, or the reason why there is none,
 /// ` (too few tasks)`.
-pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    interval_of(percent, interval, why)
+pub(crate) fn rate_interval(interval: Option<Interval>, reason: Option<NoInterval>) -> String {
+    interval_of(percent, interval, reason)
 }
 
 /// Formats the interval of a difference, ` [−6.0, +6.5]`, or the reason why there is none,
 /// ` (too few tasks)`.
-pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    interval_of(points, interval, why)
+pub(crate) fn points_interval(interval: Option<Interval>, reason: Option<NoInterval>) -> String {
+    interval_of(points, interval, reason)
 }
 
 fn interval_of(
     number: fn(f64) -> String,
     interval: Option<Interval>,
-    why: Option<NoInterval>,
+    reason: Option<NoInterval>,
 ) -> String {
-    match (interval, why) {
+    match (interval, reason) {
         (Some([low, high]), _) => format!(" [{}, {}]", number(low), number(high)),
-        (None, Some(why)) => format!(" ({why})"),
+        (None, Some(reason)) => format!(" ({reason})"),
         (None, None) => String::new(),
     }
 }
@@ -104,7 +104,7 @@ pub(crate) fn half_success(curve: &Curve) -> String {
 pub(crate) fn half_success_interval(half: &HalfSuccess) -> String {
     match (half.ci95, half.no_interval) {
         (Some([low, high]), _) => format!("[{low:.2}, {high:.2}]"),
-        (None, Some(why)) => why.name().to_owned(),
+        (None, Some(reason)) => reason.name().to_owned(),
         (None, None) => String::new(),
     }
 }

@@ -9,8 +9,8 @@
 //! The position of a threshold within its bracket is unknown. The curve assumes a uniform
 //! distribution; the *band* covers every possible position. At a radius that was run for
 //! every configuration, curve and band coincide. A threshold without a known failure is
-//! right-censored at the largest success: beyond it the curve treats the configuration like
-//! the others that survived so far, and the band covers all possibilities.
+//! right-censored at the largest success: beyond this radius the curve treats the configuration
+//! like the configurations that survived so far, and the band covers all possibilities.
 //!
 //! Intervals cover the band: from the lower end of an interval of its minimum to the upper
 //! end of an interval of its maximum, over resampled tasks. They hold for any position of
@@ -30,7 +30,7 @@ use super::threshold::{Finding, Threshold};
 
 /// One half of all configurations.
 const HALF: f64 = 0.5;
-/// Largest number of iterations of the fixed point for censored configurations.
+/// Largest number of fixed-point iterations for censored configurations.
 const MAX_ITERATIONS: u32 = 1_000;
 /// Change of a share below which the iteration has converged.
 const CONVERGED: f64 = 1e-12;
@@ -77,7 +77,7 @@ pub struct Curve {
 pub struct Point {
     /// The radius.
     pub radius: f64,
-    /// The protocol's name of that radius, if it has one.
+    /// The level of this radius, if the protocol has one.
     pub level: Option<Level>,
     /// The share that survives.
     pub survival: f64,
@@ -131,20 +131,21 @@ impl Survives {
             Threshold::Open { succeeds_at } => Some(Self::AtLeast(succeeds_at.radius())),
             Threshold::NominalUnknown => None,
         };
-        survives.filter(|_| finding.is_on_grid)
+        survives.filter(|_| finding.is_grid_complete)
     }
 
     /// Returns the probability of survival up to a radius for a threshold that is uniform in its
-    /// bracket. Beyond the radius of censoring, it is the survival of `others`, conditional on
-    /// survival up to the radius of censoring.
-    fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
+    /// bracket. `curve` returns the share of all configurations that survive up to a radius. Beyond
+    /// the radius of censoring, the probability is this share, conditional on survival up to the
+    /// radius of censoring.
+    fn expected(self, radius: f64, curve: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
             Self::Until([low, high]) => ((high - radius) / (high - low)).clamp(0.0, 1.0),
             Self::Throughout => 1.0,
             Self::AtLeast(until) if radius <= until => 1.0,
-            Self::AtLeast(until) => match others(until) {
-                share if share > 0.0 => others(radius) / share,
+            Self::AtLeast(until) => match curve(until) {
+                share if share > 0.0 => curve(radius) / share,
                 _ => 0.0,
             },
         }
@@ -160,6 +161,7 @@ impl Survives {
         }
     }
 
+    /// Returns the known ends of the bracket.
     fn ends(self) -> impl Iterator<Item = f64> {
         let ends = match self {
             Self::Until(ends) => [Some(ends[0]), Some(ends[1])],
@@ -316,20 +318,20 @@ impl Clusters {
     fn survival(&self, thresholds: &[(TaskRef, Survives)]) -> Vec<f64> {
         let mut survival = vec![1.0; self.radii.len()];
         for _ in 0..MAX_ITERATIONS {
-            let others = |radius: f64| {
-                let place = self.radii.partition_point(|other| *other < radius);
+            let curve = |radius: f64| {
+                let place = self.radii.partition_point(|smaller| *smaller < radius);
                 survival[place]
             };
             let share = |&radius: &f64| {
                 let expected = thresholds
                     .iter()
-                    .map(|(_, survives)| survives.expected(radius, others));
+                    .map(|(_, survives)| survives.expected(radius, curve));
                 expected.sum::<f64>() / thresholds.len() as f64
             };
-            let next: Vec<f64> = self.radii.iter().map(share).collect();
-            let pairs = next.iter().zip(&survival);
+            let updated: Vec<f64> = self.radii.iter().map(share).collect();
+            let pairs = updated.iter().zip(&survival);
             let change = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            survival = next;
+            survival = updated;
             if change < CONVERGED {
                 break;
             }
@@ -353,11 +355,11 @@ impl Clusters {
         for sum in values.iter_mut() {
             *sum /= n;
         }
-        let at = |k: usize, end: usize| values[2 * k + end];
+        let survival = |k: usize, end: usize| values[2 * k + end];
         let places = 0..self.radii.len();
         // The median of the brackets' lower ends, and the median of their upper ends.
-        let low = places.clone().rev().find(|&k| at(k, 0) > HALF);
-        let high = places.clone().find(|&k| at(k, 1) < HALF);
+        let low = places.clone().rev().find(|&k| survival(k, 0) > HALF);
+        let high = places.clone().find(|&k| survival(k, 1) < HALF);
         let low = low.map_or(0.0, |k| self.radii[k]);
         let last = self.radii.last().copied().unwrap_or_default();
         let high = high.map_or(last, |k| self.radii[k]);
@@ -367,8 +369,8 @@ impl Clusters {
 
     /// Returns the radius at which a curve crosses one half, by linear interpolation.
     fn crossing(&self, survival: &[f64]) -> f64 {
-        let below = survival.iter().position(|share| *share <= HALF);
-        match below {
+        let first_below_half = survival.iter().position(|share| *share <= HALF);
+        match first_below_half {
             None => self.radii.last().copied().unwrap_or_default(),
             Some(0) => 0.0,
             Some(k) => {

@@ -1,5 +1,5 @@
 //! The rays of a campaign, from its records and those of the campaign that runs further
-//! radii, and the allocation of a budget of rollouts to them.
+//! radii, and the allocation of a budget of rollouts to the rays.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -26,6 +26,7 @@ pub struct Measurement {
     searches: BTreeMap<Condition, Search>,
     /// Upper bound of the number of further rollouts of each configuration.
     costs: BTreeMap<Configuration, u32>,
+    /// Configurations that are measured.
     sample: BTreeSet<Configuration>,
 }
 
@@ -63,8 +64,8 @@ impl Measurement {
         let mut costs: BTreeMap<Configuration, u32> = BTreeMap::new();
         for (ray, outcomes) in &rays {
             let is_supplied = |level| outcomes.at(level).is_some();
-            let most = searches[&ray.condition].most_rollouts(is_supplied);
-            *costs.entry((ray.task, ray.config)).or_default() += most;
+            let most_rollouts = searches[&ray.condition].most_rollouts(is_supplied);
+            *costs.entry((ray.task, ray.config)).or_default() += most_rollouts;
         }
         for record in further {
             if let Some(outcomes) = rays.get_mut(&ray(record.id)) {
@@ -101,7 +102,7 @@ impl Measurement {
     }
 
     /// Returns the upper bound of the number of further rollouts of any single configuration.
-    pub fn most_rollouts_of_one(&self) -> u32 {
+    pub fn most_rollouts_per_configuration(&self) -> u32 {
         self.costs.values().copied().max().unwrap_or_default()
     }
 
@@ -141,7 +142,7 @@ impl Measurement {
             levels.into_iter().map(move |level| (ray, level))
         });
         let mut requests: Vec<(Ray, Level)> = requests.collect();
-        // Sorted by configuration first, so that early results cover all tasks.
+        // Sorted by the number of the configuration first, so that early results cover all tasks.
         requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
         // The sample fits the budget, so that this removes requests only if rollouts return
         // from quarantine after their brackets were halved without them.

@@ -57,8 +57,8 @@ impl Search {
         }
     }
 
-    /// Returns the radius that halves a bracket; `None` if it is narrow enough, or no radius that
-    /// can be run lies within.
+    /// Returns the radius that halves a bracket; `None` if the bracket is narrow enough, or if no
+    /// radius within the bracket can be run.
     pub(crate) fn halfway(&self, [low, high]: [f64; 2]) -> Option<Level> {
         let tolerance = self.tolerance?;
         if high - low <= tolerance + ROUNDING {
@@ -78,8 +78,8 @@ impl Search {
     }
 
     /// Returns the upper bound of the number of rollouts of a ray whose outcomes at some
-    /// radii are supplied: the rest of the grid, and the halvings of the widest bracket that
-    /// quarantined rollouts can leave.
+    /// radii are supplied: the other radii of the grid, and the halvings of the widest bracket
+    /// that quarantined rollouts can leave.
     pub fn most_rollouts(&self, is_supplied: impl Fn(Level) -> bool) -> u32 {
         let grid = self.grid.iter().filter(|level| !is_supplied(**level));
         let widest = self.largest().map_or(0.0, Level::radius);

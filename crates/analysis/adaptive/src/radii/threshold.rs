@@ -21,10 +21,10 @@ pub enum Threshold {
         /// Smallest failing radius.
         fails_at: Level,
     },
-    /// The largest radius succeeds and no radius fails: the threshold is right-censored
-    /// there.
+    /// The largest radius of the grid succeeds and no radius fails: the threshold is
+    /// right-censored at the largest radius.
     Beyond,
-    /// No radius is known to fail, and the largest has no outcome: the threshold is
+    /// No radius is known to fail, and the largest radius has no outcome: the threshold is
     /// right-censored at the largest radius that is known to succeed.
     Open {
         /// Largest radius that is known to succeed; L0 is the nominal rollout.
@@ -39,9 +39,9 @@ pub struct Finding {
     pub threshold: Threshold,
     /// Radii beyond the threshold that succeed, so that the ray is not monotone.
     pub recovers_at: Vec<Level>,
-    /// True if no outcome of the grid is missing. Otherwise, failures may still appear at
-    /// smaller radii.
-    pub is_on_grid: bool,
+    /// True if no outcome at a radius of the grid is missing. If one is, a failure may still appear
+    /// at a smaller radius.
+    pub is_grid_complete: bool,
 }
 
 impl Finding {
@@ -91,7 +91,7 @@ impl Finding {
         Self {
             threshold,
             recovers_at: recovers_at.unwrap_or_default(),
-            is_on_grid: match threshold {
+            is_grid_complete: match threshold {
                 Threshold::NominalFails => true,
                 Threshold::NominalUnknown => false,
                 _ => !search.grid.iter().any(is_missing),

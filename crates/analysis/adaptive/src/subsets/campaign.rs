@@ -13,16 +13,16 @@ use super::next::Strategy;
 use super::plan::Sample;
 use crate::source::decisive;
 
-/// Returns the lattice of each configuration of a campaign, by its simultaneous rollout.
-/// `explained` are the records of that campaign, `explaining` those of the campaign that explains
-/// it. A rollout that is recorded twice counts as unknown.
+/// Returns the lattice of each configuration of the explained campaign, by the configuration's
+/// simultaneous rollout. `explained` are the records of the explained campaign, `explaining` those
+/// of the explaining one. A rollout that is recorded twice counts as unknown.
 ///
 /// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
 /// sample, all replicates of the explained campaign select configurations, and only the replicates
-/// of the campaign that explains it decide.
+/// of the explaining campaign decide.
 ///
 /// # Errors
-/// If the campaign perturbs only one axis.
+/// If the explained campaign perturbs only one axis.
 pub fn configurations(
     explained: &[Record],
     explaining: &[Record],

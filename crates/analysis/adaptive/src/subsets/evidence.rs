@@ -87,9 +87,9 @@ impl Role {
 ///
 /// - *The transition* is claimed if each axis alone and all axes together have the outcomes
 ///   for which the configuration was selected. For every one of these subsets, the hypothesis
-///   of the opposite outcome must be rejected. Its direction is fixed beforehand, and all must
-///   be rejected, so that each is tested at the full level (an intersection–union test). No
-///   tally includes the selecting outcomes.
+///   of the opposite outcome must be rejected. The selecting outcomes fix the direction of each
+///   hypothesis beforehand, and all hypotheses must be rejected, so that each is tested at the
+///   full level (an intersection–union test). No tally includes the selecting outcomes.
 /// - *Further subsets* are tested only after the transition is claimed, each by a two-sided
 ///   test at `error` divided by their number (Bonferroni). Since they are tested only where all
 ///   hypotheses of the transition are rejected, both families have the full level (serial
@@ -123,9 +123,9 @@ pub struct Looks {
 }
 
 impl Default for Repeats {
-    /// For an axis alone, eight equal outcomes decide, or 16 of which at most three differ, or 24
-    /// of which at most six differ. For a further subset of six axes, 13 equal outcomes decide, or
-    /// 24 of which at most three differ.
+    /// An axis alone is decided by eight equal outcomes, by 16 with a minority of at most three, or
+    /// by 24 with a minority of at most six. A further subset of six axes is decided by 13 equal
+    /// outcomes, or by 24 with a minority of at most three.
     fn default() -> Self {
         Self {
             batch: 8,
@@ -159,7 +159,7 @@ impl Repeats {
     /// Returns the looks at a subset. The first batch is large enough that equal outcomes
     /// decide, if `most` allows it: earlier looks would use significance level and decide nothing.
     pub fn looks(&self, role: Role) -> Looks {
-        // A one-sided test at a level is half of a two-sided one at twice that level.
+        // A one-sided test at a level rejects as one side of a two-sided test at twice that level.
         let level = match role {
             Role::Transition => 2.0 * self.error,
             Role::Further { subsets } => self.error / f64::from(subsets.max(1)),
@@ -233,7 +233,7 @@ impl Evidence {
     }
 
     /// Returns the number of rollouts in the first batch of a subset.
-    pub(crate) fn first(&self, role: Role) -> u32 {
+    pub(crate) fn first_batch(&self, role: Role) -> u32 {
         match self {
             Self::Once => 1,
             Self::Repeated(repeats) => repeats.looks(role).batch,

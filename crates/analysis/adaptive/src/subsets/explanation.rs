@@ -15,8 +15,8 @@
 //! A *minimal* subset flips the outcome, while none of its proper subsets that
 //! were run and contain the start does. Every one of its axes is therefore needed,
 //! as far as the outcomes show. It is *established* if every such proper subset was
-//! run; until then [`MinimalSubset::open`] lists the remaining ones. Outcomes are
-//! never inferred.
+//! run; [`MinimalSubset::open`] lists those that were not. Outcomes are never
+//! inferred.
 //!
 //! Outcomes need not be monotone: camera and robot may fail while camera, robot and
 //! sensor succeed. Such a pair of subsets is reported as [`NonMonotone`].
@@ -71,8 +71,8 @@ pub struct MinimalSubset {
 }
 
 impl MinimalSubset {
-    /// Returns true if the subset is certainly minimal, because all subsets between the
-    /// start and it were run.
+    /// Returns true if the subset is certainly minimal, because all subsets strictly between the
+    /// start and `set` were run.
     pub const fn is_established(&self) -> bool {
         self.open.is_empty()
     }
@@ -124,9 +124,10 @@ pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
     })
 }
 
-/// Returns the transition that the outcomes of the explained campaign form. With repeats
-/// it only selects the configuration for a test: see [`Repeats`](super::Repeats). The nominal
-/// rollout counts by its majority, because no further replicate of it is ever run.
+/// Returns the transition that the outcomes of the explained campaign form. With repeats, this
+/// transition only selects the configuration for a test: see [`Repeats`](super::Repeats). The
+/// nominal rollout counts by the majority of its replicates, because no further replicate of it is
+/// ever run.
 ///
 /// # Errors
 /// If these outcomes form no transition to explain.
@@ -147,7 +148,8 @@ pub fn selected(lattice: &Lattice) -> Result<Transition, Unexplained> {
 }
 
 /// Checks that the verdicts of each axis alone and of all axes together equal the selecting
-/// outcomes. Without repeats every decided verdict does, since the same rollouts select and decide.
+/// outcomes. Without repeats, a decided verdict always equals the selecting outcome, since both are
+/// of the same rollout.
 pub(crate) fn confirm(lattice: &Lattice) -> Result<(), Unexplained> {
     let mut is_waiting = false;
     for set in lattice.singles().chain([lattice.full()]) {
@@ -242,7 +244,7 @@ impl Search {
     }
 
     fn answer(&self) -> Answer {
-        let found = self.minimal();
+        let minimal_subsets = self.minimal();
         let supersets = |minimal: AxisSet| {
             let unflipped = self.unflipped.iter().copied();
             let above: Vec<AxisSet> = unflipped.filter(|set| minimal.is_subset(*set)).collect();
@@ -256,11 +258,11 @@ impl Search {
         largest.sort_by_key(|set| (std::cmp::Reverse(set.len()), *set));
         Answer {
             start: self.start,
-            non_monotone: found
+            non_monotone: minimal_subsets
                 .iter()
-                .flat_map(|found| supersets(found.set))
+                .flat_map(|minimal| supersets(minimal.set))
                 .collect(),
-            minimal: found,
+            minimal: minimal_subsets,
             largest_unflipped: largest,
         }
     }

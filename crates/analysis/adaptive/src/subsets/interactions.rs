@@ -70,9 +70,9 @@ pub struct Estimate {
     pub ci95: Option<Interval>,
     /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
-    /// 95 % interval that holds simultaneously with those of all Möbius interactions, Shapley
-    /// values or pairs, respectively ([`max_t`]). Absent for success and sizes, and if
-    /// `ci95` is absent.
+    /// 95 % interval that holds simultaneously with the intervals of all other estimates of its
+    /// kind: Möbius interactions, Shapley values or pairs ([`max_t`]). Absent for success and
+    /// sizes, and if `ci95` is absent.
     pub simultaneous_ci95: Option<Interval>,
 }
 
@@ -91,7 +91,7 @@ pub struct Interactions {
     /// The Möbius transform m(A) = Σ_{B⊆A} (−1)^{|A|−|B|} v(B) of each subset but
     /// the empty one, over `n`. For one axis it is the effect of that axis alone. For a
     /// pair it is the effect of the pair beyond the sum of the two single effects, negative
-    /// if both together do more harm. v(∅) + Σ_{A≠∅} m(A) = v(full).
+    /// if the pair does more harm than that sum. v(∅) + Σ_{A≠∅} m(A) = v(full).
     ///
     /// Source: J. C. Harsanyi, A simplified bargaining model for the n-person
     /// cooperative game, International Economic Review 4 (1963), 194–220
@@ -136,11 +136,12 @@ impl Interactions {
         let intervals = intervals_of_many(
             bootstrap,
             clusters.len(),
-            point.all().count(),
+            point.with_factors().count(),
             |draws, values| {
                 let drawn = Tally::drawn(&clusters, draws);
                 let numerators = Numerators::new(&subsets, &drawn.successes);
-                for (value, (numerator, scale)) in values.iter_mut().zip(numerators.all()) {
+                for (value, (numerator, scale)) in values.iter_mut().zip(numerators.with_factors())
+                {
                     *value = numerator as f64 / (scale * drawn.n) as f64;
                 }
             },
@@ -156,7 +157,8 @@ impl Interactions {
                 simultaneous_ci95: None,
             }
         };
-        let mut estimates: Vec<Estimate> = point.all().zip(intervals).map(estimate).collect();
+        let mut estimates: Vec<Estimate> =
+            point.with_factors().zip(intervals).map(estimate).collect();
         let deviations = deviations(&clusters, &subsets, &estimates);
         for family in point.families() {
             let deviations = &deviations[family.clone()];
@@ -191,7 +193,10 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
     let mut rows = vec![Vec::with_capacity(clusters.len()); estimates.len()];
     for task in clusters {
         let numerators = Numerators::new(subsets, &task.successes);
-        let values = rows.iter_mut().zip(estimates).zip(numerators.all());
+        let values = rows
+            .iter_mut()
+            .zip(estimates)
+            .zip(numerators.with_factors());
         for ((row, estimate), (numerator, scale)) in values {
             let value = numerator as f64 / scale as f64;
             row.push((value - estimate.value * task.n as f64) / mean);
@@ -206,7 +211,7 @@ fn set_simultaneous_intervals(
     deviations: &[Vec<f64>],
     bootstrap: &Bootstrap,
 ) {
-    // The standard errors below pool all tasks.
+    // All tasks form a single stratum, as for the standard errors below.
     let tasks = deviations.first().map_or(0, Vec::len);
     let Some(critical) = max_t(deviations, &[tasks], bootstrap) else {
         return;
@@ -267,7 +272,7 @@ impl Tally {
     }
 }
 
-/// The numerators of all values.
+/// The numerators of all estimates of [`Interactions`].
 struct Numerators {
     success: Vec<i64>,
     moebius: Vec<i64>,
@@ -283,8 +288,8 @@ impl Numerators {
     fn new(subsets: &[AxisSet], successes: &[i64]) -> Self {
         let sets = || subsets.iter().copied().zip(successes);
         let coefficient = |set: AxisSet| -> i64 {
-            let below = sets().filter(|(below, _)| below.is_subset(set));
-            let signed = below.map(|(below, count)| match (set.len() - below.len()) % 2 {
+            let subsets = sets().filter(|(subset, _)| subset.is_subset(set));
+            let signed = subsets.map(|(subset, count)| match (set.len() - subset.len()) % 2 {
                 0 => *count,
                 _ => -count,
             });
@@ -297,21 +302,23 @@ impl Numerators {
             .collect();
         // Σ_{B⊇A} m(B) / (|B| − |A| + 1): Shapley value and interaction index.
         let index = |set: AxisSet| -> i64 {
-            let above = moebius.iter().filter(|(above, _)| set.is_subset(*above));
-            let shares = above.map(|(above, coefficient)| {
-                coefficient * (SIXTIETHS / (above.len() - set.len() + 1) as i64)
+            let supersets = moebius
+                .iter()
+                .filter(|(superset, _)| set.is_subset(*superset));
+            let shares = supersets.map(|(superset, coefficient)| {
+                coefficient * (SIXTIETHS / (superset.len() - set.len() + 1) as i64)
             });
             shares.sum()
         };
         let of_size = |axes: usize| subsets.iter().filter(move |set| set.len() == axes);
-        let most = subsets.last().map_or(0, |full| full.len());
+        let largest_size = subsets.last().map_or(0, |full| full.len());
         let sum = |axes: usize| -> i64 {
             let of_size = moebius.iter().filter(|(set, _)| set.len() == axes);
             of_size.map(|(_, coefficient)| coefficient).sum()
         };
         Self {
             success: successes.to_vec(),
-            sizes: (1..=most).map(sum).collect(),
+            sizes: (1..=largest_size).map(sum).collect(),
             shapley: of_size(1).map(|&set| index(set)).collect(),
             pairs: of_size(2).map(|&set| index(set)).collect(),
             moebius: moebius
@@ -321,8 +328,8 @@ impl Numerators {
         }
     }
 
-    /// Returns the index ranges in [`Self::all`] of the families with simultaneous intervals:
-    /// Möbius interactions, Shapley values, pairs.
+    /// Returns the index ranges in [`Self::with_factors`] of the families with simultaneous
+    /// intervals: Möbius interactions, Shapley values, pairs.
     fn families(&self) -> [Range<usize>; 3] {
         let moebius = self.success.len()..self.success.len() + self.moebius.len();
         let shapley = moebius.end + self.sizes.len();
@@ -332,7 +339,7 @@ impl Numerators {
 
     /// Returns the numerators of all estimates in order, each with the factor by which `n` is
     /// multiplied to give its denominator.
-    fn all(&self) -> impl Iterator<Item = (i64, i64)> {
+    fn with_factors(&self) -> impl Iterator<Item = (i64, i64)> {
         let rates = self.success.iter().chain(&self.moebius).chain(&self.sizes);
         let sixtieths = self.shapley.iter().chain(&self.pairs);
         rates

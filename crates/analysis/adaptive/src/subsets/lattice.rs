@@ -33,7 +33,7 @@ pub enum LatticeError {
         /// The campaign's axes.
         full: AxisSet,
     },
-    /// No verdict about some subset is possible with so few replicates.
+    /// The allowed replicates are too few to reach a verdict about every subset.
     #[error(
         "explain with {repeats} repeats: too few to decide about subsets of {axes} axes with an \
          overall error of 5 %; allow {fewest} or more"

@@ -26,12 +26,12 @@ use crate::decision::Decision;
 /// Outcomes are *monotone* if every superset of a subset that flips the outcome
 /// flips it too. Minimal subsets of at most three axes found by `Adaptive` and `TopDown` are
 /// established even if outcomes are not monotone; for a larger minimal subset, at least the
-/// subsets that lack one of its axes were run. Both can miss a subset that flips the
-/// outcome and has a superset that does not: for rules in which a triple fails unless a
-/// fourth axis is present, and another pair or triple always fails, both recover every
-/// minimal subset in half of the cases (the example `planted` measures cost and recovery
-/// of all strategies). Quarantined and undecided rollouts leave gaps, which
-/// [`MinimalSubset::open`] lists.
+/// subsets that lack one of its axes were run. `Adaptive` and `TopDown` can miss a subset
+/// that flips the outcome and has a superset that does not: for rules in which a triple
+/// fails unless a fourth axis is present, and another pair or triple always fails, each of
+/// the two strategies recovers every minimal subset in half of the cases (the example
+/// `planted` measures cost and recovery of all strategies). Subsets whose rollouts are
+/// quarantined or undecided are listed in [`MinimalSubset::open`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strategy {
@@ -136,7 +136,7 @@ fn undecided_requests(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) ->
 fn first_request(lattice: &Lattice, set: AxisSet) -> Request {
     Request {
         set,
-        rollouts: lattice.evidence().first(lattice.role(set)),
+        rollouts: lattice.evidence().first_batch(lattice.role(set)),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use libero_ctrl::AxisSet;
 
-/// Returns the sets without a proper subset among the others.
+/// Returns the sets that have no proper subset among `sets`.
 pub(crate) fn minimal(sets: &[AxisSet]) -> Vec<AxisSet> {
     let has_smaller = |set: &AxisSet| sets.iter().any(|other| other.is_proper_subset(*set));
     sets.iter()
@@ -11,7 +11,7 @@ pub(crate) fn minimal(sets: &[AxisSet]) -> Vec<AxisSet> {
         .collect()
 }
 
-/// Returns the sets without a proper superset among the others.
+/// Returns the sets that have no proper superset among `sets`.
 pub(crate) fn maximal(sets: &[AxisSet]) -> Vec<AxisSet> {
     let has_larger = |set: &AxisSet| sets.iter().any(|other| set.is_proper_subset(*other));
     sets.iter()

@@ -27,9 +27,9 @@ pub struct Sample {
 /// Configurations are started in a random order that depends on the seed and
 /// their ids alone. A configuration is started only if the budget covers its whole
 /// lattice in addition to the largest possible cost of the configurations in progress, so that
-/// every started configuration can be finished. When none is in progress and the budget no longer
-/// covers a whole lattice, one configuration at a time is started nevertheless, and the last may
-/// remain unfinished.
+/// every started configuration can be finished. When no configuration is in progress and the budget
+/// no longer covers a whole lattice, one configuration at a time is started nevertheless, and the
+/// last may remain unfinished.
 ///
 /// Spending is counted from the requested rollouts: pass every configuration of the sample each
 /// time, including explained ones.
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_larger_budget_and_further_configurations_keep_started_ones() {
+    fn a_larger_budget_and_further_configurations_keep_started_configurations() {
         let mut small = transitions(30);
         spend(&mut small, &sample(170, 7));
         let mut large = transitions(30);

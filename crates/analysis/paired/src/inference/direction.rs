@@ -20,7 +20,8 @@ pub struct DirectionTest {
     /// Simultaneous success under each direction, over all tasks.
     pub rates: BTreeMap<u16, f64>,
     /// p-value of the hypothesis that success is the same under all directions: the share of
-    /// permutations of outcomes within tasks that spread the directions' rates at least as far.
+    /// permutations of outcomes within tasks under which the directions' rates spread at least as
+    /// far as the observed rates.
     pub p: f64,
 }
 
@@ -68,9 +69,9 @@ impl DirectionTest {
                     .filter(|(_, success)| *success == rarer)
                     .count(),
             ));
-            for (at, (_, success)) in task_indices.zip(outcomes) {
-                sizes[at] += 1.0;
-                rare[at] += f64::from(u8::from(*success == rarer));
+            for (direction_index, (_, success)) in task_indices.zip(outcomes) {
+                sizes[direction_index] += 1.0;
+                rare[direction_index] += f64::from(u8::from(*success == rarer));
             }
         }
         let spread = |rare: &[f64]| -> f64 {
@@ -90,7 +91,7 @@ impl DirectionTest {
             for (indices, count) in &mut indices {
                 for drawn in 0..*count {
                     let remaining = indices.len() - drawn;
-                    indices.swap(drawn, drawn + below(remaining, &mut rng));
+                    indices.swap(drawn, drawn + random_below(remaining, &mut rng));
                     rare[indices[drawn]] += 1.0;
                 }
             }
@@ -111,6 +112,6 @@ impl DirectionTest {
 }
 
 /// Draws an integer uniformly from 0..`end`.
-fn below(end: usize, rng: &mut ChaCha12Rng) -> usize {
+fn random_below(end: usize, rng: &mut ChaCha12Rng) -> usize {
     ((u64::from(rng.next_u32()) * end as u64) >> 32) as usize
 }

@@ -44,7 +44,7 @@ pub(crate) enum Scale {
     Product,
     /// A difference of shares: ± t standard errors, within [−1, 1].
     Difference,
-    /// A difference of means in units of their own: ± t standard errors.
+    /// A difference of means that are not shares, such as of steps: ± t standard errors.
     Mean,
 }
 
@@ -198,12 +198,12 @@ mod tests {
             assert!(0.0 < low && low < value && value < high && high < 1.0);
             [value - low, high - value]
         };
-        let [[below, above], [further_below, less_above]] = [distances(0.1), distances(0.9)];
-        assert!(above > below && further_below > less_above);
-        let none = Variance {
+        let [[low_below, low_above], [high_below, high_above]] = [distances(0.1), distances(0.9)];
+        assert!(low_above > low_below && high_below > high_above);
+        let no_variance = Variance {
             value: 0.0,
             df: 9.0,
         };
-        assert_eq!(around_product(0.5, none), None);
+        assert_eq!(around_product(0.5, no_variance), None);
     }
 }

@@ -2,8 +2,8 @@
 //! level's excess over them.
 //!
 //! S_conj is a minimum over several outcomes and S_sim is one outcome, so that I and R_d
-//! are positive for a policy with random outcomes even if no axis has an effect. A placebo
-//! level, with a radius too small to affect any policy, measures this.
+//! are positive for a policy with random outcomes even if no axis has an effect. At a placebo
+//! level, whose radius is too small to affect any policy, the measures take these values.
 
 use std::collections::BTreeMap;
 
@@ -41,8 +41,8 @@ pub struct Excess {
     pub excess: Simultaneity,
 }
 
-/// Columns of a row for the level: 1 if the configuration is complete, and whether it is emergent
-/// and compensated.
+/// Columns of a row for the level: 1 if the configuration is complete, 1 if it is emergent, and 1
+/// if it is compensated.
 const LEVEL: [usize; 3] = [0, 1, 2];
 /// Columns of a row for the placebo: 1 if the configuration is complete, and the probabilities that
 /// it is emergent and compensated, from [`expected`].
@@ -129,9 +129,9 @@ impl Excess {
 ///
 /// The rollouts of a placebo are exchangeable, because no perturbation is large enough to matter.
 /// The average has the same expectation as the measure itself and a smaller variance
-/// (D. Blackwell, Annals of Mathematical Statistics 18 (1947), 105–110). A lone failure is
-/// emergent if it is the simultaneous rollout. A simultaneous success beside any failure is
-/// compensated.
+/// (D. Blackwell, Annals of Mathematical Statistics 18 (1947), 105–110). A configuration with a
+/// single failure is emergent if the failure is the simultaneous rollout. A configuration with any
+/// failure is compensated if the simultaneous rollout succeeds.
 fn expected(successes: usize, rollouts: usize) -> (f64, f64) {
     let part = |count: usize| count as f64 / rollouts as f64;
     let failures = rollouts - successes;

@@ -16,8 +16,8 @@ use crate::outcomes::Matched;
 /// The loss under each condition.
 pub type Losses = BTreeMap<Condition, Loss>;
 
-/// Nominal success minus success under a condition, over the configurations with both
-/// outcomes. Every condition of a level uses the same initial states.
+/// Nominal success minus success under a condition, over the configurations with a nominal outcome
+/// and an outcome under the condition. Every condition of a level uses the same initial states.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Loss {
     /// Configurations with both outcomes.

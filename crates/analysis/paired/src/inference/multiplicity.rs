@@ -107,11 +107,11 @@ mod tests {
             values.iter().map(|value| value - mean).collect()
         };
         let columns: Vec<Vec<f64>> = (0..20).map(|_| column()).collect();
-        let one = max_t(&columns[..1], &[40], &Bootstrap::default()).expect("a spread");
-        let many = max_t(&columns, &[40], &Bootstrap::default()).expect("a spread");
-        assert!((one - 2.02).abs() < 0.1, "{one}");
+        let of_one = max_t(&columns[..1], &[40], &Bootstrap::default()).expect("a spread");
+        let of_twenty = max_t(&columns, &[40], &Bootstrap::default()).expect("a spread");
+        assert!((of_one - 2.02).abs() < 0.1, "{of_one}");
         // Šidák's quantile for 20 independent statistics.
-        assert!((many - 3.2).abs() < 0.2, "{many}");
+        assert!((of_twenty - 3.2).abs() < 0.2, "{of_twenty}");
     }
 
     #[test]

@@ -41,8 +41,8 @@ pub struct Eligible {
     /// b / (n·S_conj): share of simultaneous failures among the configurations that succeed
     /// under every axis alone. Absent if no configuration succeeds under every axis alone.
     pub emergent: Option<Estimate>,
-    /// c / (n·(1 − S_conj)): share of simultaneous successes among all other configurations.
-    /// Absent if there are no others.
+    /// c / (n·(1 − S_conj)): share of simultaneous successes among the configurations that fail
+    /// under some axis alone. Absent if no configuration fails under an axis alone.
     pub compensated: Option<Estimate>,
 }
 
@@ -64,7 +64,7 @@ pub struct Relative {
     pub difference: Estimate,
 }
 
-/// Columns of a complete configuration: 1, conjunction, simultaneous, emergent,
+/// Columns of a complete configuration's row: 1, conjunction, simultaneous, emergent,
 /// compensated, then each axis.
 const N: usize = 0;
 const CONJUNCTION: usize = 1;
@@ -103,7 +103,8 @@ fn axis_product(sums: &[f64]) -> f64 {
 }
 
 impl PairedEstimates {
-    /// Returns `None` if no configuration is complete.
+    /// Estimates the measures over the complete configurations; `None` if no configuration is
+    /// complete.
     pub(crate) fn of(matched: &[Matched], directions: Directions) -> Option<Self> {
         let rows = complete_rows(matched);
         let sample = Sample::new(&rows, directions)?;

@@ -25,9 +25,13 @@ pub(crate) struct Sample {
     sums: Vec<f64>,
     tasks: BTreeSet<TaskRef>,
     directions: Directions,
+    /// Strata are suites, groups are tasks.
     tasks_in_suites: Vec<Stratum>,
+    /// Strata are suites, groups are single rows.
     rows_in_suites: Vec<Stratum>,
+    /// Strata are tasks, groups are single rows.
     rows_in_tasks: Vec<Stratum>,
+    /// A single stratum, whose groups are directions.
     by_direction: Stratum,
 }
 
@@ -66,7 +70,7 @@ pub(crate) struct Variances {
 }
 
 impl Sample {
-    /// Returns `None` if there are no rows.
+    /// Sums the rows by group; `None` if there are no rows.
     pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
         if rows.is_empty() {
             return None;
@@ -118,8 +122,8 @@ impl Sample {
     /// suites; V_D leaves out one direction at a time. The variance for new tasks is V_T; for
     /// new tasks and new directions it is V_T + V_D − V_TD, at least the greater of V_T and
     /// V_D, with Satterthwaite's degrees of freedom. The variance for the sampled tasks
-    /// themselves (`these_tasks`) leaves out one configuration at a time within its task. It
-    /// counts effects of directions within a task as chance, and so is never too small.
+    /// themselves (`these_tasks`) leaves out one configuration at a time within its task. This
+    /// variance counts effects of directions within a task as chance, and so is never too small.
     ///
     /// Sources: J. N. K. Rao and J. Shao, Jackknife variance estimation with survey data,
     /// Biometrika 79 (1992), 811–822 (strata); A. C. Cameron, J. B. Gelbach and
@@ -127,11 +131,11 @@ impl Sample {
     /// Economic Statistics 29 (2011), 238–249 (crossed clusters); F. E. Satterthwaite,
     /// Biometrics Bulletin 2 (1946), 110–114.
     pub(crate) fn variances(&self, statistic: &dyn Fn(&[f64]) -> f64) -> Variances {
-        let tasks = self.jackknife(statistic, &self.tasks_in_suites);
-        let within = self.jackknife(statistic, &self.rows_in_tasks);
-        let both = match self.directions {
-            Directions::Own => tasks,
-            Directions::Shared => tasks.and_then(|tasks| {
+        let new_tasks = self.jackknife(statistic, &self.tasks_in_suites);
+        let these_tasks = self.jackknife(statistic, &self.rows_in_tasks);
+        let new_tasks_and_directions = match self.directions {
+            Directions::Own => new_tasks,
+            Directions::Shared => new_tasks.and_then(|tasks| {
                 let directions =
                     self.jackknife(statistic, std::slice::from_ref(&self.by_direction))?;
                 let cells = self.jackknife(statistic, &self.rows_in_suites)?;
@@ -139,9 +143,9 @@ impl Sample {
             }),
         };
         Variances {
-            these_tasks: within,
-            new_tasks: tasks,
-            new_tasks_and_directions: both,
+            these_tasks,
+            new_tasks,
+            new_tasks_and_directions,
         }
     }
 

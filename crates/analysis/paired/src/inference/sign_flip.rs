@@ -2,8 +2,8 @@
 
 /// Returns the two-sided exact p-value of the tasks' net changes under the hypothesis that
 /// both signs of each task's change are equally likely: the share of the 2^G assignments of
-/// signs whose sum is at least as far from 0 as the observed one. Unlike McNemar's test, it
-/// accounts for the correlation of rollouts of a task.
+/// signs whose sum is at least as far from 0 as the observed sum. Unlike McNemar's test, this
+/// test accounts for the correlation of rollouts of a task.
 ///
 /// The distribution of the sum is computed by convolution, one task after the other, without
 /// enumerating or sampling assignments.
@@ -44,7 +44,7 @@ mod tests {
     fn the_p_value_equals_that_of_an_enumeration_of_all_signs() {
         let net = [3, -1, 2, 0, 5, 1, -2_i64];
         let observed = net.iter().sum::<i64>().abs();
-        let far = (0..1_u32 << net.len()).filter(|signs| {
+        let as_extreme = (0..1_u32 << net.len()).filter(|signs| {
             let sum: i64 = net
                 .iter()
                 .enumerate()
@@ -58,7 +58,7 @@ mod tests {
                 .sum();
             sum.abs() >= observed
         });
-        let expected = far.count() as f64 / f64::from(1_u32 << net.len());
+        let expected = as_extreme.count() as f64 / f64::from(1_u32 << net.len());
         assert!((sign_flip_p(&net) - expected).abs() < 1e-12);
         assert_eq!(sign_flip_p(&[]), 1.0);
         assert_eq!(sign_flip_p(&[4]), 1.0);

@@ -74,8 +74,8 @@ impl Sequences {
     fn complete(&mut self, unit: &Unit, possible: &[Transition]) {
         match self {
             Self::Configurations(sequence) => {
-                let taken = sequence.complete(unit, possible);
-                taken.expect("a configuration of the order");
+                let result = sequence.complete(unit, possible);
+                result.expect("a configuration of the order");
             }
             Self::NewTasks(sequence) => sequence.complete(unit, possible),
         }
@@ -98,9 +98,9 @@ impl CampaignLook {
         })
     }
 
-    /// Returns the first look at which the rule holds at every level; `None` if there is
-    /// none before the last configuration. Outcomes beyond that look in the drawn order do
-    /// not affect it.
+    /// Returns the first look at which the rule holds at every level; `None` if the rule does not
+    /// hold before the last configuration. Outcomes beyond this look in the drawn order do not
+    /// affect the result.
     pub fn when_met(records: &Records, stop: &Stop) -> Option<Self> {
         let mut walk = Walk::begin(records, stop)?;
         while walk.step() {
@@ -140,7 +140,7 @@ fn nominal(record: &Record) -> RolloutId {
     RolloutId::clean(record.id.task(), record.init_id)
 }
 
-/// Walk through the drawn order that adds one configuration per step.
+/// Replay of the drawn order that adds one configuration per step.
 struct Walk<'a> {
     order: Vec<Unit>,
     configurations: BTreeMap<(Level, Unit), &'a Matched>,
@@ -188,7 +188,8 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// Takes the next configuration. Returns false if there is none or it is incomplete.
+    /// Adds the next configuration. Returns false if no configuration is left or the next one is
+    /// incomplete.
     fn step(&mut self) -> bool {
         let Some(&unit) = self.order.get(self.look.used.len()) else {
             return false;

@@ -20,7 +20,7 @@ pub struct ComparedLook {
     pub condition: Condition,
     /// The interval over the configurations that both campaigns have completed.
     pub look: Look,
-    /// Number of configurations after which the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met; `None` if it was not met.
     pub met_after: Option<usize>,
 }
 
@@ -64,8 +64,8 @@ pub fn compared_looks(
         let mut difference = SequentialDifference::new(&order, SEQUENTIAL_ALPHA);
         let mut met_after = None;
         for unit in order.units() {
-            let taken = difference.complete(unit, outcomes_a[unit], outcomes_b[unit]);
-            taken.expect("a configuration of the order");
+            let result = difference.complete(unit, outcomes_a[unit], outcomes_b[unit]);
+            result.expect("a configuration of the order");
             let look = difference.look();
             if met_after.is_none() && rule.is_some_and(|rule| look.meets(rule)) {
                 met_after = Some(look.used);

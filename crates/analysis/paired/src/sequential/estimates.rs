@@ -65,12 +65,12 @@ impl CampaignLook {
                     stratum.units
                 }
             };
-            let all: f64 = strata.values().map(weight).sum();
+            let total_weight: f64 = strata.values().map(weight).sum();
             let intervals = self.levels[&level].intervals.iter();
             let estimates = intervals.map(|(&measure, interval)| {
                 let weighted_mean =
                     |stratum: &Stratum| weight(stratum) * stratum.sums[&measure] / stratum.known;
-                let mean = strata.values().map(weighted_mean).sum::<f64>() / all;
+                let mean = strata.values().map(weighted_mean).sum::<f64>() / total_weight;
                 (measure, mean.clamp(interval.low(), interval.high()))
             });
             (level, estimates.collect())

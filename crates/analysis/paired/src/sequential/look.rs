@@ -82,7 +82,7 @@ mod tests {
         text.parse().expect(text)
     }
 
-    /// Creates a look with intervals of 400 units.
+    /// Creates a look with intervals over a population of 400 units.
     fn look(intervals: &[(Measure, [i64; 2])]) -> Look {
         let interval = |&(measure, [least, greatest]): &(Measure, [i64; 2])| {
             let interval = RateInterval {

@@ -71,8 +71,11 @@ pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
 }
 
 /// Returns the least and greatest value of a measure over some transitions.
-pub(crate) fn values(measure: Measure, over: &[Transition]) -> [i64; 2] {
-    let values = || over.iter().map(|&transition| value(measure, transition));
+pub(crate) fn values(measure: Measure, transitions: &[Transition]) -> [i64; 2] {
+    let values = || {
+        let transitions = transitions.iter();
+        transitions.map(|&transition| value(measure, transition))
+    };
     let ends = values().min().zip(values().max());
     let (least, greatest) = ends.expect("some transition is possible");
     [least, greatest]

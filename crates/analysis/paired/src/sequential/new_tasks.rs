@@ -84,6 +84,7 @@ struct Mean {
     kept: [i64; 2],
 }
 
+/// A bet on large or on small values.
 #[derive(Clone, Debug)]
 struct Bet {
     /// Relative size; negative for the bet on small values.
@@ -211,8 +212,8 @@ impl Mean {
                 .iter()
                 .map(|mean| (stake * (mean[worst] - centre)).ln_1p());
             bet.gains += gains.sum::<f64>();
-            for (at, cost) in (first..).zip(&mut bet.costs) {
-                let candidate = at as f64 / CANDIDATES as f64;
+            for (index, cost) in (first..).zip(&mut bet.costs) {
+                let candidate = index as f64 / CANDIDATES as f64;
                 *cost -= round.len() as f64 * (stake * (candidate - centre)).ln_1p();
             }
         }
@@ -220,11 +221,11 @@ impl Mean {
             self.earlier[0] += (mean[0] + mean[1]) / 2.0;
             self.earlier[1] += 1.0;
         }
-        let e_value = |at: i64| {
-            let capital = |bet: &Bet| (bet.gains + bet.costs[(at - first) as usize]).exp();
+        let e_value = |index: i64| {
+            let capital = |bet: &Bet| (bet.gains + bet.costs[(index - first) as usize]).exp();
             self.bets.iter().map(capital).sum::<f64>() / self.bets.len() as f64
         };
-        let is_kept = |at: &i64| e_value(*at) * self.alpha < 1.0;
+        let is_kept = |index: &i64| e_value(*index) * self.alpha < 1.0;
         let [low, high] = self.kept;
         // E-values are convex in the candidate, so that the kept candidates have no gaps. If
         // none is kept, the interval had already missed the mean and stays unchanged.
@@ -234,7 +235,8 @@ impl Mean {
         }
     }
 
-    /// Returns the interval of the kept candidates, extended to the next rejected ones.
+    /// Returns the interval of the kept candidates, extended at each end to the nearest rejected
+    /// candidate.
     fn interval(&self) -> RateInterval {
         let [least, greatest] = self.range.map(|end| end * CANDIDATES);
         RateInterval {
@@ -270,9 +272,9 @@ mod tests {
         for outcomes in 0..1_u32 << drawn.len() {
             let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), alpha);
             let (mut probability, mut is_missed) = (1.0, false);
-            for (at, draw) in drawn.iter().enumerate() {
+            for (bit, draw) in drawn.iter().enumerate() {
                 let p = rates[draw.stratum];
-                let success = outcomes >> at & 1 == 1;
+                let success = outcomes >> bit & 1 == 1;
                 probability *= if success { p } else { 1.0 - p };
                 let possible = match success {
                     true => Transition::StillSucceeds,

@@ -99,13 +99,13 @@ impl<U: Ord> Order<U> {
 /// 235, Communications of the ACM 7 (1964), 420.
 fn shuffle<T>(rng: &mut impl Rng, items: &mut [T]) {
     for last in (1..items.len()).rev() {
-        items.swap(last, below(rng, last as u64 + 1) as usize);
+        items.swap(last, random_below(rng, last as u64 + 1) as usize);
     }
 }
 
 /// Draws a uniform integer in 0..n. Source: D. Lemire, Fast random integer generation
 /// in an interval, ACM Transactions on Modeling and Computer Simulation 29 (2019).
-fn below(rng: &mut impl Rng, n: u64) -> u64 {
+fn random_below(rng: &mut impl Rng, n: u64) -> u64 {
     // Rejects draws whose lower half is below this threshold; they would bias some integers.
     let surplus = n.wrapping_neg() % n;
     loop {

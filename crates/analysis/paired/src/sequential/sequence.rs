@@ -43,8 +43,8 @@ impl ConfidenceSequence {
     }
 
     /// Ends a round and updates the totals from the e-process. Updating after every draw
-    /// would be valid too, but a partial round excludes few candidates, because their totals may
-    /// lie in the strata that the round has not reached.
+    /// would be valid too, but a partial round excludes few candidates: a candidate's total may be
+    /// due to the strata that the round has not reached.
     pub(crate) fn end_round(&mut self) {
         self.process.draw_round(&std::mem::take(&mut self.round));
         let e_values = self.process.e_values();
@@ -179,7 +179,7 @@ mod tests {
     /// that the e-value of the true total has an expectation of at most 1 after each round
     /// and that the interval ever excludes the true total with a probability of at most α.
     /// Returns the greatest of these probabilities.
-    fn check(range: [i64; 2], kinds: &[Unit], sizes: &[usize]) -> f64 {
+    fn check_coverage(range: [i64; 2], kinds: &[Unit], sizes: &[usize]) -> f64 {
         let mut greatest: f64 = 0.0;
         let strata: Vec<_> = sizes.iter().map(|&size| multisets(kinds, size)).collect();
         for population in combinations(&strata) {
@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn rates_are_covered_over_all_orders_of_all_small_populations() {
         for sizes in [&[3, 3, 3][..], &[4, 4], &[6]] {
-            let missed = check([0, 1], &RATE, sizes);
+            let missed = check_coverage([0, 1], &RATE, sizes);
             assert!(
                 missed > 0.0,
                 "{sizes:?}: no interval ever excludes the total, so that the test shows nothing"
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn differences_are_covered_over_all_orders_of_all_small_populations() {
         for sizes in [&[3, 3][..], &[2, 2, 2], &[5]] {
-            let missed = check([-1, 1], &DIFFERENCE, sizes);
+            let missed = check_coverage([-1, 1], &DIFFERENCE, sizes);
             assert!(
                 missed > 0.0,
                 "{sizes:?}: no interval ever excludes the total, so that the test shows nothing"
@@ -239,13 +239,13 @@ mod tests {
 
     #[test]
     fn totals_over_strata_of_unequal_sizes_are_covered() {
-        assert!(check([0, 1], &RATE, &[5, 2, 1]) > 0.0);
-        assert!(check([-1, 1], &DIFFERENCE, &[4, 2]) > 0.0);
+        assert!(check_coverage([0, 1], &RATE, &[5, 2, 1]) > 0.0);
+        assert!(check_coverage([-1, 1], &DIFFERENCE, &[4, 2]) > 0.0);
     }
 
     #[test]
     fn totals_with_quarantined_units_are_covered() {
-        assert!(check([0, 1], &QUARANTINE, &[5]) > 0.0);
-        check([0, 1], &QUARANTINE, &[3, 3]);
+        assert!(check_coverage([0, 1], &QUARANTINE, &[5]) > 0.0);
+        check_coverage([0, 1], &QUARANTINE, &[3, 3]);
     }
 }

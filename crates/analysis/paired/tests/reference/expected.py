@@ -1,6 +1,6 @@
 """Writes expected.json: results of NumPy and SciPy for random data sets and the
-example data, for tests/reference.rs to compare with. Shares no code with the
-crate, and resamples with another generator.
+example data, with which tests/reference.rs compares the crate's results. Shares
+no code with the crate, and resamples with another random generator.
 
     python3 -m venv venv && venv/bin/pip install numpy==2.4.6 scipy==1.17.1
     venv/bin/python crates/analysis/paired/tests/reference/expected.py
@@ -30,22 +30,22 @@ INTERVALS = ["d", "i", "r_e", "r_c", "r_d"]
 
 def measures(y):
     """Returns all measures of an array of outcomes, configurations x 7."""
-    alone, together = y[:, :6], y[:, 6]
+    alone, simultaneous = y[:, :6], y[:, 6]
     conjunction = alone.all(axis=1)
     s_axis = alone.mean(axis=0)
     return {
         "n": len(y),
-        "b": int((conjunction & ~together).sum()),
-        "c": int((~conjunction & together).sum()),
+        "b": int((conjunction & ~simultaneous).sum()),
+        "c": int((~conjunction & simultaneous).sum()),
         "s_axis": dict(zip(AXES, s_axis.tolist())),
         "s_indep": float(np.prod(s_axis)),
         "s_conj": float(conjunction.mean()),
-        "s_sim": float(together.mean()),
+        "s_sim": float(simultaneous.mean()),
         "d": float(conjunction.mean() - np.prod(s_axis)),
-        "i": float(together.mean() - conjunction.mean()),
-        "r_e": float((conjunction & ~together).mean()),
-        "r_c": float((~conjunction & together).mean()),
-        "r_d": float((conjunction != together).mean()),
+        "i": float(simultaneous.mean() - conjunction.mean()),
+        "r_e": float((conjunction & ~simultaneous).mean()),
+        "r_c": float((~conjunction & simultaneous).mean()),
+        "r_d": float((conjunction != simultaneous).mean()),
     }
 
 
@@ -69,7 +69,7 @@ def resampled(tasks, rng):
     for column in drawn.T:
         total += sums[column]
     rates = total[:, 1:] / total[:, :1]
-    alone, together, conjunction, r_e, r_c = (
+    alone, simultaneous, conjunction, r_e, r_c = (
         rates[:, :6],
         rates[:, 6],
         rates[:, 7],
@@ -77,10 +77,11 @@ def resampled(tasks, rng):
         rates[:, 9],
     )
     d = conjunction - alone.prod(axis=1)
-    return dict(zip(INTERVALS, [d, together - conjunction, r_e, r_c, r_e + r_c]))
+    return dict(zip(INTERVALS, [d, simultaneous - conjunction, r_e, r_c, r_e + r_c]))
 
 
 def expected(tasks, rng):
+    """Returns the measures, with their intervals by resampling whole tasks."""
     y = np.concatenate(tasks)
     result = measures(y)
     for name, values in resampled(tasks, rng).items():
@@ -106,6 +107,7 @@ def random_tasks(rng):
 
 
 def text(y):
+    """Returns the outcomes of one task in the form of a data set."""
     return "".join(f"{sum(int(v) << k for k, v in enumerate(row)):02x}" for row in y)
 
 
@@ -150,10 +152,12 @@ def difference(tasks, rng):
 
 
 def pairs_text(y):
+    """Returns the outcomes of two policies in one task in the form of a data set."""
     return "".join(str(int(a) + 2 * int(b)) for a, b in y)
 
 
 def example(level):
+    """Returns the outcomes of the example data at a level, an array per task."""
     rows = {}
     for line in EXAMPLE.read_text().splitlines():
         row = json.loads(line)

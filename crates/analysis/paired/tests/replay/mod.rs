@@ -104,8 +104,8 @@ impl Population {
         let (mut held, mut met) = (true, vec![None; rules.len()]);
         for unit in order.units() {
             let transition = self.transition(unit);
-            let taken = sequential.complete(unit, &[transition]);
-            taken.expect("a configuration of the order");
+            let result = sequential.complete(unit, &[transition]);
+            result.expect("a configuration of the order");
             let look = sequential.look();
             held &= holds(&look);
             for (met, rule) in met.iter_mut().zip(rules) {

@@ -113,7 +113,7 @@ fn floor(nominal: f64) -> [f64; 2] {
 fn normal_points() -> impl Iterator<Item = (f64, f64)> {
     const STEP: f64 = 0.5;
     let weight = |z: f64| STEP * (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
-    (-14..=14).map(move |at| (STEP * f64::from(at), weight(STEP * f64::from(at))))
+    (-14..=14).map(move |step| (STEP * f64::from(step), weight(STEP * f64::from(step))))
 }
 
 /// Parameters shared by the tasks and directions of a population.
@@ -133,7 +133,7 @@ type Effects = Vec<[f64; CONDITIONS + 1]>;
 impl Population {
     /// Returns a population with suites of unequal difficulty, axes of unequal cost, and an effect
     /// of the direction.
-    pub(crate) const fn usual() -> Self {
+    pub(crate) const fn standard() -> Self {
         Self {
             ease: [2.8, 3.2, 2.4, 1.4],
             costs: [1.4, 0.9, 0.7, 0.2, 0.5, 0.1, 2.2],
@@ -150,7 +150,8 @@ impl Population {
         (0..tasks).map(draw_task).collect()
     }
 
-    /// Draws the effects of directions; they have none on nominal rollouts.
+    /// Draws the effects of directions on each condition at L2; directions have no effect on
+    /// nominal rollouts.
     pub(crate) fn directions(&self, directions: u16, chance: &mut Chance) -> Effects {
         let draw_direction = |_| {
             let mut effects = [0.0; CONDITIONS + 1];
@@ -188,9 +189,11 @@ impl Population {
         directions: &Effects,
     ) -> BTreeMap<&'static str, f64> {
         let mut sums = [0.0; 7 + CONDITIONS];
-        for (at, task) in tasks.iter().enumerate() {
+        for (task_index, task) in tasks.iter().enumerate() {
             for direction in directions {
-                let terms = self.probabilities(at % suites, task, direction).sums();
+                let terms = self
+                    .probabilities(task_index % suites, task, direction)
+                    .sums();
                 sums.iter_mut()
                     .zip(terms)
                     .for_each(|(sum, term)| *sum += term);
@@ -212,7 +215,7 @@ impl Population {
         directions: Option<&Effects>,
     ) -> BTreeMap<&'static str, f64> {
         let [task_deviation, condition_deviation, direction_deviation] = self.deviations;
-        let none: Effects = vec![[0.0; CONDITIONS + 1]];
+        let no_effects: Effects = vec![[0.0; CONDITIONS + 1]];
         let spread = match directions {
             Some(_) => condition_deviation,
             None => condition_deviation.hypot(direction_deviation),
@@ -223,7 +226,7 @@ impl Population {
         };
         let mut sums = [0.0; 7 + CONDITIONS];
         for ease in &self.ease[..suites] {
-            for direction in directions.unwrap_or(&none) {
+            for direction in directions.unwrap_or(&no_effects) {
                 for (z_task, weight) in normal_points() {
                     let logit = ease + task_deviation * z_task;
                     let mut nominal = [0.0; 3];
@@ -263,10 +266,10 @@ impl Population {
         chance: &mut Chance,
     ) -> Vec<Record> {
         let mut records = Vec::new();
-        for (at, effects) in tasks.iter().enumerate() {
-            let task = task(at, suites);
+        for (task_index, effects) in tasks.iter().enumerate() {
+            let task = task(task_index, suites);
             for (config, direction) in (0..).zip(directions) {
-                let p = self.probabilities(at % suites, effects, direction);
+                let p = self.probabilities(task_index % suites, effects, direction);
                 let mut coin = |p: f64| chance.uniform() < p;
                 records.push(record(
                     task,
@@ -326,12 +329,12 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
 }
 
 /// Returns task number `at` of a campaign over the first `suites` suites.
-pub(crate) fn task(at: usize, suites: usize) -> TaskRef {
-    let suite = Suite::ALL[at % suites];
+pub(crate) fn task(task_index: usize, suites: usize) -> TaskRef {
+    let suite = Suite::ALL[task_index % suites];
     let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);
     suite_tasks
         .into_iter()
-        .nth(at / suites)
+        .nth(task_index / suites)
         .expect("ten tasks a suite")
 }
 
@@ -380,8 +383,8 @@ pub(crate) fn estimates(cell: &Cell) -> BTreeMap<&'static str, Estimate> {
 pub(crate) enum Planted {
     /// No effect: every rollout is a coin flip under every condition.
     Coins,
-    /// One axis makes three of ten configurations fail, alone and simultaneously. One in seven of
-    /// the other configurations fails only simultaneously: 10 points of all configurations.
+    /// The camera makes three of ten configurations fail, alone and simultaneously. One in seven of
+    /// the other configurations fails only simultaneously, which is 10 % of all configurations.
     Interaction,
     /// The camera makes three directions of ten fail in half of the tasks, alone and
     /// simultaneously.
@@ -400,8 +403,8 @@ impl Planted {
     /// Simulates a campaign of 40 tasks and ten configurations at L0 and L2, with nominal rollouts.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
-        for at in 0..40 {
-            let task = task(at, 4);
+        for task_index in 0..40 {
+            let task = task(task_index, 4);
             let has_failing_directions = chance.uniform() < 0.5;
             for config in 0..CONFIGURATIONS {
                 let [camera, simultaneous] = match self {
@@ -444,12 +447,12 @@ pub(crate) struct NetEffect {
 }
 
 impl NetEffect {
-    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance, the
-    /// others with the probability given by their task's effect.
+    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance; every
+    /// other configuration changes with the probability given by the effect of its task.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
-        for at in 0..40 {
-            let task = task(at, 4);
+        for task_index in 0..40 {
+            let task = task(task_index, 4);
             let sign = if chance.uniform() < 0.5 { 1.0 } else { -1.0 };
             let has_deviation = chance.uniform() < self.share;
             let effect = self.mean

@@ -85,9 +85,11 @@ pub(crate) struct PairedEffects {
 pub(crate) struct TwoPolicies([Policy; 2]);
 
 impl TwoPolicies {
-    pub(crate) const fn usual() -> Self {
+    /// Returns two policies that differ in the difficulty of suites, the costs of axes, and
+    /// progress.
+    pub(crate) const fn standard() -> Self {
         let first = Policy {
-            population: Population::usual(),
+            population: Population::standard(),
             half_done: 0.5,
             steps: 120.0,
         };
@@ -95,7 +97,7 @@ impl TwoPolicies {
             population: Population {
                 ease: [2.4, 3.3, 2.0, 1.5],
                 costs: [0.6, 1.2, 0.7, 0.1, 0.9, 0.1, 1.4],
-                deviations: Population::usual().deviations,
+                deviations: Population::standard().deviations,
             },
             half_done: 0.3,
             steps: 140.0,
@@ -155,11 +157,11 @@ impl TwoPolicies {
         truth[3] = [f64::NAN; ROWS];
         for (sign, index) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[index];
-            for (at, (effects, length)) in
+            for (task_index, (effects, length)) in
                 tasks.effects[index].iter().zip(&tasks.lengths).enumerate()
             {
                 for row in 0..ROWS {
-                    let logit = policy.logit(at % suites, row) + effects[row];
+                    let logit = policy.logit(task_index % suites, row) + effects[row];
                     let directions = directions.effects[index].iter();
                     let each = directions.map(|direction| logistic(logit + direction[row]));
                     let success = each.sum::<f64>() / f64::from(CONFIGURATIONS);
@@ -181,19 +183,21 @@ impl TwoPolicies {
         directions: Option<&PairedEffects>,
     ) -> Truth {
         let [task_deviation, condition_deviation, direction_deviation] = self.deviations();
-        let none: Effects = vec![[0.0; ROWS]];
+        let no_effects: Effects = vec![[0.0; ROWS]];
         let mut truth = [[0.0; ROWS]; 4];
         for (sign, index) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[index];
-            let given = directions.map(|directions| &directions.effects[index]);
-            let directions = given.unwrap_or(&none);
+            let known_effects = directions.map(|directions| &directions.effects[index]);
+            let directions = known_effects.unwrap_or(&no_effects);
             for row in 0..ROWS {
                 // Nominal rollouts have no direction.
-                let unknown = match given {
+                let direction_spread = match known_effects {
                     None if row < CONDITIONS => direction_deviation,
                     _ => 0.0,
                 };
-                let spread = task_deviation.hypot(condition_deviation).hypot(unknown);
+                let spread = task_deviation
+                    .hypot(condition_deviation)
+                    .hypot(direction_spread);
                 let mut success = 0.0;
                 for suite in 0..suites {
                     for direction in directions {
@@ -279,14 +283,15 @@ impl TwoPolicies {
     ) -> (Vec<Record>, Vec<Progress>) {
         let policy = &self.0[index];
         let (mut records, mut progress) = (Vec::new(), Vec::new());
-        for (at, effects) in tasks.effects[index].iter().enumerate() {
+        for (task_index, effects) in tasks.effects[index].iter().enumerate() {
             for (config, direction) in (0..).zip(&directions.effects[index]) {
                 let conditions = conditions().chain([Condition::Clean]);
                 for (row, condition) in conditions.enumerate() {
-                    let logit = policy.logit(at % suites, row) + effects[row] + direction[row];
+                    let logit =
+                        policy.logit(task_index % suites, row) + effects[row] + direction[row];
                     let (success, steps, goal) =
-                        policy.rollout(logistic(logit), tasks.lengths[at], chance);
-                    let task = task(at, suites);
+                        policy.rollout(logistic(logit), tasks.lengths[task_index], chance);
+                    let task = task(task_index, suites);
                     let record = record(task, condition, Level::L2, config, success);
                     records.push(record);
                     progress.push(Progress {

@@ -15,12 +15,13 @@ use crate::words;
 const LABEL_WIDTH: f64 = 96.0;
 const ROW_HEIGHT: f64 = 18.0;
 const LEVEL_GAP: f64 = 10.0;
-/// Candidate distances of ticks, fractions; the first with at most [`MAX_TICKS`] is used.
+/// Candidate distances of ticks, fractions; the first that needs at most [`MAX_TICKS`] ticks on
+/// each side of zero is used.
 const TICK_STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
 const MAX_TICKS: f64 = 3.0;
 
-/// Draws the panel of two policies, replicate 0; `None` if no rollout has an outcome for
-/// both.
+/// Draws the panel of two policies, replicate 0; `None` if no rollout has an outcome for both
+/// policies.
 pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let cells = comparison.statistics.cells.iter();
     let cells = cells.filter(|cell| cell.replicate == 0);

@@ -14,8 +14,8 @@ use crate::words;
 const LEGEND_HEIGHT: f64 = 20.0;
 const ROW_HEIGHT: f64 = 54.0;
 const BAR_HEIGHT: f64 = 14.0;
-/// Candidate distances of ticks, fractions; the first with at most [`MAX_TICKS`] is used,
-/// and the axis ends at a multiple of it.
+/// Candidate distances of ticks, fractions; the first that needs at most [`MAX_TICKS`] ticks on
+/// each side of zero is used, and the axis ends at a multiple of this distance.
 const TICK_STEPS: [f64; 4] = [0.02, 0.05, 0.1, 0.25];
 const MAX_TICKS: f64 = 4.0;
 

@@ -11,8 +11,8 @@ use crate::words;
 
 const LEGEND_HEIGHT: f64 = 20.0;
 const ROW_HEIGHT: f64 = 46.0;
-/// Distance of ticks, fraction; the axis begins at a multiple of it.
-const TICK_STEP: f64 = 0.1;
+/// The axis begins at a multiple of this success rate.
+const START_STEP: f64 = 0.1;
 
 /// Draws the panel; `None` if no published success rate is known.
 pub fn gate(document: &Document) -> Option<Figure> {
@@ -35,7 +35,7 @@ pub fn gate(document: &Document) -> Option<Figure> {
         measured.min(gate.published - GATE_TOLERANCE)
     });
     let lowest = lowest.fold(0.9, f64::min);
-    let domain = [((lowest / TICK_STEP).floor() * TICK_STEP).max(0.0), 1.0];
+    let domain = [((lowest / START_STEP).floor() * START_STEP).max(0.0), 1.0];
     let scale = Scale::over(domain);
     let top = HEAD + LEGEND_HEIGHT;
     let bottom = top + ROW_HEIGHT * rows.len() as f64;

@@ -88,9 +88,9 @@ fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
     format!("{}, {}", shortened(&analysis.label, 30), level.level)
 }
 
-/// Draws a square: the colour shows the sign of the estimate, the opacity its size
-/// relative to `largest`.
-fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
+/// Draws the cell of an axis or a pair: the colour shows the sign of the estimate, the opacity its
+/// size relative to `largest`.
+fn cell(name: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
     let share = estimate.value.abs() / largest;
     let class = if estimate.value < 0.0 {
         "emergent"
@@ -109,7 +109,7 @@ fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f
     html! {
         g {
             title {
-                (what) ": " (points(estimate.value)) " points"
+                (name) ": " (points(estimate.value)) " points"
                 (points_interval(estimate.ci95, estimate.no_interval))
             }
             rect class="cell" x=(number(x + 1.0)) y=(number(y + 1.0)) width=(number(side - 2.0))

@@ -99,7 +99,7 @@ fn node(set: AxisSet, full: AxisSet, verdict: Verdict, is_minimal: bool, at: [f6
     let [x, y] = at;
     let ring = if is_minimal { "; minimal" } else { "" };
     html! {
-        title { (name(set, full)) ": " (in_words(verdict)) (ring) }
+        title { (name(set, full)) ": " (describe(verdict)) (ring) }
         @if is_minimal {
             circle class="ring" cx=(number(x)) cy=(number(y)) r=(number(RING_RADIUS)) {}
         }
@@ -108,7 +108,7 @@ fn node(set: AxisSet, full: AxisSet, verdict: Verdict, is_minimal: bool, at: [f6
     }
 }
 
-/// Draws an outcome as a node with its own shape and colour.
+/// Draws a node, whose shape and colour show the verdict.
 fn shape(verdict: Verdict, [x, y]: [f64; 2]) -> Markup {
     let circle = |class: &str, radius: f64| {
         html! { circle class=(class) cx=(number(x)) cy=(number(y)) r=(number(radius)) {} }
@@ -121,7 +121,7 @@ fn shape(verdict: Verdict, [x, y]: [f64; 2]) -> Markup {
     }
 }
 
-fn in_words(verdict: Verdict) -> &'static str {
+fn describe(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Success => "succeeds",
         Verdict::Failure => "fails",
@@ -147,11 +147,11 @@ fn label(set: AxisSet, full: AxisSet) -> String {
         1 => name(set, full).to_owned(),
         _ if set.is_empty() || set == full => name(set, full).to_owned(),
         _ if full.len() - set.len() == 1 => format!("all but {}", full.without(set)),
-        _ => set.axes().map(short).collect(),
+        _ => set.axes().map(abbreviation).collect(),
     }
 }
 
-fn short(axis: Axis) -> &'static str {
+fn abbreviation(axis: Axis) -> &'static str {
     match axis {
         Axis::Camera => "Ca",
         Axis::Lighting => "Li",
@@ -169,7 +169,7 @@ fn legend(top: f64, has_minimal: bool) -> Markup {
         (Verdict::NotRun, "not run, or not yet"),
         (Verdict::Quarantined, "quarantined or undecided"),
     ];
-    let names = Axis::ALL.map(|axis| format!("{} {axis}", short(axis)));
+    let names = Axis::ALL.map(|axis| format!("{} {axis}", abbreviation(axis)));
     html! {
         @for (index, (verdict, meaning)) in entries.into_iter().enumerate() {
             @let x = LABEL_WIDTH + [0.0, 120.0, 220.0, 400.0][index];

@@ -11,7 +11,7 @@ use super::svg::{HEAD, number, rect, text};
 use super::{Figure, Link, WIDTH};
 use crate::analysis::Analysis;
 
-/// Largest number of configurations drawn per task; the others are counted in a text.
+/// Largest number of configurations drawn per task; a text gives the number of further ones.
 const MAX_COLUMNS: usize = 10;
 /// Distance between the left edges of neighbouring squares, and between their upper edges.
 const SQUARE_PITCH: f64 = 14.0;

@@ -9,7 +9,7 @@ use super::svg::{AXIS, HEAD, MARGIN, Scale, circle, diamond, line, number, text,
 use super::{Figure, WIDTH};
 use crate::words;
 
-/// Space for the numbers of the upright axis.
+/// Space for the numbers of the vertical axis.
 const LABEL_WIDTH: f64 = 48.0;
 const PLOT_HEIGHT: f64 = 190.0;
 /// Height of the row that names the protocol's levels.
@@ -111,8 +111,8 @@ fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
     spaced(scale, radii).into_iter().map(label).collect()
 }
 
-/// Returns the protocol's levels whose labels fit on the axis, with the curve's point at
-/// each.
+/// Returns the protocol's levels whose labels fit on the axis, each with the curve's point at that
+/// level.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
     let named_points = curve
         .points

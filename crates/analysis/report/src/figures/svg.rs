@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use paired::{Interval, NoInterval};
 
-/// Width of every panel in user units: pixels, if it is not scaled.
+/// Width of every panel in user units, which are pixels if the panel is not scaled.
 pub const WIDTH: f64 = 380.0;
 /// Width of a figure that fills a page.
 pub(super) const WIDE: f64 = 1140.0;
@@ -92,15 +92,16 @@ pub(super) fn whisker(scale: &Scale, [low, high]: Interval, y: f64) -> Markup {
     }
 }
 
-/// Writes the reason why a value has no interval beside it, on the side with more room.
-pub(super) fn withheld(scale: &Scale, value: f64, why: Option<NoInterval>, y: f64) -> Markup {
+/// Writes the reason why a value has no interval, to the left or right of the value, where there
+/// is more room.
+pub(super) fn withheld(scale: &Scale, value: f64, reason: Option<NoInterval>, y: f64) -> Markup {
     let x = scale.at(value);
     let is_right = x > f64::midpoint(scale.range[0], scale.range[1]) + 1.0;
     let (x, class) = match is_right {
         true => (x - 10.0, "tiny muted end"),
         false => (x + 10.0, "tiny muted"),
     };
-    html! { @if let Some(why) = why { (text(x, y + 3.5, class, why.name())) } }
+    html! { @if let Some(reason) = reason { (text(x, y + 3.5, class, reason.name())) } }
 }
 
 pub(super) fn circle(x: f64, y: f64, class: &str) -> Markup {
@@ -133,7 +134,7 @@ pub(super) fn line(class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Marku
     }
 }
 
-/// Truncates a name to `most` characters, with an ellipsis as the last.
+/// Truncates a name to `most` characters, of which the last is an ellipsis.
 pub(super) fn shortened(name: &str, most: usize) -> String {
     match name.chars().count() > most {
         true => name.chars().take(most - 1).chain(['…']).collect(),

@@ -23,7 +23,7 @@ const LEGEND_HEIGHT: f64 = 46.0;
 /// Largest number of columns; further subsets are counted in a text.
 const MAX_COLUMNS: usize = ((WIDTH - LABEL_WIDTH) / COLUMN_WIDTH) as usize;
 
-/// Draws the panel of one transition; `None` if no minimal subset of it was found.
+/// Draws the panel of one transition; `None` if no minimal subset explains such a transition.
 pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
     let occurrences: Vec<&Occurrence> = findings
         .subsets

@@ -35,9 +35,9 @@ pub(super) fn section(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
                         (progress(comparison))
                         (sequential::comparison_table(comparison))
                     }
-                    Err(refused) => {
-                        h3 { (refused.a) " and " (refused.b) " are not compared" }
-                        (sentences(&refused.reasons))
+                    Err(unpairable) => {
+                        h3 { (unpairable.a) " and " (unpairable.b) " are not compared" }
+                        (sentences(&unpairable.reasons))
                     }
                 }
             }
@@ -56,7 +56,7 @@ pub(super) fn comparison(comparison: &Comparison) -> Markup {
     html! {
         @if !notes.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
-                h2 { "Before you believe these figures" }
+                h2 { "Warnings" }
                 (sentences(&notes))
             }
         }
@@ -116,7 +116,7 @@ fn profiles(comparison: &Comparison) -> Markup {
         "rollouts",
         "new tasks and directions",
         "all rows together",
-        "beyond 5, p",
+        "equivalence p",
         "tasks A:B",
         "A better %",
         "A − B least",
@@ -153,11 +153,12 @@ fn profiles(comparison: &Comparison) -> Markup {
                     "; every task has its own directions, so that the variation between tasks \
                      covers both"
                 }
-                ". All rows together: simultaneous intervals about new tasks. Beyond 5, p: p-value \
-                of the hypothesis that A and B differ by more than 5 points; if it is small, A and \
-                B are equivalent. Tasks A:B: number of tasks in which A, and B, succeeds more \
-                often. A better: probability that A succeeds more often in a task drawn at random, \
-                where ties count half, with its interval about new tasks."
+                ". All rows together: simultaneous intervals about new tasks. Equivalence p: \
+                p-value of the hypothesis that A and B differ by more than 5 points; if it is \
+                small, A and B are equivalent. Tasks A:B: number of tasks in which A succeeds more \
+                often, and number in which B does. A better: probability that A succeeds more \
+                often in a task drawn at random, where ties count half, with its interval about \
+                new tasks. Least and most: the tasks with the smallest and the largest A − B."
             }
         }
     }
@@ -188,11 +189,11 @@ fn tasks(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Renders partial progress; empty unless it is known for both policies.
+/// Renders partial progress; empty unless progress is known for both policies.
 fn progress(comparison: &Comparison) -> Markup {
     let heads = [
         "rollouts",
-        "of",
+        "measure.",
         "n",
         "A",
         "B",
@@ -201,14 +202,14 @@ fn progress(comparison: &Comparison) -> Markup {
         "new tasks and directions",
         "Holm p",
     ];
-    let row = |name: String, what: &str, mean: &MeanDifference, number: fn(f64) -> String| {
+    let row = |name: String, measure: &str, mean: &MeanDifference, number: fn(f64) -> String| {
         let signed = |value: f64| match value < 0.0 {
             true => number(value),
             false => format!("+{}", number(value)),
         };
         vec![
             plain(name),
-            plain(what),
+            plain(measure),
             plain(mean.n),
             plain(number(mean.mean_a)),
             plain(number(mean.mean_b)),

@@ -30,18 +30,19 @@ fn campaign_sections(findings: &Findings, link: Option<Link>) -> Markup {
         .filter_map(|transition| figures::upset(findings, *transition));
     html! {
         section {
-            h2 { "Which axes it takes" }
-            p { code { (findings.explained_by) } " " (findings.progress_in_words()) "." }
+            h2 { "Minimal subsets of the axes" }
+            p { code { (findings.explained_by) } " " (findings.describe_progress()) "." }
             ul.findings {
                 @for transition in transitions { (transition_summary(findings, transition)) }
                 (non_monotone(findings))
             }
         }
         (figure("The smallest sets of axes that change the outcome. Each column of dots is one set: \
-            a filled dot is an axis that is perturbed. The bar above it shows in how many \
-            configurations that set changes the outcome and no smaller one that was run does; one \
-            configuration can have several. Left, what makes a rollout fail that succeeds under \
-            every axis alone; right, what makes a rollout succeed that fails under one axis alone.",
+            a filled dot is an axis that is perturbed. The bar above a column counts the \
+            configurations in which the set changes the outcome and no smaller set that was run \
+            does; a configuration can have several such sets. Left, sets that make a rollout fail \
+            although it succeeds under every axis alone; right, sets that make a rollout succeed \
+            although it fails under one axis alone.",
             panels.collect()))
         (configurations(findings, link))
     }
@@ -107,8 +108,8 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
                 @if established == n {
                     " Every smaller subset was run."
                 } @else {
-                    " Every smaller subset was run for " (established) " of " (n) "; the others \
-                    may have smaller minimal subsets."
+                    " Every smaller subset was run for " (established) " of the " (n)
+                    " configurations; the other configurations may have smaller minimal subsets."
                 }
             }
         }
@@ -131,8 +132,8 @@ fn non_monotone(findings: &Findings) -> Markup {
     html! {
         @if all > 0 {
             li {
-                strong { "More axes can undo what fewer do" } ": in " (affected.count())
-                " configurations a larger set that contains a minimal one does not change the \
+                strong { "Larger sets can undo a change" } ": in " (affected.count())
+                " configurations, a set that contains a minimal subset does not change the \
                 outcome (" (all) @if all == 1 { " pair" } @else { " pairs" } " of sets, listed \
                 below as “undone by”)."
             }
@@ -162,8 +163,8 @@ fn configurations(findings: &Findings, link: Option<Link>) -> Markup {
     let heads = [
         "configuration",
         "transition.",
-        "it takes.",
-        "not enough.",
+        "minimal subsets.",
+        "largest unchanged subsets.",
         "rollouts",
     ];
     let rows: Vec<Vec<Markup>> = findings.configurations.iter().map(row).collect();
@@ -173,9 +174,9 @@ fn configurations(findings: &Findings, link: Option<Link>) -> Markup {
                 h2 { "Each configuration" }
                 (table("Each configuration", &heads, rows))
                 p.muted {
-                    "It takes: the minimal subsets. “robot with camera” means that robot fails alone, \
-                    and succeeds with camera beside it. Not enough: the largest subsets that were \
-                    run and do not change the outcome."
+                    "“robot with camera” means that the configuration fails under robot alone, and \
+                    succeeds if camera is perturbed as well. Largest unchanged subsets: the largest \
+                    subsets that were run and do not change the outcome."
                 }
             }
         }
@@ -218,7 +219,7 @@ pub(super) fn interactions(document: &Document) -> Markup {
     html! {
         @if !subjects.is_empty() {
             section {
-                h2 { "How the axes interact" }
+                h2 { "Interactions of the axes" }
                 p {
                     "These figures cover the configurations of which every subset of the axes was \
                     run. The effects of single axes, of pairs beyond single axes, of triples \
@@ -256,10 +257,11 @@ fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
     html! {
         (figure("Left, framed on the diagonal: each axis's share of the change from nominal to \
             simultaneous success, averaged over all orders in which the axes can be added (Shapley \
-            value); the shares add up to the whole change. Below it: how much one axis changes the \
-            effect of the other (Shapley interaction index); negative where two axes do more harm \
-            together than each by itself, positive where one makes up for the other, or where both \
-            do the same harm. Right: the change, by the number of axes that act together.",
+            value); the shares add up to the whole change. Below the diagonal: the amount by which \
+            one axis of a pair changes the effect of the other (Shapley interaction index); \
+            negative if the two axes do more harm together than the sum of their separate effects, \
+            positive if one makes up for the other, or if both do the same harm. Right: the \
+            change, by the number of axes that act together.",
             vec![
                 figures::interaction_matrix(analysis, level),
                 figures::additive(analysis, level),

@@ -33,7 +33,7 @@ pub(super) fn sections(family: &Family) -> Markup {
         }
         section {
             @if family.is_paired {
-                h2 { "Against the unperturbed rollouts" }
+                h2 { "Comparison with the unperturbed rollouts" }
                 (table(
                     "Losses",
                     &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],
@@ -43,16 +43,16 @@ pub(super) fn sections(family: &Family) -> Markup {
             @for sentence in family.legend() { p { (sentence) } }
         }
         @if let (false, [heads, rows @ ..]) =
-            (family.published.is_empty(), family.beside_published().as_slice())
+            (family.published.is_empty(), family.published_table().as_slice())
         {
             section {
-                h2 { "Beside the published table" }
+                h2 { "Comparison with the published table" }
                 (table(
                     "Published",
                     &heads.iter().map(String::as_str).collect::<Vec<_>>(),
                     rows.iter().map(|row| markup(row)).collect(),
                 ))
-                p { (Family::about_published()) }
+                p { (Family::published_note()) }
             }
         }
     }

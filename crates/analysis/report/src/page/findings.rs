@@ -54,7 +54,7 @@ pub(super) fn warnings(document: &Document) -> Markup {
     html! {
         @if has_warnings || !document.warnings.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
-                h2 { "Before you believe these figures" }
+                h2 { "Warnings" }
                 ul {
                     @for warning in &document.warnings { li { (sentence(warning)) } }
                     @for analysis in &document.analyses {
@@ -99,26 +99,27 @@ fn in_code(text: &str) -> Markup {
     }
 }
 
-/// Renders the findings of each policy: first those about the last level, then all others.
+/// Renders the findings of each policy: first those about the last level or no level, then those
+/// about earlier levels.
 pub(super) fn section(document: &Document) -> Markup {
     let policies = document.analyses.iter().map(|analysis| {
         let findings = &analysis.report.findings;
         let last = findings.last().and_then(|finding| finding.level);
-        let is_first = |finding: &&Finding| finding.level.is_none() || finding.level == last;
-        let (first, others): (Vec<&Finding>, Vec<&Finding>) = findings.iter().partition(is_first);
-        (analysis, first, others)
+        let is_main = |finding: &&Finding| finding.level.is_none() || finding.level == last;
+        let (main, earlier): (Vec<&Finding>, Vec<&Finding>) = findings.iter().partition(is_main);
+        (analysis, main, earlier)
     });
-    let policies: Vec<_> = policies.filter(|(_, first, _)| !first.is_empty()).collect();
+    let policies: Vec<_> = policies.filter(|(_, main, _)| !main.is_empty()).collect();
     let several = document.analyses.len() > 1;
     html! {
         @if !policies.is_empty() {
             section {
                 h2 { "Findings" }
-                @for (analysis, first, others) in policies {
+                @for (analysis, main, earlier) in policies {
                     @if several { h3 { (analysis.label) } }
-                    @for finding in first { p { (finding_in_words(finding)) } }
-                    @if !others.is_empty() {
-                        ul.findings { @for finding in others { li { (finding_in_words(finding)) } } }
+                    @for finding in main { p { (render_finding(finding)) } }
+                    @if !earlier.is_empty() {
+                        ul.findings { @for finding in earlier { li { (render_finding(finding)) } } }
                     }
                 }
             }
@@ -127,7 +128,7 @@ pub(super) fn section(document: &Document) -> Markup {
 }
 
 /// Renders a finding, in bold if it claims an effect.
-fn finding_in_words(finding: &Finding) -> Markup {
+fn render_finding(finding: &Finding) -> Markup {
     let sentence = words::minus_signs(&finding.sentence);
     html! {
         @if finding.claims { strong { (in_code(&sentence)) } } @else { (in_code(&sentence)) }

@@ -157,7 +157,7 @@ fn losses(cells: &Cells<'_>) -> Markup {
         "loss points",
         "new tasks",
         "Holm p",
-        "beyond 5, p",
+        "equivalence p",
     ];
     let mut rows = Vec::new();
     for (policy, cell, inference) in cells {
@@ -180,10 +180,10 @@ fn losses(cells: &Cells<'_>) -> Markup {
         @if !rows.is_empty() {
             (table("Loss against matched nominal rollouts", &heads, rows))
             p.muted {
-                "Loss: nominal success less success, over the same initial states. Holm p: exact \
-                sign-flip test over tasks, corrected for the conditions of the level. Beyond 5, p: \
-                p-value of the hypothesis that success changes by more than 5 points; if it is \
-                small, the condition changes success by less."
+                "Loss: nominal success minus success under the condition, over the same initial \
+                states. Holm p: exact sign-flip test over tasks, corrected for the conditions of \
+                the level. Equivalence p: p-value of the hypothesis that success changes by more \
+                than 5 points; if it is small, the condition changes success by less than 5 points."
             }
         }
     }

@@ -30,9 +30,10 @@ pub(super) fn methods(document: &Document) -> Markup {
                     the axes' success rates, S_conj the share of configurations that succeed under \
                     every axis alone, S_sim the success rate under simultaneous perturbation; \
                     D = S_conj − S_indep, I = S_sim − S_conj. McNemar's exact test takes rollouts \
-                    as independent; sign-flip tests take tasks as independent, and sentences rest \
-                    on these, at 1 % after Holm's correction. Intervals for each target are \
-                    jackknives over tasks, directions and configurations with Student's t. "
+                    as independent; sign-flip tests take tasks as independent, and the findings \
+                    rest on sign-flip tests, at 1 % after Holm's correction. Intervals for each \
+                    target are jackknives over tasks, directions and configurations with \
+                    Student's t. "
                 } @else {
                     "This campaign runs further rollouts of another campaign's configurations: the \
                     same initial states, and perturbations drawn from the same seeds. "
@@ -46,8 +47,8 @@ pub(super) fn methods(document: &Document) -> Markup {
                     truth in 50 % of cases for two tasks, 85 % for five, 90 % for ten and 94 % for \
                     forty (Hesterberg, The American Statistician 69, 2015; Cameron, Gelbach and \
                     Miller, Review of Economics and Statistics 90, 2008). A measure that no \
-                    resampling changes gets none either (“no spread”): an interval without width \
-                    would say nothing about the uncertainty of the measure."
+                    resampling changes gets no interval either (“no spread”): an interval without \
+                    width would say nothing about the uncertainty of the measure."
                 }
                 @if is_paired { " Incomplete configurations are in no paired figure." }
                 " Rollouts that infrastructure \
@@ -135,8 +136,8 @@ fn policy_methods(analysis: &Analysis) -> Markup {
     }
 }
 
-/// Describes the number of clipped actions; it bounds the effect of clipping before or after the
-/// actuation axis.
+/// Describes the number of clipped actions, which bounds the effect of clipping before or after
+/// the actuation axis.
 fn beyond(range: BeyondRange, realisation: Option<Realisation>) -> String {
     let BeyondRange {
         actions,

@@ -1,4 +1,4 @@
-//! Confidence sequences of campaigns that may end early, and of the difference of two.
+//! Confidence sequences of campaigns that may end early, and of the difference of two policies.
 
 use libero_ctrl::Measure;
 use maud::{Markup, html};
@@ -47,13 +47,14 @@ pub(super) fn section(document: &Document) -> Markup {
     }
 }
 
-/// Renders the table of two policies; empty if they did not run in the same drawn order.
+/// Renders the table of two policies; empty if their campaigns did not run in the same drawn
+/// order.
 pub(super) fn comparison_table(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {
         @if let Some(sequential) = &comparison.sequential {
-            h4 { "At any look" }
-            (table("At any look", &heads, sequential.cells.iter().map(|cell| vec![
+            h4 { "Confidence sequences" }
+            (table("Confidence sequences", &heads, sequential.cells.iter().map(|cell| vec![
                 plain(cell.name()),
                 plain(format!("{} of {}", cell.used, cell.configurations)),
                 interval(Measure::Difference, cell.difference),

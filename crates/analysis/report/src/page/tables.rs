@@ -35,7 +35,7 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
 }
 
 /// Renders a table in a scrolling box that the keyboard reaches; empty without rows. A
-/// column whose head ends with a full stop is aligned as text, the others as numbers.
+/// column whose head ends with a full stop is aligned as text, every other column as numbers.
 pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
     let class = |column: usize| heads[column].ends_with('.').then_some("words");
     html! {
@@ -76,21 +76,21 @@ pub(super) fn or_dash(value: Option<impl Render>) -> Markup {
     html! { @if let Some(value) = value { (value) } @else { span.muted { "–" } } }
 }
 
-/// Renders a value with a smaller line below it.
+/// Renders a value with a line of smaller type below it.
 pub(super) fn with_note(value: impl Display, below: &str) -> Markup {
     html! { (value.to_string()) @if !below.is_empty() { small { (below.trim_start()) } } }
 }
 
-fn rate(rate: f64, interval: Option<Interval>, why: Option<NoInterval>) -> Markup {
-    with_note(percent(rate), &rate_interval(interval, why))
+fn rate(rate: f64, interval: Option<Interval>, reason: Option<NoInterval>) -> Markup {
+    with_note(percent(rate), &rate_interval(interval, reason))
 }
 
 pub(super) fn difference(
     difference: f64,
     interval: Option<Interval>,
-    why: Option<NoInterval>,
+    reason: Option<NoInterval>,
 ) -> Markup {
-    with_note(points(difference), &points_interval(interval, why))
+    with_note(points(difference), &points_interval(interval, reason))
 }
 
 type Column = (&'static str, fn(&Measures) -> Markup);
@@ -113,8 +113,8 @@ const PAIRED: [Column; 12] = [
 ];
 
 /// Meaning of the star beside a measure.
-const OVERSTATED: &str = "overstated, because the campaign ended when it was large; its confidence \
-    sequence bounds it";
+const OVERSTATED: &str = "this measure is overstated, because the campaign ended when it was \
+    large; the measure's confidence sequence bounds the overstatement";
 
 /// Renders the table of paired measures by policy and level.
 pub(super) fn paired(document: &Document) -> Markup {
@@ -156,9 +156,9 @@ pub(super) fn paired(document: &Document) -> Markup {
             "n: configurations of which all outcomes are known. b: every axis alone succeeds, the \
             simultaneous rollout fails (emergent). c: some axis alone fails, the simultaneous \
             rollout succeeds (compensated). R_e = b/n, R_c = c/n, R_d = R_e + R_c, I = R_c − R_e. \
-            Emergent share: b of all simultaneous failures. In brackets, 95 % intervals; where \
-            an interval would mislead, the reason (see Methods). Detectable |I|, in points: the \
-            smallest net effect that this number of configurations, with this rate of changes, \
+            Emergent share: share of b in all simultaneous failures. In brackets, 95 % intervals; \
+            where an interval would mislead, the reason (see Methods). Detectable |I|, in points: \
+            the smallest net effect that this number of configurations, with this rate of changes, \
             shows in four of five repetitions."
             @if rows(document).any(|row| !row.overstated.is_empty()) { " *: " (OVERSTATED) "." }
         }
@@ -251,7 +251,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
 }
 
 /// Renders the table of success under proper subsets of the axes, for campaigns that run
-/// them.
+/// such subsets.
 pub(super) fn subsets(document: &Document) -> Markup {
     let subset_rows = |Row { policy, cell, .. }: Row| {
         let subsets = cell.subsets.iter();
@@ -412,8 +412,8 @@ pub(super) fn bounds(document: &Document) -> Markup {
             section {
                 h2 { "Worst and best case of quarantined rollouts" }
                 p {
-                    "Quarantined rollouts are in no rate. Whatever their outcomes had been, the \
-                    measures would lie within these bounds."
+                    "Quarantined rollouts are excluded from every rate. Whatever their outcomes \
+                    had been, the measures would lie within these bounds."
                 }
                 (table("Worst and best case", &heads, rows))
             }

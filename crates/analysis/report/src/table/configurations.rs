@@ -1,7 +1,7 @@
 //! A row per policy, replicate, level, task and configuration, with all its outcomes.
 //!
-//! An outcome is true, false or empty; for an empty one, the column `unresolved` says
-//! whether it is missing or quarantined. For each outcome, `…_goal` is the largest share of the
+//! An outcome is true, false or empty; the column `unresolved` says for each empty outcome whether
+//! the rollout is missing or quarantined. For each outcome, `…_goal` is the largest share of the
 //! goal's predicates that held together, and `…_steps` the number of control steps of the rollout.
 
 use libero_ctrl::{Axis, Condition};

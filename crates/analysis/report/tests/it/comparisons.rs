@@ -67,15 +67,15 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
         |id: &RolloutId| id.level().to_string() == "L2" && id.condition() == Condition::Combination;
     let pairs = a.records.iter().zip(&b.records);
     let pairs = pairs.filter(|(a, _)| is_cell(&a.id));
-    let only = |one: Outcome, other: Outcome| {
-        let found = pairs
+    let count = |outcome_a: Outcome, outcome_b: Outcome| {
+        let matching = pairs
             .clone()
-            .filter(|(a, b)| (a.outcome, b.outcome) == (one, other));
-        found.count()
+            .filter(|(a, b)| (a.outcome, b.outcome) == (outcome_a, outcome_b));
+        matching.count()
     };
     let (a_only, b_only) = (
-        only(Outcome::Success, Outcome::Failure),
-        only(Outcome::Failure, Outcome::Success),
+        count(Outcome::Success, Outcome::Failure),
+        count(Outcome::Failure, Outcome::Success),
     );
     assert!(a_only > 0 && b_only > 0);
     let comparison = compare(a, b).expect("comparable");
@@ -91,18 +91,26 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
     assert_eq!(cells.len(), 3 * 7);
     let is_expected = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
     let cell = cells.iter().find(is_expected).expect("a cell");
-    let found = &cell["difference"];
-    assert_eq!((&found["n"], &found["tasks"]), (&json!(400), &json!(40)));
+    let difference_json = &cell["difference"];
     assert_eq!(
-        (&found["a_only"], &found["b_only"]),
+        (&difference_json["n"], &difference_json["tasks"]),
+        (&json!(400), &json!(40))
+    );
+    assert_eq!(
+        (&difference_json["a_only"], &difference_json["b_only"]),
         (&json!(a_only), &json!(b_only))
     );
     let difference = (a_only as f64 - b_only as f64) / 400.0;
-    assert!((found["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
-    let ends = found["difference_ci95"].as_array().expect("an interval");
+    assert!((difference_json["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
+    let ends = difference_json["difference_ci95"]
+        .as_array()
+        .expect("an interval");
     let ends: Vec<f64> = ends.iter().filter_map(Value::as_f64).collect();
-    assert!(ends[0] < difference && difference < ends[1], "{found}");
-    assert_eq!(found["no_interval"], Value::Null);
+    assert!(
+        ends[0] < difference && difference < ends[1],
+        "{difference_json}"
+    );
+    assert_eq!(difference_json["no_interval"], Value::Null);
 }
 
 #[test]
@@ -127,8 +135,8 @@ fn a_policy_against_itself_differs_nowhere_and_has_no_interval() {
 }
 
 fn reasons(a: Subject, b: Subject) -> String {
-    let refused = compare(a, b).expect_err("nothing can be paired");
-    refused.to_string()
+    let error = compare(a, b).expect_err("nothing can be paired");
+    error.to_string()
 }
 
 #[test]
@@ -165,9 +173,9 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
     );
     // A subject that mixes two packs is comparable with no subject, not even with itself.
     let mut mixed = altered("second");
-    let mut more = mixed.provenances[0].clone();
-    more.pin.asset_pack_digest = "b".repeat(64);
-    mixed.provenances.push(more);
+    let mut second_pack = mixed.provenances[0].clone();
+    second_pack.pin.asset_pack_digest = "b".repeat(64);
+    mixed.provenances.push(second_pack);
     assert!(reasons(campaign("first"), mixed.clone()).contains("asset pack"));
     assert!(reasons(mixed.clone(), mixed).contains("asset pack"));
 }
@@ -243,7 +251,7 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
     assert_eq!(comparison.statistics.shared(), 8400 - 1 - from_state as u64);
     let text = comparison.text();
     assert!(
-        text.contains("1 rollout of both cannot be paired (another perturbation"),
+        text.contains("1 rollout that both policies have cannot be paired (another perturbation"),
         "{text}"
     );
 }
@@ -304,8 +312,8 @@ fn quarantined_rollouts_of_either_policy_are_excluded_from_rates_and_counted_in_
     assert_fits_a_terminal(&text);
 }
 
-/// Adds progress to all rollouts; with `more` above 0, they take more steps and satisfy one
-/// predicate fewer.
+/// Adds progress to all rollouts. If `more` is above 0, the rollouts take more steps and satisfy
+/// one predicate fewer.
 fn with_progress(mut subject: Subject, more: u32) -> Subject {
     let records = subject.records.iter().enumerate();
     let progress = records.map(|(index, record)| Progress {
@@ -365,8 +373,8 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
 #[test]
 fn differing_directions_or_placebos_give_a_warning() {
     let (mut a, b) = (campaign("first"), altered("second"));
-    let same = compare(a.clone(), b.clone()).expect("comparable");
-    assert_eq!(same.warnings, [] as [String; 0]);
+    let alike = compare(a.clone(), b.clone()).expect("comparable");
+    assert_eq!(alike.warnings, [] as [String; 0]);
     a.directions = Directions::Own;
     a.placebo_radius = Some(0.02);
     let same_settings = Subject {

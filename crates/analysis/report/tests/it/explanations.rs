@@ -110,7 +110,7 @@ fn an_upset_plot_counts_each_minimal_subset_and_its_established_share() {
     let emergent = texts(&emergent);
     for expected in [
         "camera+robot: 3 configurations, established in 3",
-        // Its pair camera+lighting was not run.
+        // Not established: its proper subset camera+lighting was not run.
         "camera+lighting+sensor: 3 configurations, established in 0",
         "lighting+actuation: 3 configurations, established in 3",
         "n = 9",
@@ -143,7 +143,7 @@ fn a_lattice_has_a_node_for_every_subset_and_a_shape_for_every_outcome() {
         Some(&explained.explanation),
         &link,
     );
-    let found = texts(&figure);
+    let shown = texts(&figure);
     for words in [
         "camera+robot: fails; minimal",
         "camera+lighting: not run",
@@ -151,10 +151,10 @@ fn a_lattice_has_a_node_for_every_subset_and_a_shape_for_every_outcome() {
         "nominal: succeeds",
         "simultaneous: fails",
     ] {
-        assert!(found.contains(words), "{words}: {found}");
+        assert!(shown.contains(words), "{words}: {shown}");
     }
     let file = figure.standalone();
-    let count = |what: &str| file.matches(what).count();
+    let count = |markup: &str| file.matches(markup).count();
     assert_eq!(count("<title>"), 1 + 64, "the figure, and its nodes");
     assert_eq!(
         count("class=\"edge\""),
@@ -180,9 +180,9 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
     let document = document(vec![explaining()]);
     let html = page(&document);
     for expected in [
-        "Why outcomes of OpenVLA-OFT change",
+        "Explained outcome changes of OpenVLA-OFT",
         "emergent failures were explained",
-        "More axes can undo what fewer do",
+        "Larger sets can undo a change",
         "lighting+actuation is undone by lighting+sensor+actuation",
         "first &lt;b&gt;",
     ] {
@@ -194,9 +194,9 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
     let text = document.text();
     assert_fits_a_terminal(&text);
     assert!(text.contains("transitions explained"), "{text}");
-    // With a measured policy beside it, the page shows both.
+    // A page about a measured policy and an explaining campaign has the sections of both.
     let both = page(&crate::subjects::document(vec![example(), explaining()]));
-    assert!(both.contains("Which axes it takes") && both.contains("Paired outcomes"));
+    assert!(both.contains("Minimal subsets of the axes") && both.contains("Paired outcomes"));
 }
 
 #[test]
@@ -244,8 +244,8 @@ fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
 fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
     let document = document(vec![complete_campaign()]);
     let analysis = &document.analyses[0];
-    let found = analysis.interactions.as_ref().expect("whole lattices");
-    let [level] = found.levels.as_slice() else {
+    let axis_interactions = analysis.interactions.as_ref().expect("whole lattices");
+    let [level] = axis_interactions.levels.as_slice() else {
         panic!("one level");
     };
     let interactions = &level.interactions;
@@ -272,9 +272,9 @@ fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
         additive.contains("+ triples") && additive.contains("n = 12"),
         "{additive}"
     );
-    let text = found.text();
+    let text = axis_interactions.text();
     assert_fits_a_terminal(&text);
-    assert!(page(&document).contains("How the axes interact"));
+    assert!(page(&document).contains("Interactions of the axes"));
 }
 
 #[test]
@@ -284,15 +284,15 @@ fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
         records: records(|_, axes| axes != gap),
         ..complete_campaign()
     };
-    let refused = AxisInteractions::of(&incomplete).expect_err("no complete configuration");
+    let error = AxisInteractions::of(&incomplete).expect_err("no complete configuration");
     assert!(matches!(
-        refused,
+        error,
         NoInteractions::Incomplete {
             configurations: 12,
             ..
         }
     ));
-    let words = refused.to_string();
+    let words = error.to_string();
     assert!(
         words.contains("robot+language") && words.contains("--subsets all"),
         "{words}"
@@ -302,9 +302,12 @@ fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
         records: records(|index, axes| index > 0 || axes != gap),
         ..complete_campaign()
     };
-    let found = AxisInteractions::of(&one_incomplete).expect("eleven configurations");
+    let remaining = AxisInteractions::of(&one_incomplete).expect("eleven configurations");
     assert_eq!(
-        (found.levels[0].interactions.n, found.levels[0].left_out),
+        (
+            remaining.levels[0].interactions.n,
+            remaining.levels[0].left_out
+        ),
         (11, 1)
     );
 }
@@ -342,8 +345,8 @@ fn a_transition_that_its_repeats_do_not_show_is_reported_as_not_confirmed() {
     let (shown, chance) = (findings(8), findings(4));
     assert_eq!((shown.transitions, shown.not_confirmed), (12, 0));
     assert_eq!((chance.transitions, chance.not_confirmed), (12, 1));
-    let text = |found: &Findings| {
-        found
+    let text = |findings: &Findings| {
+        findings
             .text()
             .split_whitespace()
             .collect::<Vec<_>>()
@@ -373,9 +376,6 @@ fn the_prospect_has_the_repeats_of_every_subset_and_too_few_repeats_are_refused(
         |repeats| prospect(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
     assert_eq!(rollouts(None), Ok((12, 12 * 56)));
     assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
-    let refused = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % of 56 subsets");
-    assert!(
-        refused.to_string().contains("allow 12 or more"),
-        "{refused}"
-    );
+    let error = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % of 56 subsets");
+    assert!(error.to_string().contains("allow 12 or more"), "{error}");
 }

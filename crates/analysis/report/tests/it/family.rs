@@ -66,11 +66,15 @@ fn family(subject: Subject) -> Family {
 
 #[test]
 fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
-    let found = family(subject(Suite::ALL.to_vec(), by_dimension));
-    let names: Vec<&str> = found.groups.iter().map(|line| line.name.as_str()).collect();
+    let family = family(subject(Suite::ALL.to_vec(), by_dimension));
+    let names: Vec<&str> = family
+        .groups
+        .iter()
+        .map(|line| line.name.as_str())
+        .collect();
     // In the order of the benchmark's table.
     assert_eq!(names, ["robot", "noise"]);
-    let [robot, noise] = found.groups.as_slice() else {
+    let [robot, noise] = family.groups.as_slice() else {
         panic!("{names:?}");
     };
     assert_eq!(
@@ -84,39 +88,39 @@ fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
     assert_eq!((robot.broken, noise.gained), (0, 0));
     assert!(robot.gained > 0 && robot.gained < 1550);
     assert_eq!(noise.loss, Some(100.0 * noise.broken as f64 / 1601.0));
-    // Every resampling has the same per cent, but not the same loss.
+    // The success rate is the same in every resampling, but the loss is not.
     assert_eq!(robot.no_interval, Some(NoInterval::NoSpread));
     let [low, high] = noise.loss_interval.expect("an interval");
     assert!(low < noise.loss.expect("pairs") && noise.loss.expect("pairs") < high);
-    let all = &found.all;
+    let all = &family.all;
     assert_eq!((all.rollouts, all.successes), (3151, 1550));
     let [low, high] = all.interval.expect("an interval");
     assert!(
         low < 49.2 && 49.2 < high && high - low < 10.0,
         "{low} {high}"
     );
-    let of_difficulties: u64 = found.difficulties.iter().map(|line| line.rollouts).sum();
-    let of_cells: u64 = found.cells.iter().map(|line| line.rollouts).sum();
+    let of_difficulties: u64 = family.difficulties.iter().map(|line| line.rollouts).sum();
+    let of_cells: u64 = family.cells.iter().map(|line| line.rollouts).sum();
     assert_eq!((of_difficulties, of_cells), (3151, 3151));
     assert_eq!(
-        (found.unperturbed.rollouts, found.unperturbed.successes),
+        (family.unperturbed.rollouts, family.unperturbed.successes),
         (40, 20)
     );
 }
 
 #[test]
 fn rollouts_without_an_outcome_are_reported_and_in_no_figure() {
-    let found = family(subject(vec![Suite::Goal], |case| match case.task.index() {
+    let family = family(subject(vec![Suite::Goal], |case| match case.task.index() {
         0 => Outcome::Missing,
         1 => Outcome::Quarantined,
         _ => by_dimension(case),
     }));
-    assert!(found.missing > 10 && found.quarantined > 10);
-    assert_eq!(found.unperturbed.rollouts, 8);
-    assert_eq!(found.all.pairs, found.all.rollouts);
+    assert!(family.missing > 10 && family.quarantined > 10);
+    assert_eq!(family.unperturbed.rollouts, 8);
+    assert_eq!(family.all.pairs, family.all.rollouts);
     // Eight tasks are too few for an interval.
-    assert_eq!(found.all.no_interval, Some(NoInterval::TooFewTasks));
-    let text = found.text(true);
+    assert_eq!(family.all.no_interval, Some(NoInterval::TooFewTasks));
+    let text = family.text(true);
     assert!(text.contains("have no outcome so far"), "{text}");
     assert!(text.contains("are quarantined"), "{text}");
     assert!(
@@ -288,17 +292,17 @@ fn the_family_is_never_pooled_with_other_rollouts() {
 #[test]
 fn two_protocols_are_compared_variant_by_variant() {
     let official = subject(vec![Suite::Goal], by_dimension);
-    // Under the other protocol, robot variants of tasks of odd number fail.
-    let other = Subject {
+    // Under protocol `plus-rlinf`, robot variants of tasks of odd number fail.
+    let rlinf = Subject {
         protocol: Some("plus-rlinf".to_owned()),
         ..subject(vec![Suite::Goal], |case| match by_dimension(case) {
             Outcome::Success if case.group().is_some() => {
                 Outcome::from(case.task.index().is_multiple_of(2))
             }
-            same => same,
+            outcome => outcome,
         })
     };
-    let compared = FamilyComparison::of(&official, &other).expect("comparable");
+    let compared = FamilyComparison::of(&official, &rlinf).expect("comparable");
     let compared = compared.expect("of LIBERO's family");
     let [robot, noise] = compared.groups.as_slice() else {
         panic!("{:?}", compared.groups);

@@ -70,15 +70,15 @@ fn a_row_of_the_reference_is_read_with_or_without_the_fields_of_its_id() {
 /// A row without an execution model, such as the reference's rows, counts as `wait`.
 #[test]
 fn a_file_has_one_execution_model() {
-    let late = ROW.replace("\"success\"", r#""execution": "overlap:4", "success""#);
-    let subject = import(file(&[&late]).path()).expect("read");
+    let overlapped = ROW.replace("\"success\"", r#""execution": "overlap:4", "success""#);
+    let subject = import(file(&[&overlapped]).path()).expect("read");
     assert_eq!(subject.execution.to_string(), "overlap:4");
     let waited = import(file(&[ROW]).path()).expect("read");
     assert!(waited.execution.is_wait());
-    let other = late
+    let second = overlapped
         .replace("c01", "c02")
         .replace("\"config\": 1", "\"config\": 2");
-    let message = refused(&[ROW, &other]);
+    let message = refused(&[ROW, &second]);
     assert!(
         message.contains(
             "line 2: it ran under execution model `overlap:4`, earlier lines under `wait`"
@@ -123,7 +123,8 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
         (ROW.to_owned(), "line 2: it is without `protocol`"),
         (
             unperturbed.replace("pro-official", "kitchen@0123456789abcdef"),
-            "line 2: protocol `kitchen@0123456789abcdef` is not one of goal/t0/pro:unperturbed/i03",
+            "line 2: protocol `kitchen@0123456789abcdef` is not of the benchmark of \
+             goal/t0/pro:unperturbed/i03",
         ),
     ] {
         let message = refused(&[&swapped, &second]);

@@ -40,12 +40,16 @@ fn document(subject: Subject) -> Document {
 #[test]
 fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
     let stopped = document(early("width(I) < 0.2", true));
-    let found = json(&stopped);
-    let sequential = &found["reports"][0]["sequential"];
+    let report = json(&stopped);
+    let sequential = &report["reports"][0]["sequential"];
     let used = &sequential["used"];
     assert!(used.as_u64().is_some_and(|used| used < 400), "{used}");
-    let policy = found["paired"].as_object().expect("policies").keys().next();
-    let measures = &found["paired"][policy.expect("a policy")];
+    let policy = report["paired"]
+        .as_object()
+        .expect("policies")
+        .keys()
+        .next();
+    let measures = &report["paired"][policy.expect("a policy")];
     for level in ["L1", "L2", "L3"] {
         assert_eq!(&measures[level]["n"], used, "{level}");
         let [low, high] = [0, 1].map(|end| &sequential["levels"][level]["I"][end]);
@@ -59,8 +63,8 @@ fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
 
     // Outcomes after the look at which the campaign stopped affect no figure.
     let analysis = &stopped.analyses[0];
-    let mut others = early("width(I) < 0.2", true);
-    for record in &mut others.records {
+    let mut altered = early("width(I) < 0.2", true);
+    for record in &mut altered.records {
         let is_used = |matched: &&paired::Matched| {
             (matched.task, Some(matched.config)) == (record.id.task(), record.id.config())
         };
@@ -74,15 +78,15 @@ fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
             record.outcome = Outcome::Success;
         }
     }
-    assert_eq!(json(&document(others)), found);
+    assert_eq!(json(&document(altered)), report);
 }
 
 #[test]
 fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
     let stopped = document(early("I excludes 0 and width(S_sim) < 0.5", true));
     let text = words(&stopped);
-    let found = json(&stopped);
-    let sequential = &found["reports"][0]["sequential"];
+    let report = json(&stopped);
+    let sequential = &report["reports"][0]["sequential"];
     assert_eq!(sequential["has_stopped"], true);
     for level in ["L1", "L3"] {
         let number = |value: &Value| value.as_f64().expect("a number");
@@ -98,7 +102,7 @@ fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
     assert!(text.contains("I = S_sim-S_conj * +"), "{text}");
     assert!(text.contains("estimates of I are overstated"), "{text}");
     assert_eq!(sequential["overstated"], serde_json::json!(["I"]));
-    assert_eq!(found["reports"][0]["overstated"], serde_json::json!(["I"]));
+    assert_eq!(report["reports"][0]["overstated"], serde_json::json!(["I"]));
     let page = report::page(&stopped);
     assert!(page.contains(">*</abbr>") && page.contains("estimates of I are overstated"));
     let width = document(early("width(I) < 0.2", true)).text();
@@ -113,9 +117,9 @@ fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_names_their_pop
     let mut subject = early("I excludes 0 for new tasks", false);
     let stop = &mut subject.early_stop.as_mut().expect("a rule").stop;
     stop.strata = Strata::WholeTasks;
-    let found = document(subject);
-    let text = words(&found);
-    let level = &json(&found)["reports"][0]["sequential"]["levels"]["L2"];
+    let document = document(subject);
+    let text = words(&document);
+    let level = &json(&document)["reports"][0]["sequential"]["levels"]["L2"];
     let measures: Vec<&String> = level.as_object().expect("measures").keys().collect();
     assert_eq!(measures, ["I"]);
     assert_ne!(
@@ -123,7 +127,7 @@ fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_names_their_pop
         "the interval for new tasks has a width"
     );
     assert!(text.contains("new tasks of these suites"), "{text}");
-    assert!(report::page(&found).contains("new tasks of these suites"));
+    assert!(report::page(&document).contains("new tasks of these suites"));
 }
 
 #[test]

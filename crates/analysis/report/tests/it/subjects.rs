@@ -37,7 +37,7 @@ pub(crate) fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
     }
 }
 
-/// Returns a campaign with every kind of fault: outcomes of the example, some of them removed.
+/// Returns the example with some outcomes quarantined and some missing.
 pub(crate) fn broken() -> Subject {
     let mut subject = example();
     for (index, record) in subject.records.iter_mut().enumerate() {
@@ -92,7 +92,8 @@ pub(crate) fn broken() -> Subject {
     }
 }
 
-/// Returns three replicates; the later ones have some different outcomes.
+/// Returns the example with three replicates. Some outcomes of replicates 1 and 2 differ from those
+/// of replicate 0.
 pub(crate) fn replicated() -> Subject {
     let mut subject = example();
     for replicate in 1..3 {

@@ -20,7 +20,7 @@ fn the_csv_table_has_a_row_per_configuration() {
     let cell_rows = rows
         .iter()
         .filter(|r| &r[policy] == "OpenVLA-OFT" && &r[level] == "L2");
-    let count = |what: &str| cell_rows.clone().filter(|r| &r[transition] == what).count();
+    let count = |name: &str| cell_rows.clone().filter(|r| &r[transition] == name).count();
     assert_eq!((count("emergent"), count("compensated")), (54, 55));
     let incomplete = rows.iter().filter(|r| r[transition].is_empty());
     assert!(incomplete.clone().count() > 100);
@@ -162,9 +162,13 @@ fn pandas_reads_no_parquet_column_as_objects() {
         .expect("python3");
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{error}");
-    let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    assert_eq!(found["objects"], serde_json::json!([]), "{found}");
-    let columns = found["columns"].as_object().expect("columns");
+    let output_json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(
+        output_json["objects"],
+        serde_json::json!([]),
+        "{output_json}"
+    );
+    let columns = output_json["columns"].as_object().expect("columns");
     assert_eq!(columns.len(), 35);
     let kinds = |name: &str| columns[name].to_string();
     assert_eq!(kinds("camera"), r#"["boolean",["bool"]]"#);
@@ -172,5 +176,8 @@ fn pandas_reads_no_parquet_column_as_objects() {
     assert_eq!(kinds("level"), r#"["string",["str"]]"#);
     assert_eq!(kinds("transition"), r#"["string",["str"]]"#);
     // Outcomes that are missing or in quarantine are gaps, not values.
-    assert!(found["gaps"]["camera"].as_u64() > Some(0), "{found}");
+    assert!(
+        output_json["gaps"]["camera"].as_u64() > Some(0),
+        "{output_json}"
+    );
 }

@@ -44,7 +44,7 @@ fn thresholds(max_radius: f64) -> Thresholds {
     }
 }
 
-/// Returns a campaign with these records that measures the thresholds of a source.
+/// Returns a campaign with the given records that measures the thresholds of `source`.
 fn measuring(source: &Subject, records: Vec<Record>, max_radius: f64) -> Subject {
     Subject {
         records,
@@ -71,14 +71,14 @@ fn at_levels() -> ThresholdReport {
 
 #[test]
 fn survival_is_the_success_rate_less_the_share_that_recovers() {
-    let found = at_levels();
+    let report = at_levels();
     let document = document(vec![nominal()]);
-    assert_eq!(found.curves.len(), 7);
+    assert_eq!(report.curves.len(), 7);
     assert!(
-        !found.complete,
+        !report.complete,
         "brackets between the levels exceed the tolerance"
     );
-    for curve in &found.curves {
+    for curve in &report.curves {
         assert_eq!((curve.n, curve.tasks), (400, 40));
         for level in Level::PERTURBED {
             let survival = curve.at(level.radius()).expect("a point").survival;
@@ -92,7 +92,7 @@ fn survival_is_the_success_rate_less_the_share_that_recovers() {
                 measured.condition == curve.condition
                     && measured.recovers_at.contains(&level.radius())
             };
-            let recover = found.thresholds.iter().filter(recovers).count() as f64;
+            let recover = report.thresholds.iter().filter(recovers).count() as f64;
             let expected = rate - recover / 400.0;
             assert!(
                 (survival - expected).abs() < 1e-12,
@@ -113,16 +113,16 @@ fn the_text_fits_a_terminal_and_names_wordings_and_recoveries() {
         "{text}"
     );
     assert!(text.contains("not monotone: configurations that succeed again beyond a failure"));
-    let far = report_of(&nominal(), nominal().records, 100.0).text();
-    for line in far.lines() {
+    let large_radius = report_of(&nominal(), nominal().records, 100.0).text();
+    for line in large_radius.lines() {
         assert!(line.chars().count() <= 80, "{line}");
     }
 }
 
 #[test]
 fn every_condition_has_a_standalone_figure() {
-    let found = at_levels();
-    let figures = figures::of_thresholds(&found);
+    let report = at_levels();
+    let figures = figures::of_thresholds(&report);
     let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
     assert_eq!(names.len(), 7);
     assert_eq!(
@@ -147,7 +147,7 @@ fn every_condition_has_a_standalone_figure() {
             figure.name
         );
     }
-    let json: Value = serde_json::from_str(&found.json().expect("written")).expect("JSON");
+    let json: Value = serde_json::from_str(&report.json().expect("written")).expect("JSON");
     assert_eq!(json["curves"][0]["points"][1]["level"], "L1");
     assert_eq!(json["thresholds"].as_array().map(Vec::len), Some(2800));
 }
@@ -158,10 +158,10 @@ fn without_outcomes_there_is_no_curve() {
     for record in &mut subject.records {
         record.outcome = Outcome::Missing;
     }
-    let found = report_of(&subject, subject.records.clone(), 16.0);
-    assert!(figures::of_thresholds(&found).is_empty() && !found.complete);
-    assert_eq!(found.text().lines().count(), 2);
-    assert!(!found.json().expect("written").contains("NaN"));
+    let report = report_of(&subject, subject.records.clone(), 16.0);
+    assert!(figures::of_thresholds(&report).is_empty() && !report.complete);
+    assert_eq!(report.text().lines().count(), 2);
+    assert!(!report.json().expect("written").contains("NaN"));
 }
 
 #[test]
@@ -169,7 +169,7 @@ fn the_report_of_a_measuring_campaign_shows_its_findings() {
     let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
     let html = page(&document);
     for expected in [
-        "How far OpenVLA-OFT goes",
+        "Thresholds of OpenVLA-OFT",
         "class=\"curve\"",
         "Half-success radius",
     ] {
@@ -201,8 +201,8 @@ fn the_table_of_thresholds_has_a_row_for_each_threshold() {
     let mut csv = csv::Reader::from_reader(bytes.as_slice());
     let header = csv.headers().expect("names").clone();
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
-    let found = at_levels();
-    assert_eq!(rows.len(), found.thresholds.len());
+    let report = at_levels();
+    assert_eq!(rows.len(), report.thresholds.len());
     let column = |name: &str| {
         header
             .iter()
@@ -211,7 +211,7 @@ fn the_table_of_thresholds_has_a_row_for_each_threshold() {
     };
     let (kind, fails_at) = (column("threshold"), column("fails_at"));
     let number = |text: &str| (!text.is_empty()).then(|| text.parse::<f64>().expect("a radius"));
-    for (row, measured) in rows.iter().zip(&found.thresholds) {
+    for (row, measured) in rows.iter().zip(&report.thresholds) {
         assert_eq!(&row[kind], measured.threshold.name());
         assert_eq!(number(&row[fails_at]), measured.fails_at);
     }
@@ -219,7 +219,7 @@ fn the_table_of_thresholds_has_a_row_for_each_threshold() {
     write_parquet(&document, &mut file).expect("written");
     let file = SerializedFileReader::new(file).expect("Parquet");
     let read = file.get_row_iter(None).expect("rows");
-    for (row, measured) in read.zip(&found.thresholds) {
+    for (row, measured) in read.zip(&report.thresholds) {
         let row = row.expect("a row");
         assert_eq!(row.get_double(fails_at).ok(), measured.fails_at);
     }

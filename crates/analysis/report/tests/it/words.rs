@@ -25,7 +25,7 @@ fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
     assert_eq!(l2["no_interval"], "too_few_tasks");
     let text = few.text();
     assert!(
-        text.contains("too few tasks for an interval: it takes 10"),
+        text.contains("too few tasks for an interval, which needs 10"),
         "{text}"
     );
     let paper = text
@@ -67,8 +67,8 @@ fn without_emergent_failures() -> Subject {
 
 #[test]
 fn a_share_of_zero_has_no_bootstrap_interval_but_one_for_new_tasks() {
-    let none = document(vec![without_emergent_failures()]);
-    let json: Value = serde_json::from_str(&none.json().expect("written")).expect("JSON");
+    let document = document(vec![without_emergent_failures()]);
+    let json: Value = serde_json::from_str(&document.json().expect("written")).expect("JSON");
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
     assert_eq!((&l2["b"], &l2["r_e_ci95"]), (&0.into(), &Value::Null));
     assert_eq!(l2["no_interval"], "no_spread");
@@ -163,7 +163,7 @@ fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
 }
 
 #[test]
-fn a_policy_that_was_taught_on_other_assets_gets_a_warning() {
+fn a_policy_that_was_taught_on_another_asset_pack_gets_a_warning() {
     let taught_on = |pack: &str| {
         let mut provenance = provenance("3.3.7", "single");
         let setting = (rollout_types::TAUGHT_ON.to_owned(), pack.to_owned());

@@ -143,7 +143,7 @@ fn thresholds_without_a_known_failure_are_censored_and_cause_no_bias() {
 
 #[test]
 fn without_radii_between_levels_the_interval_is_as_wide_as_the_bracket() {
-    // Medians near L1, halfway, and near L2.
+    // Medians near L1, halfway between L1 and L2, and near L2.
     for median in [2.1, 3.0, 3.9] {
         let population = Population {
             condition: Condition::Single(Axis::Language),

@@ -37,7 +37,7 @@ fn outcome(id: RolloutId) -> Outcome {
     })
 }
 
-/// A campaign of camera and robot at L2 in some tasks.
+/// Returns the records of a campaign that perturbs camera and robot at L2, in the first tasks.
 fn campaign(tasks: usize) -> Vec<Record> {
     let mut records = Vec::new();
     for task in TaskRef::all().take(tasks) {
@@ -146,7 +146,7 @@ fn configurations_with_missing_outcomes_are_left_out_and_counted() {
     let source = campaign(10);
     let thresholds = thresholds(None, 0);
     let before = Measurement::of(&source, &[], &thresholds).curves(&Bootstrap::default());
-    // Only nominal failures are known.
+    // Without further radii, only the thresholds of nominal failures are known.
     assert!(
         before
             .iter()
@@ -160,7 +160,8 @@ fn configurations_with_missing_outcomes_are_left_out_and_counted() {
     largest.outcome = Outcome::Quarantined;
     let after = Measurement::of(&source, &further, &thresholds).curves(&Bootstrap::default());
     let counts = |curve: &Curve| (curve.n, curve.left_out);
-    // The ray fails at a smaller radius anyway, so its bracket is known.
+    // The quarantined outcome is at the largest radius of a ray that fails at a smaller one, so the
+    // ray's bracket is known.
     assert!(after.iter().all(|curve| counts(curve) == (100, 0)));
 }
 
@@ -168,7 +169,8 @@ fn configurations_with_missing_outcomes_are_left_out_and_counted() {
 fn a_budget_measures_a_random_sample_and_is_not_exceeded() {
     let source = campaign(12);
     // L1, L3 and r16 of three conditions, and five halvings each.
-    let most = Measurement::of(&source, &[], &thresholds(None, 0)).most_rollouts_of_one();
+    let unmeasured = Measurement::of(&source, &[], &thresholds(None, 0));
+    let most = unmeasured.most_rollouts_per_configuration();
     assert_eq!(most, 3 * (3 + 5));
     let sample = |budget, seed| -> BTreeSet<(TaskRef, u16)> {
         let thresholds = thresholds(Some(budget), seed);

@@ -48,7 +48,7 @@ fn pseudorandom(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outc
     }
 }
 
-/// Returns the first failure and all successes beyond it, without the code under test.
+/// Returns the first failure and all successes beyond it, computed without the code under test.
 fn expected_finding(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
     let fails = outcomes
         .perturbed()
@@ -240,7 +240,7 @@ fn configurations_that_fail_nominally_are_not_perturbed_further() {
 }
 
 #[test]
-fn language_is_measured_only_at_the_levels_that_have_wordings() {
+fn language_is_measured_only_at_the_levels_that_have_paraphrases() {
     let with_language = [Condition::Single(Axis::Language), Condition::Combination];
     for condition in with_language {
         let search = Search::of(&thresholds(0.5, 16.0), condition, AxisSet::ALL);

@@ -168,29 +168,29 @@ proptest! {
                 let is_largest = (unflipped || set == answer.start) && !full.subsets().into_iter().any(larger);
                 prop_assert_eq!(answer.largest_unflipped.contains(&set), is_largest, "{}", set);
             }
-            for fact in &answer.non_monotone {
-                prop_assert!(fact.minimal.is_proper_subset(fact.superset));
-                prop_assert!(flips(fact.minimal) && success(fact.superset) == Some(!simultaneous));
+            for pair in &answer.non_monotone {
+                prop_assert!(pair.minimal.is_proper_subset(pair.superset));
+                prop_assert!(flips(pair.minimal) && success(pair.superset) == Some(!simultaneous));
             }
             let has_unflipped_superset = |minimal: AxisSet| {
                 let mut above = full.subsets().into_iter().filter(|set| minimal.is_subset(*set));
                 above.any(|set| success(set) == Some(!simultaneous))
             };
             for minimal in &answer.minimal {
-                let reported = answer.non_monotone.iter().any(|fact| fact.minimal == minimal.set);
+                let reported = answer.non_monotone.iter().any(|pair| pair.minimal == minimal.set);
                 prop_assert_eq!(reported, has_unflipped_superset(minimal.set));
             }
         }
     }
 
     #[test]
-    fn every_search_ends_and_the_exhaustive_one_finds_all(
+    fn every_search_ends_and_the_exhaustive_one_finds_all_minimal_subsets(
         outcomes in any_outcomes(3), cut in 1..64_usize,
     ) {
         search(&outcomes, Strategy::Adaptive, cut);
         search(&outcomes, Strategy::TopDown, cut);
-        let found = minimal_sets(&search(&outcomes, Strategy::Exhaustive, cut));
-        prop_assert_eq!(found, minimal_sets(&complete(&outcomes)));
+        let exhaustive = minimal_sets(&search(&outcomes, Strategy::Exhaustive, cut));
+        prop_assert_eq!(exhaustive, minimal_sets(&complete(&outcomes)));
     }
 
     #[test]
@@ -224,8 +224,8 @@ proptest! {
                     let pairs = sets.iter().copied().filter(|set| set.len() == 2);
                     (*start, pairs.collect::<Vec<_>>())
                 };
-                let found: Vec<_> = minimal_sets(&lattice).iter().map(pairs).collect();
-                prop_assert_eq!(found, truth.iter().map(pairs).collect::<Vec<_>>());
+                let found_pairs: Vec<_> = minimal_sets(&lattice).iter().map(pairs).collect();
+                prop_assert_eq!(found_pairs, truth.iter().map(pairs).collect::<Vec<_>>());
             }
         }
     }
@@ -311,9 +311,9 @@ proptest! {
     }
 }
 
-fn lattice_of(text: &[(&str, Outcome)]) -> Lattice {
+fn lattice_of(outcomes: &[(&str, Outcome)]) -> Lattice {
     let mut lattice = Lattice::new(full(3), Evidence::Once).expect("three axes");
-    for (set, outcome) in text {
+    for (set, outcome) in outcomes {
         let set = set.parse().expect("a set");
         lattice.record(set, *outcome).expect("a subset");
     }

@@ -83,19 +83,20 @@ proptest! {
         let v = |set: AxisSet| interactions.success[&set].numerator;
         for (&axis, shapley) in &interactions.shapley {
             let alone = AxisSet::of(axis);
-            let others = full(axes).without(alone).subsets().into_iter();
-            let marginal = others.map(|others| {
-                let orders = factorial(others.len()) * factorial(axes - 1 - others.len());
-                orders * (v(others.union(alone)) - v(others))
+            let subsets = full(axes).without(alone).subsets().into_iter();
+            let marginal = subsets.map(|subset| {
+                let orders = factorial(subset.len()) * factorial(axes - 1 - subset.len());
+                orders * (v(subset.union(alone)) - v(subset))
             });
             prop_assert_eq!(60 * marginal.sum::<i64>(), shapley.numerator * factorial(axes));
         }
         for (&pair, index) in &interactions.pairs {
             let [i, j] = pair.axes().map(AxisSet::of).collect::<Vec<_>>()[..] else { panic!("a pair") };
-            let others = full(axes).without(pair).subsets().into_iter();
-            let change = others.map(|others| {
-                let orders = factorial(others.len()) * factorial(axes - 2 - others.len());
-                orders * (v(others.union(pair)) - v(others.union(i)) - v(others.union(j)) + v(others))
+            let subsets = full(axes).without(pair).subsets().into_iter();
+            let change = subsets.map(|subset| {
+                let orders = factorial(subset.len()) * factorial(axes - 2 - subset.len());
+                let [v_i, v_j] = [i, j].map(|axis| v(subset.union(axis)));
+                orders * (v(subset.union(pair)) - v_i - v_j + v(subset))
             });
             prop_assert_eq!(60 * change.sum::<i64>(), index.numerator * factorial(axes - 1));
         }
@@ -121,7 +122,7 @@ fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
 }
 
 #[test]
-fn a_failing_pair_is_one_coefficient_shared_by_its_axes() {
+fn a_failing_pair_has_one_moebius_coefficient_which_its_axes_share_equally() {
     let interactions =
         Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("configurations");
     for (set, m) in &interactions.moebius {

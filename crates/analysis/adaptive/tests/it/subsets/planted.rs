@@ -19,12 +19,12 @@ pub(crate) enum Kind {
     Triple,
     /// Two pairs without a common axis fail.
     DisjointPairs,
-    /// A pair fails, and a triple that does not contain it.
+    /// A pair fails, and so does a triple that does not contain the pair.
     PairOrTriple,
     /// An axis fails alone unless one of its one or two compensating axes is present.
     Compensation,
-    /// Two axes fail alone, each unless one of its one or two compensating axes is present. Both
-    /// together fail unless both are compensated.
+    /// Two axes fail alone, each unless one of its one or two compensating axes is present. The two
+    /// failing axes together fail unless both are compensated.
     TwoCompensations,
     /// A pair fails unless a third axis is present; another pair or triple always fails.
     MaskedPair,
@@ -78,12 +78,12 @@ impl Rule {
                     !culprits.iter().any(|culprit| culprit.is_subset(perturbed))
                 })
             };
-            // Another pair or triple, of axes that may be among the first ones.
-            let other = set(&shuffled(rng)[..2 + random_below(2, rng)]);
+            // A pair or triple that always fails; it may have axes in common with the masked set.
+            let unmasked = set(&shuffled(rng)[..2 + random_below(2, rng)]);
             let masked = |culprit: AxisSet, mask: AxisSet| {
                 Self::from_success(|perturbed| {
                     let is_harmless = !culprit.is_subset(perturbed) || mask.is_subset(perturbed);
-                    is_harmless && !other.is_subset(perturbed)
+                    is_harmless && !unmasked.is_subset(perturbed)
                 })
             };
             let rule = match kind {
@@ -118,20 +118,21 @@ impl Rule {
                     Self(coins)
                 }
             };
-            // One part of a drawn rule may hide another: draws again until all are visible.
+            // A planted set that contains another planted set is not minimal: draws again until
+            // both sets of the rule are minimal.
             let sizes: Vec<usize> = rule
                 .truth()
                 .iter()
                 .flat_map(|(_, sets)| sets)
                 .map(|set| set.len())
                 .collect();
-            let planted = match kind {
+            let are_minimal = match kind {
                 Kind::PairOrTriple => sizes == [2, 3],
                 Kind::MaskedPair => sizes.len() == 2,
                 Kind::MaskedTriple => sizes.len() == 2 && sizes.contains(&3),
                 _ => true,
             };
-            if planted {
+            if are_minimal {
                 return rule;
             }
         }
@@ -174,7 +175,7 @@ impl Rule {
 
 /// Cost and result of a search.
 #[derive(Debug)]
-pub(crate) struct Found {
+pub(crate) struct SearchResult {
     /// Number of subsets that were run beyond those of a campaign.
     pub(crate) subsets: usize,
     /// Number of rollouts that were requested.
@@ -184,18 +185,18 @@ pub(crate) struct Found {
     pub(crate) explanation: Option<Explanation>,
 }
 
-impl Found {
+impl SearchResult {
     /// Returns true if exactly the planted minimal subsets were found.
     pub(crate) fn is_exact(&self, rule: &Rule) -> bool {
         let answers = self
             .explanation
             .iter()
             .flat_map(|explanation| &explanation.answers);
-        let found = answers.map(|answer| {
+        let by_start = answers.map(|answer| {
             let minimal = answer.minimal.iter().map(|minimal| minimal.set);
             (answer.start, minimal.collect::<Vec<_>>())
         });
-        found.collect::<Vec<_>>() == rule.truth()
+        by_start.collect::<Vec<_>>() == rule.truth()
     }
 }
 
@@ -204,13 +205,13 @@ pub(crate) fn search(
     strategy: Strategy,
     evidence: Evidence,
     mut outcome: impl FnMut(AxisSet) -> Outcome,
-) -> Found {
+) -> SearchResult {
     let mut lattice = source(AxisSet::ALL, evidence, &mut outcome);
     let batches = run(&mut lattice, strategy, outcome);
     let further = lattice
         .tallies()
         .filter(|(set, _)| !is_of_source(*set, AxisSet::ALL));
-    Found {
+    SearchResult {
         subsets: further.count(),
         rollouts: lattice.outcomes().requested(),
         batches,
@@ -257,7 +258,7 @@ pub(crate) fn run(
 }
 
 /// Runs a search over the outcomes of a rule.
-pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> Found {
+pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> SearchResult {
     search(strategy, Evidence::Once, |set| {
         Outcome::from(rule.succeeds(set))
     })
@@ -270,7 +271,7 @@ pub(crate) fn search_noisy(
     evidence: Evidence,
     noise: f64,
     rng: &mut ChaCha12Rng,
-) -> Found {
+) -> SearchResult {
     search(strategy, evidence, |set| {
         let opposite = (rng.next_u32() as f64) < noise * 2_f64.powi(32);
         Outcome::from(rule.succeeds(set) != opposite)

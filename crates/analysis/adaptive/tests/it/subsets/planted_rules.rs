@@ -1,19 +1,19 @@
-//! The minimal subsets of planted rules are found at the promised cost.
+//! Searches find the minimal subsets of planted rules while they run few further subsets.
 
 use adaptive::subsets::{Evidence, Repeats, Strategy};
 
-use super::planted::{Found, Kind, Rule, search_noisy, search_rule, seeded};
+use super::planted::{Kind, Rule, SearchResult, search_noisy, search_rule, seeded};
 
 const RULES: usize = 300;
 /// Number of subsets that an ordinary campaign does not run.
-const FURTHER: f64 = 56.0;
+const FURTHER_SUBSETS: f64 = 56.0;
 
-fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, Found)> {
+fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, SearchResult)> {
     let mut rng = seeded(11);
     let search = |_| {
         let rule = Rule::draw(kind, &mut rng);
-        let found = search_rule(&rule, strategy);
-        (rule, found)
+        let result = search_rule(&rule, strategy);
+        (rule, result)
     };
     (0..RULES).map(search).collect()
 }
@@ -21,13 +21,15 @@ fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, Found)> {
 fn mean_subsets(kind: Kind, strategy: Strategy) -> f64 {
     let subsets = searches(kind, strategy)
         .into_iter()
-        .map(|(_, found)| found.subsets as f64);
+        .map(|(_, result)| result.subsets as f64);
     subsets.sum::<f64>() / RULES as f64
 }
 
 fn exact_share(kind: Kind, strategy: Strategy) -> f64 {
     let results = searches(kind, strategy);
-    let exact = results.iter().filter(|(rule, found)| found.is_exact(rule));
+    let exact = results
+        .iter()
+        .filter(|(rule, result)| result.is_exact(rule));
     exact.count() as f64 / RULES as f64
 }
 
@@ -35,21 +37,21 @@ fn exact_share(kind: Kind, strategy: Strategy) -> f64 {
 fn every_monotone_rule_is_recovered_exactly_and_established() {
     for strategy in Strategy::ALL {
         for kind in Kind::MONOTONE {
-            for (rule, found) in searches(kind, strategy) {
+            for (rule, result) in searches(kind, strategy) {
                 assert!(
-                    found.is_exact(&rule),
-                    "{strategy:?} {kind:?} {rule:?} {found:?}"
+                    result.is_exact(&rule),
+                    "{strategy:?} {kind:?} {rule:?} {result:?}"
                 );
                 assert_eq!(
-                    found.rollouts as usize, found.subsets,
+                    result.rollouts as usize, result.subsets,
                     "each subset runs once"
                 );
                 assert!(
-                    found.batches <= 6,
+                    result.batches <= 6,
                     "{strategy:?} {kind:?}: {}",
-                    found.batches
+                    result.batches
                 );
-                let explanation = found.explanation.expect("a transition");
+                let explanation = result.explanation.expect("a transition");
                 for answer in &explanation.answers {
                     assert!(
                         answer
@@ -70,7 +72,7 @@ fn searches_of_the_mixture_run_at_most_a_third_of_the_lattice() {
         let means = Kind::MIXTURE
             .iter()
             .map(|&kind| mean_subsets(kind, strategy));
-        means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER
+        means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER_SUBSETS
     };
     let (adaptive, top_down) = (share(Strategy::Adaptive), share(Strategy::TopDown));
     assert!(adaptive <= 1.0 / 3.0, "{adaptive}");
@@ -101,14 +103,14 @@ fn the_rule_of_a_noisy_policy_is_found_by_replicates() {
     for kind in Kind::MONOTONE {
         for _ in 0..60 {
             let rule = Rule::draw(kind, &mut rng);
-            let found = search_noisy(&rule, Strategy::Adaptive, evidence, 0.02, &mut rng);
+            let result = search_noisy(&rule, Strategy::Adaptive, evidence, 0.02, &mut rng);
             rules += 1;
-            explained += usize::from(found.explanation.is_some());
-            exact += usize::from(found.is_exact(&rule));
+            explained += usize::from(result.explanation.is_some());
+            exact += usize::from(result.is_exact(&rule));
         }
     }
-    // The first rollouts of eight subsets all show the rule's outcomes with probability
-    // 0.98⁸ = 85 %. A transition that the first rollouts hide is not searched.
+    // The source campaign runs eight subsets once. All eight outcomes agree with the rule with
+    // probability 0.98⁸ = 85 %; a transition that they do not show is not searched.
     assert!(explained * 100 >= 80 * rules, "{explained} of {rules}");
     assert!(exact * 100 >= 98 * explained, "{exact} of {explained}");
 }

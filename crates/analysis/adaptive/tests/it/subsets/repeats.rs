@@ -36,7 +36,8 @@ fn search(coins: Coins, strategy: Strategy, rng: &mut ChaCha12Rng) -> Lattice {
     lattice
 }
 
-/// Returns the number of claims about a lattice and of false ones; with a fair coin, all are false.
+/// Returns the numbers of claims and of false claims about a lattice. Every claim about a fair coin
+/// is false.
 fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     if explain(lattice).is_err() {
         return [0, 0];
@@ -57,7 +58,7 @@ fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     claims
 }
 
-/// Returns the numbers of lattices with a claim, and with a false one.
+/// Returns the number of lattices with a claim, and the number of lattices with a false claim.
 fn lattices_with_claims(coins: Coins, strategy: Strategy, seed: u64) -> [usize; 2] {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     let mut counts = [0, 0];
@@ -113,7 +114,7 @@ fn a_real_transition_is_claimed_with_its_minimal_pair() {
         if pair.is_subset(set) { 0.05 } else { 0.95 }
     };
     let mut rng = ChaCha12Rng::seed_from_u64(4);
-    let is_found = |_: &usize| {
+    let is_claimed = |_: &usize| {
         let lattice = search(coins, Strategy::Adaptive, &mut rng);
         let answers =
             explain(&lattice).map_or_else(|_| Vec::new(), |explanation| explanation.answers);
@@ -122,7 +123,7 @@ fn a_real_transition_is_claimed_with_its_minimal_pair() {
             .map(|minimal| minimal.set.name())
             .eq(["camera+robot"])
     };
-    let found = (0..200).filter(is_found).count();
+    let count = (0..200).filter(is_claimed).count();
     // Not all 200, because some transitions form by chance and are not confirmed by the repeats.
-    assert!(found >= 170, "{found} of 200");
+    assert!(count >= 170, "{count} of 200");
 }
