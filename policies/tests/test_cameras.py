@@ -13,8 +13,9 @@ def slots(*names):
 
 
 def by_name(*names, **given):
-    found = camera_of_slot(slots(*names), **given)
-    return {slot.removeprefix("observation.images."): camera for slot, camera in found.items()}
+    """Returns the camera of each slot, by the slot's name without the common prefix."""
+    cameras = camera_of_slot(slots(*names), **given)
+    return {slot.removeprefix("observation.images."): camera for slot, camera in cameras.items()}
 
 
 @pytest.mark.parametrize(
@@ -75,7 +76,7 @@ def test_image_keys_assign_slots_with_unknown_names():
 
 
 @pytest.mark.parametrize("given", [{"scene": "front"}, {"scene": "left", "wrist": "left"}])
-def test_a_missing_slot_or_one_given_twice_is_refused(given):
+def test_a_missing_slot_and_a_slot_given_twice_are_refused(given):
     with pytest.raises(UnusableOption, match="--image-keys"):
         by_name("left", "right", given=given)
 

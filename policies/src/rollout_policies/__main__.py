@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     if given.command == "list":
-        print("\n\n".join(_described(entry) for entry in entries().values()))
+        print("\n\n".join(_format_entry(entry) for entry in entries().values()))
         return 0
     if given.command == "check":
         return _check(given)
@@ -51,13 +51,13 @@ def main(arguments: list[str] | None = None) -> int:
         evaluation=given.evaluation,
     )
     try:
-        options_of_server = server_options(given)
-        require_servable(**options_of_server)
+        serve_options = server_options(given)
+        require_servable(**serve_options)
         # Upstream packages print while they load, but the first line of stdout must be
         # the address.
         with contextlib.redirect_stdout(sys.stderr):
             policy = load(given.policy, options)
-        serve(policy, **options_of_server)
+        serve(policy, **serve_options)
     except (NoCheckpoint, UnusableOption, UnguardedAddress) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -101,8 +101,8 @@ def _parser() -> argparse.ArgumentParser:
         "--evaluation",
         choices=EVALUATIONS,
         default=EVALUATIONS[0],
-        help=f"evaluation protocol, for {', '.join(WITH_STUDY)}: that of its authors (upstream) or"
-        " of LIBERO-CTRL (study) (default: upstream)",
+        help=f"evaluation protocol, for {', '.join(WITH_STUDY)}: the protocol of the policy's"
+        " authors (upstream) or of LIBERO-CTRL (study) (default: upstream)",
     )
     add_server_flags(server)
     server.add_argument(
@@ -170,13 +170,13 @@ def _image_keys(text: str) -> dict[str, str]:
     return keys
 
 
-def _described(entry: Entry) -> str:
+def _format_entry(entry: Entry) -> str:
     if isinstance(entry.checkpoint, str):
         weights = [entry.checkpoint]
     else:
         weights = [f"{suite}: {name}" for suite, name in entry.checkpoint.items()]
     lines = [f"weights: {line}" for line in weights]
-    lines += [f"also downloads: {name} ({what})" for name, what in entry.downloads.items()]
+    lines += [f"also downloads: {name} ({text})" for name, text in entry.downloads.items()]
     lines.append(f"install: {entry.install}")
     wrapped = [
         textwrap.fill(

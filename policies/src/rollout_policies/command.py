@@ -181,7 +181,8 @@ def _add_flag(
     shown = "" if required or default is None else f"default: {default}".replace("%", "%%")
     options: dict[str, Any] = {"dest": parameter.name, "required": required, "default": default}
     if kind is bool:
-        # Some versions of Python add the default to this action's help themselves.
+        # In some versions of Python, this action appends the default to the help itself, which
+        # then shows the default twice.
         group.add_argument(flag, action=argparse.BooleanOptionalAction, help=shown, **options)
     else:
         help_ = shown or ("required" if required else "default: none")

@@ -22,16 +22,16 @@ NEEDED = {
     "QUANTILE10": ("q10", "q90"),
 }
 ACTION_WIDTH, STATE_WIDTH = 7, 8
-#: How many characters of a digest are shown.
+#: Number of characters of a digest that are shown.
 DIGITS = 12
 
 
 def require_statistics(
     what: str, mode: str, statistics: Mapping[str, Any], width: int | None = None
 ) -> str:
-    """Checks that the statistics of `what` for this normalisation mode exist,
-    are finite, are not all equal, and have shape [width] if that is given.
-    Returns a short text: the mode and a digest.
+    """Checks that the statistics of `what`, such as "actions", for this normalisation mode exist,
+    are finite, have a spread other than 0, and have `width` numbers if that is given.
+    Returns a short text: `what`, the mode and a digest.
 
     Raises UnusableCheckpoint.
     """
