@@ -1,4 +1,4 @@
-"""Times LIBERO's environments: those of the installed `libero`, original or shim, and those of
+"""Times the environments of the installed `libero` (the original or the shim), and those of
 `rollout_libero`. Prints one line of JSON.
 
 usage: speed.py one|processes|threads TASK [--environments N] [--steps N]
@@ -49,7 +49,7 @@ def actions(count: int) -> np.ndarray:
     return 0.3 * np.sin(phase)
 
 
-def files(task: str) -> tuple[str, np.ndarray]:
+def task_files(task: str) -> tuple[str, np.ndarray]:
     """Returns the path of a task's BDDL file, and its initial states."""
     # The original imports torch, and does not call it here.
     sys.modules.setdefault("torch", types.ModuleType("torch"))
@@ -89,17 +89,17 @@ def environment(bddl: str, *, frames: bool):
 
 
 def median_ms(work: Callable[[], object], times: int) -> float:
-    taken = []
+    durations = []
     for _ in range(times):
         start = time.perf_counter()
         work()
-        taken.append(time.perf_counter() - start)
-    return statistics.median(taken) * 1e3
+        durations.append(time.perf_counter() - start)
+    return statistics.median(durations) * 1e3
 
 
 def measure_one(given: argparse.Namespace) -> dict[str, float]:
     """Returns the duration of one environment's calls, ms."""
-    bddl, states = files(given.task)
+    bddl, states = task_files(given.task)
     measured = {}
     for frames, name in ((False, "step_ms"), (True, "frames_ms")):
         env = environment(bddl, frames=frames)
@@ -111,7 +111,7 @@ def measure_one(given: argparse.Namespace) -> dict[str, float]:
             env.step(next(moves))
         measured[name] = median_ms(lambda env=env, moves=moves: env.step(next(moves)), given.steps)
         if frames:
-            # Resets are timed only without frames, since each would render its observation.
+            # Resets are timed only without frames, since each reset would render its observation.
             env.close()
             continue
         measured["reset_ms"] = median_ms(env.reset, RESETS)
@@ -126,10 +126,9 @@ def measure_processes(given: argparse.Namespace) -> dict[str, float]:
     from libero.libero.envs import SubprocVectorEnv
 
     multiprocessing.set_start_method("spawn", force=True)
-    bddl, states = files(given.task)
+    bddl, states = task_files(given.task)
     count = given.environments
-    make = [_Maker(bddl)] * count
-    env = SubprocVectorEnv(make)
+    env = SubprocVectorEnv([_Maker(bddl)] * count)
     env.reset()
     env.set_init_state([states[0]] * count)
     rate = observations_per_second(env.step, given.steps, count)

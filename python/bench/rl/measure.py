@@ -39,11 +39,12 @@ def main() -> None:
     parser.add_argument("--policies", nargs="+", default=["none"])
     parser.add_argument("--shared-reset", action="store_true")
     given = parser.parse_args()
-    print(json.dumps(measured(given)))
+    print(json.dumps(measure(given)))
 
 
-def measured(given: argparse.Namespace) -> dict[str, Any]:
-    """Returns the measures of one process and all its policies."""
+def measure(given: argparse.Namespace) -> dict[str, Any]:
+    """Runs rollouts with each policy. Returns the measurements of this process and of each
+    policy."""
     from policies import Policy
 
     policies = [Policy(name) for name in given.policies]
@@ -86,12 +87,13 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
         "first_s": warm,
         "pss_mb": memory_each,
         "card_mb": card,
-        "cpu_s": sum(resource.getrusage(who).ru_utime for who in _USERS),
+        "cpu_s": sum(resource.getrusage(who).ru_utime for who in _CPU_USERS),
         "policies": results,
     }
 
 
-_USERS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+#: Processes whose CPU time is counted.
+_CPU_USERS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
 
 
 def _construct(given: argparse.Namespace) -> Any:
@@ -105,6 +107,8 @@ def _construct(given: argparse.Namespace) -> Any:
 
 
 def _run(rollouts: Any, policy: Any, actions: np.ndarray) -> dict[str, float]:
+    """Executes chunks of actions, each after an answer of the policy. Returns durations; for the
+    policy `busy`, also the rate of its matrix products."""
     answered_and_simulated, simulated = [], []
     with policy:
         products, start = policy.products(), time.perf_counter()
@@ -139,9 +143,9 @@ def _actions(given: argparse.Namespace) -> np.ndarray:
 
 
 def pss_mb() -> float:
-    """Returns the memory of this process and its children, shared pages counted once, MB."""
+    """Returns the memory of this process and its descendants, shared pages counted once, MB."""
     total = 0
-    for process in _tree(os.getpid()):
+    for process in _with_descendants(os.getpid()):
         try:
             lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
         except OSError:
@@ -150,18 +154,19 @@ def pss_mb() -> float:
     return total / 1024
 
 
-def _tree(root: int) -> list[int]:
-    parents: dict[int, list[int]] = {}
+def _with_descendants(root: int) -> list[int]:
+    """Returns the ids of a process and of all its descendants."""
+    children: dict[int, list[int]] = {}
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = status.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        parents.setdefault(int(fields[1]), []).append(int(status.parent.name))
-    found = [root]
-    for process in found:
-        found += parents.get(process, [])
-    return found
+        children.setdefault(int(fields[1]), []).append(int(status.parent.name))
+    processes = [root]
+    for process in processes:
+        processes += children.get(process, [])
+    return processes
 
 
 def _card_mb() -> float | None:

@@ -1,5 +1,5 @@
-"""Prints the memory of a further row of a `TrainingEnvironment`, MB of PSS: the growth of this
-process from some rows to more.
+"""Prints the memory that a further row of a `TrainingEnvironment` takes, MB of PSS: the growth of
+this process, divided by the number of added rows.
 
 usage: memory.py [TASK] [--rows N N]
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 _USE = "install the original LIBERO in another environment for it"
 
-#: Modules of the original that are left out, and the remedy.
+#: Modules of the original that are left out, each with its remedy.
 _MODULES = {
     "libero.configs": _USE,
     "libero.lifelong": f"it trains policies; {_USE}",

@@ -115,7 +115,7 @@ def test_an_unused_camera_is_black_and_the_other_is_unchanged(
     env = construct(bddl_file, **options)
     expected = dict(env.step(actions(1)[0])[0])
     env.close()
-    monkeypatch.setattr(_unused, "_said", set())
+    monkeypatch.setattr(_unused, "_warned", set())
     monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", " robot0_eye_in_hand,")
     env = construct(bddl_file, **options)
     observation = dict(env.step(actions(1)[0])[0])
@@ -214,7 +214,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     action = actions(1)[0]
     expected = dict(eager_env.step(action)[0])
     lazy, *_ = env.step(action)
-    look = env.env._held.get().look()
+    look = env.env._handle.get().look()
 
     failed: list[Exception] = []
 
@@ -230,9 +230,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     np.testing.assert_array_equal(lazy["agentview_image"], expected["agentview_image"])
     while thread.is_alive():
         # Drawn again each time from the recorded poses.
-        np.testing.assert_array_equal(
-            look.frame("agentview", 32, 24), expected["agentview_image"]
-        )
+        np.testing.assert_array_equal(look.frame("agentview", 32, 24), expected["agentview_image"])
     thread.join()
     # Drawing does not block the other thread.
     assert failed == []

@@ -32,7 +32,7 @@ def deadline() -> Iterator[None]:
 def channel(request: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sends answers with and without shared memory."""
     if request.param == "pipes":
-        monkeypatch.setattr(_shared_memory, "memory", lambda: None)
+        monkeypatch.setattr(_shared_memory, "create", lambda: None)
 
 
 def assert_ended(envs: SubprocVectorEnv) -> None:

