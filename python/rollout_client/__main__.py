@@ -17,13 +17,13 @@ def main(arguments: list[str] | None = None) -> int:
         with Archive(given.archive) as archive:
             if given.form == "lerobot":
                 count = lerobot.export(archive, given.output, films=given.films)
-                what = "episodes"
+                unit = "episodes"
             elif given.form == "tensorboard":
-                count, what = tensorboard.export(archive, given.output), "points"
+                count, unit = tensorboard.export(archive, given.output), "points"
             else:
                 count = wandb.export(archive, given.output, project=given.project)
-                what = "points"
-            print(f"wrote {count} {what} of campaign {archive.name} to {given.output}")
+                unit = "points"
+            print(f"wrote {count} {unit} of campaign {archive.name} to {given.output}")
     except CoordinatorError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
