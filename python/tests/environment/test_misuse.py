@@ -41,7 +41,7 @@ def test_a_closed_environment_raises_closed_error(make):
             use()
 
 
-def test_messages_begin_with_what_failed(make, make_vector):
+def test_messages_begin_with_failed_to_and_a_verb(make, make_vector):
     environment = make()
 
     def closed():

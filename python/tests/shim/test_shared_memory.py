@@ -19,8 +19,8 @@ FRAME = (256, 256, 3)
 
 
 def frame_environment() -> Any:
-    """Returns a class of environments whose observations are frames with the number of their
-    steps. It is local, so that spawned processes need not import this module."""
+    """Returns a class of environments whose observations are frames with the number of steps. The
+    class is local, so that spawned processes need not import this module."""
 
     class FrameEnvironment:
         def __init__(self) -> None:
@@ -102,8 +102,8 @@ def test_arrays_beyond_the_memory_stay_in_the_message() -> None:
     memory = SharedMemory()
     arrays = [np.full(SIZE // 2, number, np.uint8) for number in range(3)]
     received = pickle.loads(memory.dumps(arrays))
-    for one, other in zip(received, arrays):
-        np.testing.assert_array_equal(one, other)
+    for received_array, array in zip(received, arrays):
+        np.testing.assert_array_equal(received_array, array)
     memory.close_descriptor()
 
 
@@ -118,7 +118,7 @@ def test_environments_close_their_descriptors() -> None:
 
 
 @pytest.mark.parametrize("is_shared", [True, False])
-def test_frames_have_the_bits_of_those_of_one_process(
+def test_frames_from_processes_equal_frames_of_one_process(
     is_shared: bool, bddl_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not is_shared:
