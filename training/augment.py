@@ -60,7 +60,7 @@ def draw_changes(n: int, device: torch.device) -> PictureChange:
 
 
 def apply_changes(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tensor]:
-    """Returns both cameras' apply_changes pictures in the network's input format.
+    """Returns both cameras' pictures with these changes, in the network's input format.
 
     Args:
         pictures: uint8 [n, 2, 128, 128, 3].

@@ -6,7 +6,8 @@ In each rollout the expert drives, and ``--driver`` names the disturbance:
 
 - ``pushes``: a push is added to the expert's actions;
 - ``stranger``: for some steps, another driver stands still, wanders, or repeats the expert's
-  actions of a second ago. Unless it repeats, it commands the gripper at random;
+  actions of a second ago. When standing still or wandering, it opens or closes the gripper at
+  random;
 - ``copy``: the expert never drives. Each step executes the action that the interrupted expert
   would take, as a student would that has learnt the labels without error;
 - ``none``: the expert is not disturbed.

@@ -41,10 +41,11 @@ of libero_10 are longer, and their steps more diverse."""
 FAILURES_WEIGHT = 3.0
 """Factor on the number of environments of a task that the student always fails."""
 BUDGETS = 2
-"""Default step limit of an episode, in multiples of the benchmark's: a learning student is slow."""
+"""Default step limit of an episode, in multiples of the benchmark's limit. A learning student is
+slow."""
 OUTCOMES = "outcomes.json"
-"""File in the folder of shards: for each task, the number of successes and the number of episodes,
-of the episodes in which the student drove alone."""
+"""File in the folder of shards. For each task, it counts the successes of the student driving
+alone, and the episodes in which the student drove alone."""
 REPORT_SECONDS = 10.0
 WORDINGS = 200
 """Number of wordings of each task from which the student's instructions are drawn."""
@@ -102,8 +103,8 @@ class Tally:
         return "  ".join(parts)
 
     def student_outcomes(self) -> dict[str, list[int]]:
-        """Returns for each task the number of successes and the number of episodes, of the
-        episodes in which the student drove alone."""
+        """Counts for each task the successes of the student driving alone, and the episodes in
+        which the student drove alone."""
         outcomes: dict[str, list[int]] = {}
         with self._lock:
             for task, driver, success in self._results:
@@ -218,7 +219,7 @@ class Group:
         self._source = np.empty((n, most_steps), np.uint8)
 
     def run(self, until: float) -> None:
-        """Collects until this time of the monotonic clock."""
+        """Collects until the monotonic clock reads ``until``."""
         try:
             while time.monotonic() < until:
                 try:
@@ -372,8 +373,7 @@ def perturbation(rng: np.random.Generator) -> str:
 
 
 def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
-    """Returns for each task the number of successes and the number of episodes, of the episodes in
-    which the student drove alone, summed over the folders."""
+    """Returns the sums of the counts in the folders' files ``OUTCOMES``."""
     total: dict[str, list[int]] = {}
     for folder in folders:
         file = folder / OUTCOMES
@@ -428,7 +428,7 @@ SCENES: list[Any] = []
 
 
 def collect(arguments: argparse.Namespace) -> None:
-    """Runs the groups until the time is spent."""
+    """Collects for ``--seconds`` seconds, start included."""
     until = time.monotonic() + arguments.seconds
     if arguments.driver == "student" and arguments.weights is None:
         raise SystemExit("collect with --driver student: name the student's file with --weights")

@@ -77,7 +77,8 @@ class Disturbance:
         self._push_left[indices] = 0
 
     def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Returns additions to the arm's next actions, [n, steps, 6], and sources [n, steps]."""
+        """Returns the numbers to be added to the arm's next actions, [n, steps, 6], and the
+        ``Source`` of each step, [n, steps]."""
         by_step = [self._step() for _ in range(steps)]
         added, source = zip(*by_step, strict=True)
         return np.stack(added, axis=1), np.stack(source, axis=1)

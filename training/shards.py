@@ -128,8 +128,8 @@ def targets(shard: Shard) -> Targets:
     """Returns the expert's next eight actions at each frame, and a mask of the actions that count.
 
     After a frame, actions count until the episode ends or the robot deviates from the expert:
-    it is pushed, or the student moves the gripper differently or drifts too far. Noise does not
-    end the count, because its mean is zero.
+    it is pushed, or the student moves the gripper differently or drifts too far. After noise,
+    actions still count, because the mean of the noise is zero.
     """
     first = shard.frame_step[:, np.newaxis]
     steps = first + np.arange(CHUNK)

@@ -260,12 +260,12 @@ def test_univlas_random_numbers_continue_across_queries(univla_checkpoint):
     )
     pixels = np.zeros((4, 4, 3), dtype=np.uint8)
 
-    def drawn(generator):
+    def draw_tokens(generator):
         _, tokens, state_afterwards = model.chunk(pixels, "text", generator)
         return tokens, state_afterwards
 
-    first, after_first = drawn(7)
-    second, _ = drawn(after_first)
+    first, after_first = draw_tokens(7)
+    second, _ = draw_tokens(after_first)
     torch.rand(1)
-    assert drawn(7)[0] == first != second
-    assert drawn(after_first)[0] == second
+    assert draw_tokens(7)[0] == first != second
+    assert draw_tokens(after_first)[0] == second

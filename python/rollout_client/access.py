@@ -80,8 +80,8 @@ def read(
     )
 
 
-def _path(given: str | os.PathLike[str] | None, variable: str) -> Path | None:
-    path = given or os.environ.get(variable)
+def _path(argument: str | os.PathLike[str] | None, variable: str) -> Path | None:
+    path = argument or os.environ.get(variable)
     return Path(path) if path else None
 
 

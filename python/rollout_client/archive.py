@@ -71,7 +71,7 @@ class Rollout:
     replicate: int
     #: Task, such as `libero_object/0`.
     task: str
-    #: The instruction that the policy was given.
+    #: The instruction for the policy.
     instruction: str
     #: Condition, as in rollout ids: `clean`, `camera`, `combination`.
     axis: str

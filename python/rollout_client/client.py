@@ -143,8 +143,8 @@ def _text(spec: Spec) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is not UTF-8"
-        raise SettingsError(f"failed to read specification {path}: {why}") from error
+        reason = getattr(error, "strerror", None) or "it is not UTF-8"
+        raise SettingsError(f"failed to read specification {path}: {reason}") from error
 
 
 def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:

@@ -17,8 +17,8 @@ NAME = "coordinator"
 class Program:
     """The program `coordinator`: the given path, else the first on PATH at the time of a call."""
 
-    def __init__(self, given: str | os.PathLike[str] | None, access: Access) -> None:
-        self._given = given
+    def __init__(self, path: str | os.PathLike[str] | None, access: Access) -> None:
+        self._given_path = path
         self._access = access
 
     def run(self, *arguments: str | Path, text: str | None = None) -> str:
@@ -51,13 +51,13 @@ class Program:
         return [*arguments, *flags]
 
     def _path(self) -> str:
-        if self._given is not None:
-            return str(Path(self._given).expanduser())
-        found = shutil.which(NAME)
-        if found is None:
+        if self._given_path is not None:
+            return str(Path(self._given_path).expanduser())
+        path_on_system = shutil.which(NAME)
+        if path_on_system is None:
             raise ProgramError(
                 f"failed to find the program `{NAME}`, which computes reports and forecasts on"
                 " this machine: build it (`cargo build --bin coordinator`) and put its folder on"
                 " PATH, or name it in Client(program=…)"
             )
-        return found
+        return path_on_system

@@ -62,19 +62,19 @@ def main() -> int:
     )
     summary = "Reports the imported package libero, other packages of that name, and remedies."
     commands.add_parser("doctor", help=summary, description=summary)
-    given = parser.parse_args()
-    if given.command == "doctor":
+    flags = parser.parse_args()
+    if flags.command == "doctor":
         return doctor.report()
-    tasks = None if given.tasks == "all" else given.tasks.split(",")
+    tasks = None if flags.tasks == "all" else flags.tasks.split(",")
     try:
         print(f"task files and robot models: {files.sources()}", flush=True)
         folder = files.fetch_assets(
             tasks,
-            everything=given.everything,
-            into=given.into,
-            index=given.index,
-            wheels=given.wheels,
-            hub=given.hub,
+            everything=flags.everything,
+            into=flags.into,
+            index=flags.index,
+            wheels=flags.wheels,
+            hub=flags.hub,
         )
     except KeyboardInterrupt:
         print("interrupted; the same command continues from here", file=sys.stderr)
@@ -83,7 +83,7 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 1
     print(f"LIBERO's assets: {folder}")
-    if given.into:
+    if flags.into:
         print(f"to use them, give assets={str(folder)!r}, or set ROLLOUT_ASSETS")
     return 0
 

@@ -90,7 +90,7 @@ class Rows:
 
     def step(self, action: Any, id: Any = None) -> Any:
         """Executes one control step, or returns the next step of the simulated chunk."""
-        if self._chunk is not None and self._chunk.is_left and id is None:
+        if self._chunk is not None and self._chunk.has_next and id is None:
             observations, success = self._chunk.next()
             rows = list(range(self.env_num))
         else:
@@ -180,19 +180,19 @@ class _Chunk:
     def __init__(self, rows: Rows, results: tuple[Any, NDArray[np.bool_]] | None) -> None:
         self._rows = rows
         self._results = results
-        self._taken = 0
+        self._returned_steps = 0
 
     @property
-    def is_left(self) -> bool:
-        """True if the chunk has further steps."""
-        return self._results is not None and self._taken < self._results[1].shape[1]
+    def has_next(self) -> bool:
+        """True if the chunk has steps that are not returned yet."""
+        return self._results is not None and self._returned_steps < self._results[1].shape[1]
 
     def next(self) -> tuple[Any, NDArray[np.bool_]]:
         """Returns the next step's observations (None before the last step) and success."""
         assert self._results is not None
         last, success = self._results
-        self._taken += 1
-        return (None if self.is_left else last), success[:, self._taken - 1]
+        self._returned_steps += 1
+        return (None if self.has_next else last), success[:, self._returned_steps - 1]
 
     def __enter__(self) -> None:
         self._rows._chunk = self
@@ -202,7 +202,7 @@ class _Chunk:
 
 
 class _Instant:
-    """Observations of all environments at one instant, rendered once."""
+    """The rows' observations at one instant. All frames are rendered together, once."""
 
     def __init__(
         self,

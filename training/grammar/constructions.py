@@ -1,6 +1,5 @@
-"""Constructions: the actions that tasks ask for, as clauses.
-
-The slot ``{x}`` is an object with its article, ``{to}`` its destination, ``{at}`` its position.
+"""Constructions: the actions that tasks ask for, as clauses. The slot ``{x}`` is an object with its
+article, ``{to}`` the object's destination, ``{at}`` the object's position.
 """
 
 from __future__ import annotations

@@ -33,30 +33,30 @@ TERMINAL_WIDTH = 80
 def main(arguments: list[str] | None = None) -> int:
     """Runs a command and returns its exit code: 2 for an invalid command line,
     1 for a failure."""
-    given = _parser().parse_args(arguments)
+    flags = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    if given.command == "list":
+    if flags.command == "list":
         print("\n\n".join(_format_entry(entry) for entry in entries().values()))
         return 0
-    if given.command == "check":
-        return _check(given)
+    if flags.command == "check":
+        return _check(flags)
     options = Options(
-        checkpoint=given.checkpoint,
-        revision=given.revision,
-        suite=given.suite,
-        device=given.device,
-        max_batch=given.max_batch,
-        execute=given.execute,
-        image_keys=given.image_keys,
-        evaluation=given.evaluation,
+        checkpoint=flags.checkpoint,
+        revision=flags.revision,
+        suite=flags.suite,
+        device=flags.device,
+        max_batch=flags.max_batch,
+        execute=flags.execute,
+        image_keys=flags.image_keys,
+        evaluation=flags.evaluation,
     )
     try:
-        serve_options = server_options(given)
+        serve_options = server_options(flags)
         require_servable(**serve_options)
         # Upstream packages print while they load, but the first line of stdout must be
         # the address.
         with contextlib.redirect_stdout(sys.stderr):
-            policy = load(given.policy, options)
+            policy = load(flags.policy, options)
         serve(policy, **serve_options)
     except (NoCheckpoint, UnusableOption, UnguardedAddress) as error:
         print(f"error: {error}", file=sys.stderr)
@@ -138,11 +138,11 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _check(given: argparse.Namespace) -> int:
+def _check(flags: argparse.Namespace) -> int:
     """Prints a verdict per point. Returns 1 if a point failed."""
     try:
         target = Target(
-            given.url, given.policy, given.suite, given.ca, read_tokens(given.token_file)
+            flags.url, flags.policy, flags.suite, flags.ca, read_tokens(flags.token_file)
         )
         findings = check_server(target, lambda finding: print(finding, flush=True))
     except (CannotCheck, AccessError) as error:

@@ -110,7 +110,8 @@ class Tokens:
         """Returns a token of the first of these roles that has one: the first such token in the
         file."""
         return next(
-            (token for wanted in roles for role, token in self.entries if role == wanted), None
+            (token for wanted_role in roles for role, token in self.entries if role == wanted_role),
+            None,
         )
 
 
@@ -238,7 +239,7 @@ class TokenGate(grpc.ServerInterceptor):
             )
         return continuation(handler_call_details)
 
-    def _refusal(self, code: grpc.StatusCode, why: str) -> grpc.RpcMethodHandler:
+    def _refusal(self, code: grpc.StatusCode, reason: str) -> grpc.RpcMethodHandler:
         def refuse(_request, context):
             peer = context.peer().rpartition(":")[0]
             if self._should_log(peer, code):
@@ -246,9 +247,9 @@ class TokenGate(grpc.ServerInterceptor):
                     "a request from %s was refused: failed to %s (further refusals of this kind to"
                     " this machine are not logged for ten minutes)",
                     peer,
-                    why,
+                    reason,
                 )
-            context.abort(code, why)
+            context.abort(code, reason)
 
         return grpc.unary_unary_rpc_method_handler(refuse)
 

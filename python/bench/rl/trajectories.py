@@ -38,16 +38,16 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--each", type=int, default=5)
     parser.add_argument("--tasks", nargs="+")
-    given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    if given.work == "record":
-        for task in given.tasks or [f"{suite}/{at}" for suite in _SUITES for at in range(10)]:
-            record(task, given.each, given.folder)
-    elif given.work == "replay":
-        for file in sorted(given.folder.glob("*.recorded.npz")):
+    flags = parser.parse_args()
+    flags.folder.mkdir(parents=True, exist_ok=True)
+    if flags.work == "record":
+        for task in flags.tasks or [f"{suite}/{at}" for suite in _SUITES for at in range(10)]:
+            record(task, flags.each, flags.folder)
+    elif flags.work == "replay":
+        for file in sorted(flags.folder.glob("*.recorded.npz")):
             replay(file)
     else:
-        print("\n".join(table(given.folder)))
+        print("\n".join(table(flags.folder)))
 
 
 def record(task: str, each: int, folder: Path) -> None:
@@ -104,7 +104,7 @@ def replay(recorded: Path) -> None:
     if file.exists():
         return
     _collide_as_recorded()
-    given = np.load(recorded)
+    recording = np.load(recorded)
     task = recorded.name.partition(".")[0].replace("-", "/")
     bddl, states = task_files(task)
     env = ControlEnv(
@@ -114,17 +114,17 @@ def replay(recorded: Path) -> None:
         has_offscreen_renderer=False,
         ignore_done=True,
     )
-    readings = np.full_like(given["readings"], np.nan)
-    success = np.zeros_like(given["success"])
+    readings = np.full_like(recording["readings"], np.nan)
+    success = np.zeros_like(recording["success"])
     contacts = []
-    for row, end in enumerate(given["ends"]):
+    for row, end in enumerate(recording["ends"]):
         env.seed(0)
         env.reset()
         env.set_init_state(states[row])
         for _ in range(SETTLING):
             env.step(NO_OP)
         contact = 0
-        for step, action in enumerate(given["actions"][row, :end]):
+        for step, action in enumerate(recording["actions"][row, :end]):
             observation, *_ = env.step(action)
             readings[row, step] = np.concatenate([observation[name] for name in READINGS])
             success[row, step] = env.check_success()

@@ -63,8 +63,8 @@ struct Task<'a> {
     start: Option<Start>,
     actions: &'a [[f64; WIDTH]],
     limit: usize,
-    /// Per step: true if the sum of the expert's action and the given action is executed; false
-    /// if only the given action is. `None` if the expert is not queried.
+    /// Per step: true if the sum of the expert's action and the action in `actions` is executed;
+    /// false if the action in `actions` is executed alone. `None` if the expert is not queried.
     expert: Option<&'a [bool]>,
     outputs: Outputs<'a>,
 }
@@ -391,9 +391,9 @@ impl Outputs<'_> {
 fn mirror(from: &[u8], to: &mut [u8]) {
     const PIXEL_BYTES: usize = 3;
     let (pixels, _) = from.as_chunks::<PIXEL_BYTES>();
-    let (places, _) = to.as_chunks_mut::<PIXEL_BYTES>();
-    for (place, pixel) in places.iter_mut().zip(pixels.iter().rev()) {
-        *place = *pixel;
+    let (targets, _) = to.as_chunks_mut::<PIXEL_BYTES>();
+    for (target, pixel) in targets.iter_mut().zip(pixels.iter().rev()) {
+        *target = *pixel;
     }
 }
 
@@ -457,7 +457,7 @@ fn picture_bytes([width, height]: [u32; 2]) -> usize {
 /// If the shape is not [environments, steps, [`WIDTH`]].
 fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usize> {
     match *actions.shape() {
-        [given, chunk, WIDTH] if given == environments => Ok(chunk),
+        [rows, chunk, WIDTH] if rows == environments => Ok(chunk),
         ref shape => Err(invalid(format_args!(
             "read actions of shape {shape:?}: expected [{environments}, steps, {WIDTH}]; the last \
              axis holds three numbers of translation, three of rotation and the gripper, each in \

@@ -37,21 +37,21 @@ NEVER_FILLED = frozenset(["camera3", "image3", "right_wrist_0_rgb"])
 
 def camera_of_slot(
     slots: Sequence[str],
-    given: Mapping[str, str] | None = None,
+    image_keys: Mapping[str, str] | None = None,
     renamed: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """Returns the simulator's camera by slot, without the slots that stay empty.
 
-    `given` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed` maps
-    image names of the data set to slots, as recorded in the checkpoint; the data set's names
+    `image_keys` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed`
+    maps image names of the data set to slots, as recorded in the checkpoint; the data set's names
     identify cameras better than slot names such as `camera1`.
 
-    Raises UnusableOption if `given` names an unknown role or slot, or one slot twice;
+    Raises UnusableOption if `image_keys` names an unknown role or slot, or one slot twice;
     UnusableCheckpoint, whose message has the flag to add, if the names do not determine the
     cameras.
     """
-    if given:
-        return _assigned_by_flag(slots, given)
+    if image_keys:
+        return _assigned_by_flag(slots, image_keys)
     assigned: dict[str, str] = {}
     for slot in slots:
         cameras = {_camera(name) for name in _names_of(slot, renamed or {})}
@@ -73,10 +73,10 @@ def short(slot: str) -> str:
     return slot.rpartition(".")[2]
 
 
-def _assigned_by_flag(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
+def _assigned_by_flag(slots: Sequence[str], image_keys: Mapping[str, str]) -> dict[str, str]:
     by_name = {**{short(slot): slot for slot in slots}, **{slot: slot for slot in slots}}
     assigned = {}
-    for role, name in given.items():
+    for role, name in image_keys.items():
         if role not in ROLES or name not in by_name:
             unknown = name if role in ROLES else role
             raise UnusableOption(
@@ -104,12 +104,12 @@ def _camera(name: str) -> str | None:
     return next((camera for camera, names in NAMES.items() if key in names), "unknown")
 
 
-def _unclear(slots: Sequence[str], why: str) -> UnusableCheckpoint:
+def _unclear(slots: Sequence[str], reason: str) -> UnusableCheckpoint:
     names = [short(slot) for slot in slots]
     example = ",".join(f"{role}={name}" for role, name in zip(ROLES, names))
     return UnusableCheckpoint(
         f"the cameras of the image slots are not clear: the checkpoint's slots are"
-        f" {_listed(slots)}, and {why}; assign them, for example --image-keys {example}"
+        f" {_listed(slots)}, and {reason}; assign them, for example --image-keys {example}"
     )
 
 

@@ -303,7 +303,7 @@ def _require_files(folder: Path, name: str) -> None:
 
 
 def _slots(
-    config: Any, steps: Sequence[Mapping[str, Any]], given: Mapping[str, str] | None
+    config: Any, steps: Sequence[Mapping[str, Any]], image_keys: Mapping[str, str] | None
 ) -> dict[str, str]:
     """Returns the camera of each image slot. Slots may be empty only if the policy permits it."""
     renamed = {
@@ -312,7 +312,7 @@ def _slots(
         for source, slot in step.get("config", {}).get("rename_map", {}).items()
     }
     declared = list(config.image_features)
-    slots = camera_of_slot(declared, given, renamed)
+    slots = camera_of_slot(declared, image_keys, renamed)
     empty = [short(slot) for slot in declared if slot not in slots]
     if empty and config.type not in LEAVE_SLOTS_EMPTY:
         raise UnusableCheckpoint(
@@ -338,8 +338,8 @@ def _require_weights(network: Any, weights: Path, name: str) -> None:
     def rename(stored: str) -> str:
         # lerobot's pi05 loader also accepts openpi's names, which have no prefix and differ for two
         # layers.
-        other_layer = stored.replace("action_time_mlp_", "time_mlp_")
-        candidates = (stored, f"model.{stored}", f"model.{other_layer}")
+        renamed_layer = stored.replace("action_time_mlp_", "time_mlp_")
+        candidates = (stored, f"model.{stored}", f"model.{renamed_layer}")
         return next((candidate for candidate in candidates if candidate in tensors), stored)
 
     with stored_in([weights], rename) as stored:

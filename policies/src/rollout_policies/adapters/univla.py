@@ -121,8 +121,8 @@ class UnivlaModel:
                 top_p=TOP_P,
             )
             chunk = self.decoder(latent.float(), visual.float())
-        drawn = [int(token) for token in tokens[0]]
-        return chunk.reshape(CHUNK, -1).cpu().numpy(), drawn, self._generator_state()
+        token_ids = [int(token) for token in tokens[0]]
+        return chunk.reshape(CHUNK, -1).cpu().numpy(), token_ids, self._generator_state()
 
     def _set_generator(self, generator: Any) -> None:
         import torch

@@ -73,8 +73,8 @@ def examine(probe: Probe) -> Iterator[Finding]:
     try:
         reference = probe.episode("reference", SEED)
     except grpc.RpcError as error:
-        why = verdict.describe_error(error)
-        raise CannotCheck(f"failed to play one episode: {why}") from error
+        reason = verdict.describe_error(error)
+        raise CannotCheck(f"failed to play one episode: {reason}") from error
     for point in Point:
         try:
             result = _check_point(point, probe, reference)

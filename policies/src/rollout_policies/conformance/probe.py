@@ -79,8 +79,10 @@ class Probe(contextlib.AbstractContextManager):
             self.described: pb.DescribeResponse = self._describe(PROTOCOL_VERSION)
         except grpc.RpcError as error:
             self._channel.close()
-            why = verdict.describe_error(error)
-            raise CannotCheck(f"failed to have {target.url} describe its policy: {why}") from error
+            reason = verdict.describe_error(error)
+            raise CannotCheck(
+                f"failed to have {target.url} describe its policy: {reason}"
+            ) from error
         if self.described.privileged:
             self._channel.close()
             raise CannotCheck(

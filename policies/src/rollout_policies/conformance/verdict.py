@@ -110,10 +110,10 @@ def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
     return failed(f"the largest is {largest:.4g}: check its un-normalisation")
 
 
-def same(expected: Sequence[pb.InferResponse], found: Sequence[pb.InferResponse]) -> Verdict:
+def same(expected: Sequence[pb.InferResponse], answers: Sequence[pb.InferResponse]) -> Verdict:
     """Checks that two episodes got the same answers, bit for bit."""
-    at = first_difference(expected, found)
-    return passed() if at is None else failed(f"at query {at} the actions differ")
+    query = first_difference(expected, answers)
+    return passed() if query is None else failed(f"at query {query} the actions differ")
 
 
 def seeds(

@@ -28,7 +28,7 @@ _WHEEL = files.Wheel(
         for kind in ("bddl_files", "init_files")
         for suite in SUITES
     ),
-    kept="libero-pro",
+    suite="libero-pro",
 )
 
 

@@ -27,7 +27,7 @@ class ObjectModel:
 
     @property
     def naming_prefix(self) -> str:
-        """The prefix of its parts' names."""
+        """The prefix of the names of the object's parts."""
         return f"{self.name}_"
 
     def __getattr__(self, name: str) -> Any:

@@ -77,7 +77,7 @@ class Observer:
         """Returns the keys of observations."""
         return [name for name in self.modalities if name not in self._left_out]
 
-    def show(self, name: str, shown: bool) -> None:
+    def include(self, name: str, included: bool) -> None:
         """Includes a key in observations or leaves it out. Omitted pictures are not drawn.
 
         Raises KeyError.
@@ -86,7 +86,7 @@ class Observer:
             raise KeyError(
                 f"nothing is observed as `{name}`: there are {', '.join(self.modalities)}"
             )
-        (self._left_out.discard if shown else self._left_out.add)(name)
+        (self._left_out.discard if included else self._left_out.add)(name)
 
     def expire(self) -> None:
         """Discards cached values after the simulation has made a new observation."""

@@ -98,9 +98,9 @@ class Settings:
             raise _unsupported("control_freq", control_freq, "LIBERO controls at 20 Hz")
         for name, value in others.items():
             if name in _ONE_VALUE:
-                allowed, why = _ONE_VALUE[name]
+                allowed, reason = _ONE_VALUE[name]
                 if value not in allowed:
-                    raise _unsupported(name, value, f"{why}; leave it at {allowed[0]!r}")
+                    raise _unsupported(name, value, f"{reason}; leave it at {allowed[0]!r}")
             elif name not in _IGNORED:
                 raise TypeError(
                     f"LIBERO's environments take no argument `{name}` here: leave it out"

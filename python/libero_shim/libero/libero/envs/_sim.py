@@ -72,15 +72,15 @@ class MjSimState:
 class _Constants:
     """Scalar values of the model."""
 
-    def __init__(self, what: str, values: dict[str, Any]) -> None:
-        self._what = what
+    def __init__(self, label: str, values: dict[str, Any]) -> None:
+        self._label = label
         self._values = values
 
     def __getattr__(self, name: str) -> Any:
         try:
             return self._values[name]
         except KeyError:
-            raise absent_attribute(self._what, name, f"it has {', '.join(self._values)}") from None
+            raise absent_attribute(self._label, name, f"it has {', '.join(self._values)}") from None
 
 
 class MjModel:
@@ -115,13 +115,13 @@ class MjModel:
         return self._address(name, 1)
 
     def __getattr__(self, name: str) -> Any:
-        kind, _, what = name.partition("_")
-        kind = "camera" if kind == "cam" and what in ("names",) else kind
-        if kind in _KINDS and what == "names":
+        kind, _, suffix = name.partition("_")
+        kind = "camera" if kind == "cam" and suffix in ("names",) else kind
+        if kind in _KINDS and suffix == "names":
             return self._names[kind]
-        if kind in _KINDS and what == "name2id":
+        if kind in _KINDS and suffix == "name2id":
             return lambda key: self._id(kind, key)
-        if kind in _KINDS and what == "id2name":
+        if kind in _KINDS and suffix == "id2name":
             return lambda i: self._name(kind, i)
         if name in _COUNTS:
             return len(self._handle.get().model_array(_COUNTS[name]))
@@ -215,12 +215,12 @@ class MjData:
         self._write(1 + self._model.nq, self._model.get_joint_qvel_addr(name), value)
 
     def __getattr__(self, name: str) -> Any:
-        # get_body_xpos, get_site_xmat, get_geom_xpos, get_camera_xmat, …
+        # Such as get_body_xpos, get_site_xmat, get_geom_xpos and get_camera_xmat.
         parts = name.split("_")
         if len(parts) == 3 and parts[0] == "get" and parts[2] in ("xpos", "xmat", "xquat"):
-            kind, what = parts[1:]
+            kind, quantity = parts[1:]
             prefix = {"body": "", "camera": "cam_"}.get(kind, f"{kind}_")
-            return lambda key: self._pose(f"{prefix}{what}", kind, key)
+            return lambda key: self._pose(f"{prefix}{quantity}", kind, key)
         # mujoco-py's names of the bodies' arrays.
         if name in ("body_xpos", "body_xquat", "body_xmat"):
             name = name.removeprefix("body_")

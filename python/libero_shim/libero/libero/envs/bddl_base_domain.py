@@ -187,7 +187,7 @@ class BDDLBaseDomain:
                 f"the {attribute} of an observable cannot be modified: `active` and `enabled` can; "
                 "change what step returns instead"
             )
-        self._observer.show(observable_name, bool(modifier))
+        self._observer.include(observable_name, bool(modifier))
 
     def get_object(self, object_name: str) -> ObjectModel | None:
         """Returns an object or fixture by name; None if there is none."""
@@ -298,7 +298,7 @@ def _checked(action: Any) -> F64:
     return checked
 
 
-def _geoms(given: Any) -> set[str]:
-    if isinstance(given, str):
-        return {given}
-    return set(getattr(given, "contact_geoms", given))
+def _geoms(names_or_object: Any) -> set[str]:
+    if isinstance(names_or_object, str):
+        return {names_or_object}
+    return set(getattr(names_or_object, "contact_geoms", names_or_object))
