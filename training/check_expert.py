@@ -1,13 +1,19 @@
-"""Counts how often the expert succeeds although it is disturbed for stretches of steps.
+"""Counts how often the expert succeeds although another driver disturbs it for some steps.
 
     python -m training.check_expert --driver stranger --states 10
 
-In each rollout the expert drives, with interruptions: ``pushes`` adds a push to its
-actions; a ``stranger`` stands still, wanders, or repeats the expert's actions of a
-second ago, with a gripper command of its own. A ``copy`` drives alone, and executes at every
-step what the interrupted expert would do: a student that has learnt its labels without error.
-The expert begins at the benchmark's
-released states and has twice the benchmark's steps. No frames are rendered.
+In each rollout the expert drives, and ``--driver`` names the disturbance:
+
+- ``pushes``: a push is added to the expert's actions;
+- ``stranger``: for some steps, another driver stands still, wanders, or repeats the expert's
+  actions of a second ago. When standing still or wandering, it opens or closes the gripper at
+  random;
+- ``copy``: the expert never drives. Each step executes the action that the interrupted expert
+  would take, as a student would that has learnt the labels without error;
+- ``none``: the expert is not disturbed.
+
+Rollouts begin at the benchmark's released states. With a disturbance, the step limit is twice the
+benchmark's. No frames are rendered.
 """
 
 from __future__ import annotations
@@ -26,23 +32,26 @@ from numpy.typing import NDArray
 import rollout_libero
 from training.wordings import TASK_NAMES
 
-STRETCH = (5, 40)
-"""Least and most steps of a disturbance."""
-BETWEEN = (20, 80)
-"""Least and most steps that the expert drives before each disturbance."""
-STRETCHES = 3
-"""Disturbances of a rollout. An object dropped during one may stay out of reach."""
+DISTURBANCE_STEPS = (5, 40)
+"""Least number of steps of a disturbance, and the exclusive upper limit."""
+EXPERT_STEPS = (20, 80)
+"""Least number of steps that the expert drives before each disturbance, and the exclusive upper
+limit."""
+DISTURBANCES = 3
+"""Largest number of disturbances in a rollout; an object dropped in a disturbance may stay out of
+reach."""
 DELAY = 20
 """Delay of the actions that a stranger repeats, control steps of 50 ms."""
-WANDERING = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
+WANDERING_SIZE = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
 """Largest action of a wandering stranger; a push is three times as large. Larger rotations would
 end at the joint limits, from which no policy that commands the hand recovers."""
-LATE, STILL, WANDERS = range(3)
-"""Motions of a stranger: the expert's delayed actions, none, or one random action."""
+DELAYED, STILL, WANDERS = range(3)
+"""Motions of a stranger: it repeats the expert's delayed actions, stands still, or repeats one
+random action."""
 
 
 def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool, int]:
-    """Returns True if the rollout succeeded, and its number of steps."""
+    """Runs a rollout. Returns True if it succeeded, and its number of steps."""
     disturbed = arguments.driver != "none"
     env = rollout_libero.VectorEnvironment(
         name,
@@ -56,28 +65,28 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
     )
     env.reset(seed=state)
     rng = np.random.default_rng([arguments.seed, TASK_NAMES.index(name), state])
-    late = deque([np.zeros(7)] * DELAY, maxlen=DELAY)
-    interrupted, left, steps, turns = False, int(rng.integers(*BETWEEN)), 0, 0
+    delayed = deque([np.zeros(7)] * DELAY, maxlen=DELAY)
+    interrupted, steps_left, steps, turns = False, int(rng.integers(*EXPERT_STEPS)), 0, 0
     motion, wander, gripper = STILL, np.zeros(6), -1.0
     while True:
-        if left == 0 and disturbed and turns < 2 * STRETCHES:
+        if steps_left == 0 and disturbed and turns < 2 * DISTURBANCES:
             interrupted, turns = not interrupted, turns + 1
-            left = int(rng.integers(*(STRETCH if interrupted else BETWEEN)))
+            steps_left = int(rng.integers(*(DISTURBANCE_STEPS if interrupted else EXPERT_STEPS)))
             motion, gripper = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
-            wander = rng.uniform(-1.0, 1.0, 6) * WANDERING
-        left -= 1
+            wander = rng.uniform(-1.0, 1.0, 6) * WANDERING_SIZE
+        steps_left -= 1
         action, expert = np.zeros(7), True
         if arguments.driver == "copy":
             action, expert = expert_action(env), False
         elif interrupted and arguments.driver == "pushes":
             action[:6] = 3.0 * wander
         elif interrupted:
-            own = {LATE: late[0][:6], STILL: np.zeros(6), WANDERS: wander}[motion]
-            action, expert = np.append(own, late[0][6] if motion == LATE else gripper), False
+            arm = {DELAYED: delayed[0][:6], STILL: np.zeros(6), WANDERS: wander}[motion]
+            action, expert = np.append(arm, delayed[0][6] if motion == DELAYED else gripper), False
         *_, terminated, truncated, info = env.step_chunk(
             action[np.newaxis, np.newaxis], "none", expert=np.full((1, 1), expert)
         )
-        late.append(info["expert_action"][0, 0])
+        delayed.append(info["expert_action"][0, 0])
         steps += 1
         if terminated[0] or truncated[0]:
             env.close()
@@ -85,7 +94,7 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
 
 
 def expert_action(env: rollout_libero.VectorEnvironment) -> NDArray[np.float64]:
-    """Returns the expert's next action, and leaves the environment in its state."""
+    """Returns the expert's next action. The environment's state remains unchanged."""
     before = env.snapshot()
     *_, info = env.step_chunk(np.zeros((1, 1, 7)), "none", expert=np.zeros((1, 1), bool))
     env.restore(before)
@@ -94,26 +103,26 @@ def expert_action(env: rollout_libero.VectorEnvironment) -> NDArray[np.float64]:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Runs the rollouts on some threads and prints the successes."""
+    """Runs the rollouts on ``--threads`` threads and prints the number of successes."""
     tasks = [name for name in TASK_NAMES if name.startswith(tuple(arguments.tasks))]
     states = range(arguments.first, arguments.first + arguments.states)
-    begun, solved = time.monotonic(), 0
+    start, solved = time.monotonic(), 0
     with ThreadPoolExecutor(arguments.threads) as pool:
         for name in tasks:
-            # One environment stays open, so that the task's scene is compiled once.
-            kept = rollout_libero.VectorEnvironment(name, 1, arguments.assets, cameras=())
-            ended = list(pool.map(partial(rollout, name, arguments=arguments), states))
-            kept.close()
-            solves = zip(states, ended, strict=True)
-            failed = [state for state, (success, _) in solves if not success]
-            solved += len(ended) - len(failed)
-            median = int(np.median([steps for _, steps in ended]))
-            shown = f"   failed from states {failed}" if failed else ""
+            # An open environment keeps the task's scene, so that it is compiled only once.
+            scene_keeper = rollout_libero.VectorEnvironment(name, 1, arguments.assets, cameras=())
+            results = list(pool.map(partial(rollout, name, arguments=arguments), states))
+            scene_keeper.close()
+            result_of_state = zip(states, results, strict=True)
+            failed = [state for state, (success, _) in result_of_state if not success]
+            successes = len(results) - len(failed)
+            solved += successes
+            median = int(np.median([steps for _, steps in results]))
+            failures = f"   failed from states {failed}" if failed else ""
             print(
-                f"{name:18} {len(ended) - len(failed)}/{len(ended)}  median {median}{shown}",
-                flush=True,
+                f"{name:18} {successes}/{len(results)}  median {median} steps{failures}", flush=True
             )
-    total, seconds = len(tasks) * len(states), time.monotonic() - begun
+    total, seconds = len(tasks) * len(states), time.monotonic() - start
     print(f"{arguments.driver}: {solved} of {total} in {seconds:.0f} s")
 
 

@@ -5,7 +5,7 @@
         --weights runs/first/student.safetensors
 
 LIBERO's samplers place the objects of every episode; the benchmark's released initial states are
-never used. Earlier collections are kept: a further run adds shards, with other seeds.
+never used. Earlier shards are kept: a further run adds shards with new seeds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 import rollout_libero
 from rollout_libero.scenes import scene_of_task
-from training.drivers import ExpertDrives, InTurns, Orders
+from training.drivers import AlternatingDrivers, Commands, ExpertDriver
 from training.network import PICTURE, STATE
 from training.observations import RENDERED, frames, robot_state
 from training.shards import Driver, Episode, Outcome, Writer, next_number
@@ -35,38 +35,39 @@ from training.wordings import TASK_NAMES, draw
 
 STEPS_PER_FRAME = 4
 """Control steps between frames. It must divide the student's eight actions."""
-SEVERAL = 2.0
-"""Environments per task of libero_10, relative to other suites, because its episodes are longer
-and their steps more diverse."""
+LONG_TASK_WEIGHT = 2.0
+"""Number of environments per task of libero_10, relative to a task of the other suites: episodes
+of libero_10 are longer, and their steps more diverse."""
 FAILURES_WEIGHT = 3.0
 """Factor on the number of environments of a task that the student always fails."""
 BUDGETS = 2
-"""Default step limit of an episode, in multiples of the benchmark's: a learning student is slow."""
+"""Default step limit of an episode, in multiples of the benchmark's limit. A learning student is
+slow."""
 OUTCOMES = "outcomes.json"
-"""File in the folder of shards: by task, the number of successes and of episodes in which the
-student drove alone."""
+"""File in the folder of shards. For each task, it counts the successes of the student driving
+alone, and the episodes in which the student drove alone."""
 REPORT_SECONDS = 10.0
 WORDINGS = 200
-"""Number of wordings of each task that the student may be given."""
+"""Number of wordings of each task from which the student's instructions are drawn."""
 
 SINGLE_AXES = ("camera", "lighting", "robot", "sensor", "actuation")
 COMBINATION_SHARE = 0.5
 """Share of the perturbed episodes that are perturbed on all five axes."""
 RADII = (0.5, 8.0)
-"""Least and greatest radius; the benchmark's L3 is 8."""
+"""Least and greatest radius of a perturbation; the benchmark's level L3 has radius 8."""
 CONFIGURATIONS = (10, 999)
-"""First and last configuration; 0 to 9 are the benchmark's own directions."""
+"""First and last configuration of perturbed episodes; 0 to 9 are the benchmark's own directions."""
 
 
 class Tally:
-    """Counters for progress lines. Safe to use from several threads."""
+    """Counts steps, frames and episodes for progress lines. Safe to use from several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._begun = time.monotonic()
+        self._start = time.monotonic()
         self.steps = 0
         self.frames = 0
-        self._ended: list[tuple[int, Driver, bool]] = []
+        self._results: list[tuple[int, Driver, bool]] = []
 
     def add_steps(self, steps: int, frames: int) -> None:
         """Adds steps and frames."""
@@ -77,56 +78,60 @@ class Tally:
     def add_episode(self, task: int, driver: Driver, success: bool) -> None:
         """Adds a finished episode."""
         with self._lock:
-            self._ended.append((task, driver, success))
+            self._results.append((task, driver, success))
 
     def line(self) -> str:
         """Returns a progress line."""
         with self._lock:
-            seconds = time.monotonic() - self._begun
-            ended = list(self._ended)
-        alone = [(_suite(task), success) for task, by, success in ended if by == Driver.STUDENT]
-        guided = [(_suite(task), success) for task, by, success in ended if by != Driver.STUDENT]
+            seconds = time.monotonic() - self._start
+            results = list(self._results)
+        alone = [
+            (_suite(task), success) for task, driver, success in results if driver == Driver.STUDENT
+        ]
+        guided = [
+            (_suite(task), success) for task, driver, success in results if driver != Driver.STUDENT
+        ]
         parts = [
             f"{seconds:4.0f} s",
             f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
             f"{self.frames:,} frames ({self.frames / seconds:,.0f}/s)",
-            f"{len(ended):,} episodes",
+            f"{len(results):,} episodes",
             "success % " + _rates(guided),
         ]
         if alone:
             parts.append("student alone % " + _rates(alone))
         return "  ".join(parts)
 
-    def alone(self) -> dict[str, list[int]]:
-        """Returns by task the numbers of successes and of episodes in which the student drove
-        alone."""
-        found: dict[str, list[int]] = {}
+    def student_outcomes(self) -> dict[str, list[int]]:
+        """Counts for each task the successes of the student driving alone, and the episodes in
+        which the student drove alone."""
+        outcomes: dict[str, list[int]] = {}
         with self._lock:
-            for task, driver, success in self._ended:
+            for task, driver, success in self._results:
                 if driver == Driver.STUDENT:
-                    counts = found.setdefault(TASK_NAMES[task], [0, 0])
+                    counts = outcomes.setdefault(TASK_NAMES[task], [0, 0])
                     counts[0] += success
                     counts[1] += 1
-        return found
+        return outcomes
 
 
 def _suite(task: int) -> str:
     return TASK_NAMES[task].split("/")[0]
 
 
-def _rates(ended: Sequence[tuple[str, bool]]) -> str:
-    """Returns success rates in per cent by suite: ``spatial 99 object 100``."""
+def _rates(results: Sequence[tuple[str, bool]]) -> str:
+    """Returns the success rate of each suite in per cent: ``spatial 99 object 100``."""
     parts = []
     for suite in dict.fromkeys(name.split("/")[0] for name in TASK_NAMES):
-        successes = [success for name, success in ended if name == suite]
+        successes = [success for name, success in results if name == suite]
         if successes:
             percent = 100 * sum(successes) / len(successes)
             parts.append(f"{suite.removeprefix('libero_')} {percent:.0f}")
     return " ".join(parts) or "-"
 
 
-class Pilot:
-    """The student with the newest weights of a file, which may change or may not exist yet."""
+class NewestStudent:
+    """The student with the newest weights of a file. The file may change, and may not exist yet."""
 
     def __init__(self, file: Path | None, device: torch.device) -> None:
         self._file = file
@@ -136,7 +141,7 @@ class Pilot:
         self._lock = threading.Lock()
 
     def student(self) -> Student | None:
-        """Returns the newest student, or None."""
+        """Returns the student with the file's present weights, or None if there is no file."""
         if self._file is None:
             return None
         with self._lock:
@@ -159,7 +164,7 @@ class Group:
         tasks: Sequence[int],
         writer: Writer,
         tally: Tally,
-        pilot: Pilot,
+        newest_student: NewestStudent,
         wordings: Sequence[Sequence[str]],
         *,
         steps_per_frame: int,
@@ -174,9 +179,9 @@ class Group:
         n = len(tasks)
         names = [TASK_NAMES[task] for task in tasks]
         self._tasks = np.array(tasks)
-        self._writer, self._tally, self._pilot = writer, tally, pilot
+        self._writer, self._tally, self._newest_student = writer, tally, newest_student
         self._wordings = wordings
-        self._k = steps_per_frame
+        self._steps_per_frame = steps_per_frame
         self._solved_only = solved_only
         self._perturbed = perturbed
         self._device = device
@@ -193,15 +198,16 @@ class Group:
             max_steps=[budgets * rollout_libero.Task.of(name).max_steps for name in names],
             autoreset_mode=AutoresetMode.NEXT_STEP,
         )
-        self._by_expert = ExpertDrives(n, self._rng)
-        self._in_turns = InTurns(n, self._rng)
-        # True for episodes that began after a student existed; the student takes turns in them.
-        self._takes_part = np.zeros(n, bool)
+        self._expert_driver = ExpertDriver(n, self._rng)
+        self._alternating_drivers = AlternatingDrivers(n, self._rng)
+        # True for environments whose episode began after a student existed: in these episodes
+        # the student takes turns with the expert.
+        self._student_takes_turns = np.zeros(n, bool)
         self._perturbations = [""] * n
         self._instructions = [""] * n
 
         most_steps = int(self._env.max_steps.max())
-        most_frames = -(-most_steps // self._k)
+        most_frames = -(-most_steps // self._steps_per_frame)
         self._frame_count = np.zeros(n, np.int64)
         self._step_count = np.zeros(n, np.int64)
         # The system allocates pages of these arrays only when they are written.
@@ -213,13 +219,13 @@ class Group:
         self._source = np.empty((n, most_steps), np.uint8)
 
     def run(self, until: float) -> None:
-        """Collects until this time of the monotonic clock."""
+        """Collects until the monotonic clock reads ``until``."""
         try:
             while time.monotonic() < until:
                 try:
                     self._run(until)
                 except rollout_libero.SimulationError as error:
-                    # Rare: the physics diverged after a push.
+                    # This is rare: the physics diverged after a push.
                     print(f"restarting {len(self._tasks)} episodes: {error}", flush=True)
         finally:
             self._env.close()
@@ -236,13 +242,13 @@ class Group:
         while time.monotonic() < until:
             acting = np.flatnonzero(~begins)
             self._store_frames(acting, pictures.cpu().numpy(), state)
-            orders = self._orders(pictures, state)
+            commands = self._next_commands(pictures, state)
             observation, _, terminated, truncated, info = self._env.step_chunk(
-                orders.actions, "last", expert=orders.expert
+                commands.actions, "last", expert=commands.expert
             )
-            self._store_steps(orders, info["taken"], info["expert_action"])
+            self._store_steps(commands, info["taken"], info["expert_action"])
             self._tally.add_steps(int(info["taken"].sum()), len(acting))
-            # Environments whose rollout had ended began the next one in this call.
+            # In this call, environments whose rollout had ended began their next rollout.
             if begins.any():
                 self._begin(np.flatnonzero(begins))
             begins = terminated | truncated
@@ -258,13 +264,13 @@ class Group:
     ) -> tuple[torch.Tensor, NDArray[np.float32]]:
         return frames(observation, self._device), robot_state(observation)
 
-    def _orders(self, pictures: torch.Tensor, state: NDArray[np.float32]) -> Orders:
+    def _next_commands(self, pictures: torch.Tensor, state: NDArray[np.float32]) -> Commands:
         """Returns the environments' next actions from their drivers."""
-        by_expert = self._by_expert.next(self._k)
-        student = self._pilot.student()
-        if student is None or not self._takes_part.any():
+        by_expert = self._expert_driver.next(self._steps_per_frame)
+        student = self._newest_student.student()
+        if student is None or not self._student_takes_turns.any():
             return by_expert
-        needs_student = self._in_turns.needs_answer() & self._takes_part
+        needs_student = self._alternating_drivers.needs_answer() & self._student_takes_turns
         if needs_student.any():
             indices = np.flatnonzero(needs_student)
             answers = student.act_on(
@@ -272,26 +278,26 @@ class Group:
                 torch.from_numpy(state[indices]).to(self._device),
                 [self._instructions[index] for index in indices],
             )
-            self._in_turns.answer(needs_student, answers)
-        in_turns = self._in_turns.next(self._k)
-        part = self._takes_part[:, np.newaxis]
-        return Orders(
-            np.where(part[:, :, np.newaxis], in_turns.actions, by_expert.actions),
-            np.where(part, in_turns.expert, by_expert.expert),
-            np.where(part, in_turns.source, by_expert.source),
+            self._alternating_drivers.answer(needs_student, answers)
+        in_turns = self._alternating_drivers.next(self._steps_per_frame)
+        takes_turns = self._student_takes_turns[:, np.newaxis]
+        return Commands(
+            np.where(takes_turns[:, :, np.newaxis], in_turns.actions, by_expert.actions),
+            np.where(takes_turns, in_turns.expert, by_expert.expert),
+            np.where(takes_turns, in_turns.source, by_expert.source),
         )
 
     def _begin(self, indices: NDArray[np.int64]) -> None:
-        """Begins episodes in some environments. Their first frames are stored next."""
-        self._by_expert.begin(indices)
-        self._in_turns.begin(indices)
-        self._takes_part[indices] = self._pilot.student() is not None
+        """Begins episodes in the environments ``indices``."""
+        self._expert_driver.begin(indices)
+        self._alternating_drivers.begin(indices)
+        self._student_takes_turns[indices] = self._newest_student.student() is not None
         self._frame_count[indices] = self._step_count[indices] = 0
         for index in indices:
             wordings = self._wordings[self._tasks[index]]
             # Half of the episodes use the benchmark's own words.
-            at = 0 if self._rng.random() < 0.5 else int(self._rng.integers(len(wordings)))
-            self._instructions[index] = wordings[at]
+            number = 0 if self._rng.random() < 0.5 else int(self._rng.integers(len(wordings)))
+            self._instructions[index] = wordings[number]
 
     def _perturb(self, index: int) -> None:
         """Chooses the perturbation of the environment's next rollout."""
@@ -305,35 +311,38 @@ class Group:
     def _store_frames(
         self, indices: NDArray[np.int64], pictures: NDArray[np.uint8], state: NDArray[np.float32]
     ) -> None:
-        at = self._frame_count[indices]
-        self._frames[indices, at] = pictures[indices]
-        self._state[indices, at] = state[indices]
-        self._frame_step[indices, at] = self._step_count[indices]
+        frame = self._frame_count[indices]
+        self._frames[indices, frame] = pictures[indices]
+        self._state[indices, frame] = state[indices]
+        self._frame_step[indices, frame] = self._step_count[indices]
         self._frame_count[indices] += 1
 
     def _store_steps(
-        self, orders: Orders, taken: NDArray[np.int64], label: NDArray[np.float64]
+        self, commands: Commands, taken: NDArray[np.int64], label: NDArray[np.float64]
     ) -> None:
-        rows, steps = np.nonzero(np.arange(self._k) < taken[:, np.newaxis])
-        at = self._step_count[rows] + steps
-        labels, actions = label[rows, steps], orders.actions[rows, steps]
+        rows, steps = np.nonzero(np.arange(self._steps_per_frame) < taken[:, np.newaxis])
+        episode_steps = self._step_count[rows] + steps
+        labels, actions = label[rows, steps], commands.actions[rows, steps]
         if not np.isfinite(labels).all():
-            bad = TASK_NAMES[self._tasks[rows[~np.isfinite(labels).all(axis=1)][0]]]
-            raise RuntimeError(f"the expert has no action in {bad}: report it with the task's name")
-        by_expert = orders.expert[rows, steps, np.newaxis]
-        self._label[rows, at] = labels
-        self._executed[rows, at] = np.where(
+            task = TASK_NAMES[self._tasks[rows[~np.isfinite(labels).all(axis=1)][0]]]
+            raise RuntimeError(
+                f"the expert has no action in {task}: report this error with the task's name"
+            )
+        by_expert = commands.expert[rows, steps, np.newaxis]
+        self._label[rows, episode_steps] = labels
+        self._executed[rows, episode_steps] = np.where(
             by_expert, np.clip(labels + actions, -1.0, 1.0), actions
         )
-        self._source[rows, at] = orders.source[rows, steps]
+        self._source[rows, episode_steps] = commands.source[rows, steps]
         self._step_count += taken
 
     def _end(self, index: int, outcome: Outcome) -> None:
         """Passes a finished episode to the writer."""
         count, steps = self._frame_count[index], self._step_count[index]
         self._frame_count[index] = 0
-        drives = self._in_turns if self._takes_part[index] else self._by_expert
-        driver = Driver(drives.driver[index])
+        takes_turns = self._student_takes_turns[index]
+        drivers = self._alternating_drivers if takes_turns else self._expert_driver
+        driver = Driver(drivers.driver[index])
         task = int(self._tasks[index])
         if outcome != Outcome.UNFINISHED:
             self._tally.add_episode(task, driver, outcome == Outcome.SUCCESS)
@@ -356,7 +365,7 @@ class Group:
 
 
 def perturbation(rng: np.random.Generator) -> str:
-    """Returns a configuration on the benchmark's axes, in a direction that the benchmark lacks."""
+    """Draws a configuration on the benchmark's axes, in a direction that the benchmark lacks."""
     combined = rng.random() < COMBINATION_SHARE
     axis = "combination" if combined else SINGLE_AXES[rng.integers(len(SINGLE_AXES))]
     first, last = CONFIGURATIONS
@@ -364,8 +373,7 @@ def perturbation(rng: np.random.Generator) -> str:
 
 
 def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
-    """Returns by task the numbers of successes and of episodes in which the student drove alone,
-    summed over these folders."""
+    """Returns the sums of the counts in the folders' files ``OUTCOMES``."""
     total: dict[str, list[int]] = {}
     for folder in folders:
         file = folder / OUTCOMES
@@ -378,9 +386,9 @@ def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
 def tasks_of_environments(
     count: int, prefixes: Sequence[str], outcomes: Mapping[str, Sequence[int]]
 ) -> list[int]:
-    """Returns the tasks of ``count`` environments, of those whose names begin with one of the
-    prefixes. Tasks of libero_10 and tasks that the student
-    fails get more environments; each task gets at least one, if there is room."""
+    """Returns the tasks of ``count`` environments, all with names that begin with one of the
+    prefixes. Tasks of libero_10 and tasks that the student fails get more environments. Each task
+    gets at least one environment, if there are enough."""
     shares = np.zeros(len(TASK_NAMES))
     for number, name in enumerate(TASK_NAMES):
         solved, tried = outcomes.get(name, (0, 0))
@@ -388,37 +396,39 @@ def tasks_of_environments(
         failing = 1 - (solved + 1) / (tried + 2) if outcomes else 0.0
         weight = 1 + (FAILURES_WEIGHT - 1) * failing
         long = name.startswith("libero_10/")
-        shares[number] = name.startswith(tuple(prefixes)) * weight * (SEVERAL if long else 1.0)
+        if long:
+            weight *= LONG_TASK_WEIGHT
+        shares[number] = name.startswith(tuple(prefixes)) * weight
     chosen = np.flatnonzero(shares)
     if not len(chosen):
         raise SystemExit(f"no task begins with {' or '.join(prefixes)}; an example is libero_10/9")
     if count < len(chosen):
-        return [int(chosen[at * len(chosen) // count]) for at in range(count)]
-    given = (shares > 0).astype(int)
+        return [int(chosen[number * len(chosen) // count]) for number in range(count)]
+    counts = (shares > 0).astype(int)
     for _ in range(count - len(chosen)):
         # The next environment goes to the task furthest below its share.
-        given[np.argmax(shares / np.maximum(given, 1))] += 1
-    # Interleaved, so that each group gets a similar share of every task.
-    turns = [np.flatnonzero(given > turn).tolist() for turn in range(int(given.max()))]
+        counts[np.argmax(shares / np.maximum(counts, 1))] += 1
+    # The tasks are interleaved, so that each group gets a similar share of every task.
+    turns = [np.flatnonzero(counts > turn).tolist() for turn in range(int(counts.max()))]
     return [task for turn in turns for task in turn]
 
 
 def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
-    """Compiles the tasks' scenes concurrently and keeps them in ``SCENES``."""
+    """Compiles the tasks' scenes concurrently and keeps the scenes in ``SCENES``."""
 
-    def compiled(task: int) -> Any:
+    def compile_scene(task: int) -> Any:
         return scene_of_task(rollout_libero.Task.of(TASK_NAMES[task]), assets)
 
     with ThreadPoolExecutor(threads) as pool:
-        SCENES.extend(pool.map(compiled, sorted(set(tasks))))
+        SCENES.extend(pool.map(compile_scene, sorted(set(tasks))))
 
 
 SCENES: list[Any] = []
-"""Keeps compiled scenes alive, which would otherwise be freed with their last environment."""
+"""Compiled scenes. The list keeps each scene from being freed with its last environment."""
 
 
 def collect(arguments: argparse.Namespace) -> None:
-    """Runs the groups until the time is spent."""
+    """Collects for ``--seconds`` seconds, start included."""
     until = time.monotonic() + arguments.seconds
     if arguments.driver == "student" and arguments.weights is None:
         raise SystemExit("collect with --driver student: name the student's file with --weights")
@@ -426,48 +436,49 @@ def collect(arguments: argparse.Namespace) -> None:
     if device.type == "cpu":
         torch.set_num_threads(1)
     tally = Tally()
-    pilot = Pilot(arguments.weights if arguments.driver == "student" else None, device)
+    weights = arguments.weights if arguments.driver == "student" else None
+    newest_student = NewestStudent(weights, device)
     wordings = [draw(task, WORDINGS, arguments.seed) for task in TASK_NAMES]
     # A resumed run must not repeat the scenes of earlier runs.
     run = next_number(arguments.into)
     outcomes = read_outcomes(arguments.failures) if arguments.failures else {}
-    groups_of = tasks_of_environments(arguments.envs, arguments.tasks, outcomes)
-    compile_scenes(groups_of, arguments.assets, arguments.threads)
-    count = min(arguments.groups, len(groups_of))
+    tasks = tasks_of_environments(arguments.envs, arguments.tasks, outcomes)
+    compile_scenes(tasks, arguments.assets, arguments.threads)
+    count = min(arguments.groups, len(tasks))
     writer = Writer(arguments.into)
     errors: list[BaseException] = []
     try:
         groups = [
             Group(
-                groups_of[at::count],
+                tasks[number::count],
                 writer,
                 tally,
-                pilot,
+                newest_student,
                 wordings,
                 steps_per_frame=STEPS_PER_FRAME,
                 budgets=arguments.budgets,
                 solved_only=arguments.solved_only,
                 perturbed=arguments.perturbed,
                 threads=arguments.threads,
-                seed=[arguments.seed, run, at],
+                seed=[arguments.seed, run, number],
                 assets=arguments.assets,
                 device=device,
             )
-            for at in range(count)
+            for number in range(count)
         ]
         print(
-            f"{len(groups_of)} environments in {count} groups on {arguments.threads} threads, into "
+            f"{len(tasks)} environments in {count} groups on {arguments.threads} threads, into "
             f"{arguments.into} from shard {run} on",
             flush=True,
         )
 
-        def work(group: Group) -> None:
+        def run_group(group: Group) -> None:
             try:
                 group.run(until)
             except BaseException as error:
                 errors.append(error)
 
-        workers = [threading.Thread(target=work, args=(group,)) for group in groups]
+        workers = [threading.Thread(target=run_group, args=(group,)) for group in groups]
         for worker in workers:
             worker.start()
         for worker in workers:
@@ -477,7 +488,7 @@ def collect(arguments: argparse.Namespace) -> None:
     finally:
         writer.close()
         part = arguments.into / (OUTCOMES + ".part")
-        part.write_text(json.dumps(tally.alone()))
+        part.write_text(json.dumps(tally.student_outcomes()))
         part.replace(arguments.into / OUTCOMES)
     if errors:
         raise errors[0]
@@ -491,12 +502,13 @@ def main() -> None:
     parser.add_argument("--driver", choices=["expert", "student"], default="expert")
     parser.add_argument(
         "--weights", type=Path,
-        help="file of the student's weights, read again if it changes; the expert drives until it"
-        " exists",
+        help="file of the student's weights, read again when it changes; until the file exists, the"
+        " expert drives",
     )  # fmt: skip
     parser.add_argument(
-        "--perturbed", type=float, default=0.0, metavar="SHARE", help="perturbed episodes, 0 to 1"
-    )
+        "--perturbed", type=float, default=0.0, metavar="SHARE",
+        help="share of perturbed episodes, 0 to 1",
+    )  # fmt: skip
     parser.add_argument("--envs", type=int, default=100, help="number of environments")
     parser.add_argument("--groups", type=int, default=2, help="alternating groups of environments")
     parser.add_argument("--threads", type=int, default=16, help="threads per group")
@@ -506,7 +518,7 @@ def main() -> None:
         help="step limit of an episode, in multiples of the benchmark's",
     )  # fmt: skip
     parser.add_argument(
-        "--solved-only", action="store_true", help="file only the episodes that end in success"
+        "--solved-only", action="store_true", help="store only the episodes that end in success"
     )
     parser.add_argument(
         "--failures", type=Path, nargs="+", metavar="FOLDER",

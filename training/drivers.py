@@ -1,6 +1,6 @@
 """Drivers of an episode: the expert, the disturbed expert, or student and expert in turns.
 
-Everything is arithmetic on n environments at once, with a random generator.
+Each class serves n environments at once, and draws from a random generator.
 """
 
 from __future__ import annotations
@@ -13,38 +13,41 @@ from numpy.typing import NDArray
 from training.network import ARM, CHUNK
 from training.shards import Driver, Source
 
-WIDTH = ARM + 1
+ACTION_SIZE = ARM + 1
+"""Numbers of an action."""
 
 CLEAN_SHARE = 0.2
 """Share of the expert's episodes without disturbances."""
 NOISE = (0.05, 0.4)
 """Least and greatest standard deviation of the noise on the six numbers of the arm."""
 QUIET_SHARE = 0.25
-"""Share of a disturbed episode's stretches that are without noise."""
+"""Share of a disturbed episode's intervals that are without noise."""
 NOISE_STEPS = (10, 60)
-"""Least and most steps of a stretch, in which the standard deviation is constant."""
+"""Least and most steps of an interval, in which the standard deviation of the noise is
+constant."""
 PUSH_CHANCE = 1 / 120
 """Probability that a push begins in a step of a disturbed episode."""
 PUSH_STEPS = (3, 10)
+"""Least and most steps of a push."""
 PUSH_SIZE = (0.5, 1.5)
-"""Least and largest translation of a push, which is added to the expert's action, -1..1. A push of
-2 or more would outweigh any action of the expert."""
+"""Least and largest translation of a push. A push is added to the expert's action, which is in
+-1..1; a push of 2 or more would outweigh any action of the expert."""
 PUSH_ROTATION = 0.4
-"""Factor on a push's rotation relative to its translation."""
+"""Size of a push's rotation relative to the push's translation."""
 
 ALONE_SHARE = 0.2
-"""Share of the episodes that the student drives to their end."""
+"""Share of the episodes that the student drives from beginning to end."""
 DISTURBED_SHARE = 0.5
 """Share of the episodes in turns in which the expert's turns are disturbed."""
 STUDENT_STEPS = (16, 160)
 EXPERT_STEPS = (12, 60)
 """Least and most steps of a turn of the student, and of the expert."""
 HORIZONS = (CHUNK, CHUNK, CHUNK // 2)
-"""Number of actions of an answer that the student executes before the next query; one is
-drawn for each turn."""
+"""Numbers of actions of an answer that the student executes before the next query. Each turn has
+one of these numbers, drawn at random."""
 
 
-class Orders(NamedTuple):
+class Commands(NamedTuple):
     """Actions of n environments in their next k steps."""
 
     actions: NDArray[np.float64]
@@ -57,7 +60,7 @@ class Orders(NamedTuple):
 
 
 class Disturbance:
-    """Stretches of noise, and pushes, in some of n environments."""
+    """Intervals of noise, and pushes, in some of n environments."""
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -74,21 +77,22 @@ class Disturbance:
         self._push_left[indices] = 0
 
     def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Returns additions to the arm's next actions, [n, steps, 6], and sources [n, steps]."""
-        done = [self._step() for _ in range(steps)]
-        added, source = zip(*done, strict=True)
+        """Returns the numbers to be added to the arm's next actions, [n, steps, 6], and the
+        ``Source`` of each step, [n, steps]."""
+        by_step = [self._step() for _ in range(steps)]
+        added, source = zip(*by_step, strict=True)
         return np.stack(added, axis=1), np.stack(source, axis=1)
 
     def _step(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         rng, n = self._rng, len(self._disturbed)
-        over = self._disturbed & (self._noise_left == 0)
+        begins = self._disturbed & (self._noise_left == 0)
         sigma = rng.uniform(*NOISE, n) * (rng.random(n) >= QUIET_SHARE)
-        self._sigma = np.where(over, sigma, self._sigma)
-        self._noise_left = np.where(over, _draw_steps(rng, NOISE_STEPS, n), self._noise_left)
+        self._sigma = np.where(begins, sigma, self._sigma)
+        self._noise_left = np.where(begins, _draw_steps(rng, NOISE_STEPS, n), self._noise_left)
         self._noise_left = np.maximum(self._noise_left - 1, 0)
 
         starts = self._disturbed & (self._push_left == 0) & (rng.random(n) < PUSH_CHANCE)
-        self._push[starts] = self._directions(int(starts.sum()))
+        self._push[starts] = self._draw_pushes(int(starts.sum()))
         self._push_left = np.where(starts, _draw_steps(rng, PUSH_STEPS, n), self._push_left)
         pushed = self._push_left > 0
         self._push_left = np.maximum(self._push_left - 1, 0)
@@ -99,16 +103,16 @@ class Disturbance:
         source = np.where(sigma > 0, Source.NOISE, Source.EXPERT)
         return added, np.where(pushed, Source.PUSH, source).astype(np.uint8)
 
-    def _directions(self, count: int) -> NDArray[np.float64]:
-        """Draws pushes in random directions, [count, 6]."""
+    def _draw_pushes(self, count: int) -> NDArray[np.float64]:
+        """Draws pushes in random directions and of random size, [count, 6]."""
         push = self._rng.normal(size=(count, ARM))
         push /= np.abs(push[:, :3]).max(axis=1, keepdims=True)
         push[:, 3:] = np.clip(PUSH_ROTATION * push[:, 3:], -1.0, 1.0)
         return push * self._rng.uniform(*PUSH_SIZE, (count, 1))
 
 
-class ExpertDrives:
-    """The expert drives n environments, and is disturbed in most episodes."""
+class ExpertDriver:
+    """The expert as driver of n environments, disturbed in most episodes."""
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -121,16 +125,17 @@ class ExpertDrives:
         self._disturbance.begin(indices, disturbed)
         self.driver[indices] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
 
-    def next(self, steps: int) -> Orders:
-        """Returns the orders for the next steps."""
+    def next(self, steps: int) -> Commands:
+        """Returns the commands of the next steps."""
         added, source = self._disturbance.next(steps)
-        return Orders(_with_gripper(added), np.ones(source.shape, bool), source)
+        return Commands(_with_gripper(added), np.ones(source.shape, bool), source)
 
 
-class InTurns:
-    """Student and expert drive n environments in turns; some episodes are the student's alone.
+class AlternatingDrivers:
+    """Student and expert as drivers of n environments, in turns. In some episodes, the student
+    drives alone.
 
-    The driver changes only between chunks of steps.
+    The driver changes only between calls of ``next``.
     """
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:
@@ -139,7 +144,7 @@ class InTurns:
         self._student = np.zeros(n, bool)
         self._turn_left = np.zeros(n, np.int64)
         self._horizon = np.full(n, CHUNK)
-        self._answers = np.zeros((n, CHUNK, WIDTH))
+        self._answers = np.zeros((n, CHUNK, ACTION_SIZE))
         self._used = np.full(n, CHUNK)
         self.driver = np.full(n, Driver.IN_TURNS, np.uint8)
 
@@ -149,34 +154,34 @@ class InTurns:
         alone = rng.random(count) < ALONE_SHARE
         self._disturbance.begin(indices, rng.random(count) < DISTURBED_SHARE)
         self.driver[indices] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
-        # The next call of `needs_answer` ends this turn and begins the other driver's.
+        # With no steps left, the next call of `needs_answer` gives the turn to the other driver.
         self._student[indices] = rng.random(count) < 0.5
         self._turn_left[indices] = 0
 
     def needs_answer(self) -> NDArray[np.bool_]:
-        """Returns a mask [n] of the environments that need the student's answer for their next
+        """Returns a mask [n] of the environments that need an answer of the student for their next
         steps.
 
-        Call it once before each ``next``.
+        Call ``needs_answer`` once before each call of ``next``.
         """
         rng, n = self._rng, len(self._student)
-        over = self._turn_left <= 0
+        turn_begins = self._turn_left <= 0
         alone = self.driver == Driver.STUDENT
-        self._student = np.where(over, ~self._student | alone, self._student)
+        self._student = np.where(turn_begins, ~self._student | alone, self._student)
         turns = np.where(
             self._student, _draw_steps(rng, STUDENT_STEPS, n), _draw_steps(rng, EXPERT_STEPS, n)
         )
-        self._turn_left = np.where(over, turns, self._turn_left)
-        self._horizon = np.where(over, rng.choice(HORIZONS, n), self._horizon)
-        return self._student & (over | (self._used >= self._horizon))
+        self._turn_left = np.where(turn_begins, turns, self._turn_left)
+        self._horizon = np.where(turn_begins, rng.choice(HORIZONS, n), self._horizon)
+        return self._student & (turn_begins | (self._used >= self._horizon))
 
     def answer(self, mask: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
         """Stores the student's answers, [m, 8, 7], for the m environments of ``mask``."""
         self._answers[mask] = answers
         self._used[mask] = 0
 
-    def next(self, steps: int) -> Orders:
-        """Returns the orders for the next steps, whose number must divide the horizons."""
+    def next(self, steps: int) -> Commands:
+        """Returns the commands of the next ``steps`` steps; ``steps`` must divide the horizons."""
         added, source = self._disturbance.next(steps)
         positions = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
         answers = np.take_along_axis(self._answers, positions[:, :, np.newaxis], axis=1)
@@ -185,7 +190,7 @@ class InTurns:
         self._used += steps
         self._turn_left -= steps
         source = np.where(student, np.uint8(Source.STUDENT), source)
-        return Orders(actions, np.broadcast_to(~student, source.shape), source)
+        return Commands(actions, np.broadcast_to(~student, source.shape), source)
 
 
 def _draw_steps(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
@@ -193,5 +198,5 @@ def _draw_steps(rng: np.random.Generator, limits: tuple[int, int], n: int) -> ND
 
 
 def _with_gripper(arm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Appends a zero for the gripper to additions to the expert's arm actions."""
+    """Appends a zero for the gripper to the numbers that are added to the arm's actions."""
     return np.concatenate([arm, np.zeros((*arm.shape[:-1], 1))], axis=-1)

@@ -1,8 +1,9 @@
-"""Counts how often a student succeeds in newly placed scenes: a quick check in its development.
+"""Counts how often a student succeeds: a quick check during its development.
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 
-This is not the final measurement: campaigns measure students on the benchmark's own states.
+By default, the scenes are newly placed. The final measurement is a campaign on the benchmark's own
+states, not this command.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from training.student import Student
 from training.wordings import TASK_NAMES, canonical, draw
 
 UNSEEN_SEED = 1_000_003
-"""Seed of wordings and placements. No training uses it by default."""
+"""Seed of wordings and placements. No training uses this seed by default."""
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -34,16 +35,16 @@ def evaluate(arguments: argparse.Namespace) -> None:
     student = Student(arguments.weights, device)
     tasks = [name for name in TASK_NAMES if name.startswith(tuple(arguments.tasks))]
     compile_scenes([TASK_NAMES.index(name) for name in tasks], arguments.assets, arguments.threads)
-    # Each environment runs several episodes in succession; environments of long tasks come first.
-    most = max(1, arguments.envs // len(tasks))
-    each = -(-arguments.episodes // most)
-    concurrent = -(-arguments.episodes // each)
-    names = [name for name in reversed(tasks) for _ in range(concurrent)]
+    # Each environment runs some episodes in succession; environments of long tasks come first.
+    most_per_task = max(1, arguments.envs // len(tasks))
+    episodes_of_each = -(-arguments.episodes // most_per_task)
+    per_task = -(-arguments.episodes // episodes_of_each)
+    names = [name for name in reversed(tasks) for _ in range(per_task)]
     n, rng = len(names), np.random.default_rng(UNSEEN_SEED)
-    drawn = {name: draw(name, concurrent + 1, UNSEEN_SEED)[1:] for name in tasks}
+    wordings = {name: draw(name, per_task + 1, UNSEEN_SEED)[1:] for name in tasks}
     instructions = [canonical(name) for name in names]
     if arguments.wordings == "drawn":
-        instructions = [drawn[name].pop() for name in names]
+        instructions = [wordings[name].pop() for name in names]
     released = arguments.states == "released"
     env = rollout_libero.VectorEnvironment(
         names,
@@ -59,49 +60,55 @@ def evaluate(arguments: argparse.Namespace) -> None:
     if arguments.perturbed:
         for index in range(n):
             env.set_perturbation(index, perturbation(rng))
-    begun = time.monotonic()
+    start = time.monotonic()
     seeds = 0 if released else [UNSEEN_SEED + index for index in range(n)]
     observation, info = env.reset(seed=seeds)
-    ended: dict[str, list[tuple[int, bool]]] = {name: [] for name in tasks}
-    remaining = np.full(n, each)
-    over = np.zeros(n, bool)
-    while (remaining > 0).any() and time.monotonic() - begun < arguments.seconds:
+    results: dict[str, list[tuple[int, bool]]] = {name: [] for name in tasks}
+    remaining = np.full(n, episodes_of_each)
+    ended = np.zeros(n, bool)
+    while (remaining > 0).any() and time.monotonic() - start < arguments.seconds:
         answers = student.act(observation, instructions)
         observation, _, terminated, truncated, info = env.step_chunk(
             answers[:, : arguments.actions]
         )
-        over = terminated | truncated
-        for index in np.flatnonzero(over & (remaining > 0)).tolist():
+        ended = terminated | truncated
+        for index in np.flatnonzero(ended & (remaining > 0)).tolist():
             state = info["init_state"][index]
             number = -1 if state is None else int(state)
-            ended[names[index]].append((number, bool(terminated[index])))
-        remaining -= over
+            results[names[index]].append((number, bool(terminated[index])))
+        remaining -= ended
     env.close()
-    report(arguments, ended, time.monotonic() - begun)
+    report(arguments, results, time.monotonic() - start)
 
 
 def report(
-    arguments: argparse.Namespace, ended: Mapping[str, Sequence[tuple[int, bool]]], seconds: float
+    arguments: argparse.Namespace,
+    results: Mapping[str, Sequence[tuple[int, bool]]],
+    seconds: float,
 ) -> None:
-    """Prints successes by suite and task, and writes them if requested."""
+    """Prints the numbers of successes by suite and task, and writes the results to ``--table``.
+
+    Args:
+        results: for each task, the number of the initial state and the success of each episode.
+    """
     if arguments.states == "released":
-        # Environments that take turns may begin one round more than there are states.
-        ended = {
+        # The environments of a task may together run more initial states than requested.
+        results = {
             name: [episode for episode in dict(episodes).items() if episode[0] < arguments.episodes]
-            for name, episodes in ended.items()
+            for name, episodes in results.items()
         }
-    solved = {name: sum(success for _, success in episodes) for name, episodes in ended.items()}
-    count = sum(map(len, ended.values()))
+    solved = {name: sum(success for _, success in episodes) for name, episodes in results.items()}
+    count = sum(map(len, results.values()))
     total = sum(solved.values())
     print(f"{total} of {count} succeeded ({100 * total / max(count, 1):.1f} %) in {seconds:.0f} s")
-    for suite in dict.fromkeys(name.split("/")[0] for name in ended):
-        names = [name for name in ended if name.split("/")[0] == suite]
-        by_task = " ".join(f"{solved[name]}/{len(ended[name])}" for name in names)
+    for suite in dict.fromkeys(name.split("/")[0] for name in results):
+        names = [name for name in results if name.split("/")[0] == suite]
+        by_task = " ".join(f"{solved[name]}/{len(results[name])}" for name in names)
         successes = sum(solved[name] for name in names)
-        tries = sum(len(ended[name]) for name in names)
-        print(f"{suite:15} {successes}/{tries}   {by_task}", flush=True)
+        episodes_of_suite = sum(len(results[name]) for name in names)
+        print(f"{suite:15} {successes}/{episodes_of_suite}   {by_task}", flush=True)
     if arguments.table:
-        arguments.table.write_text(json.dumps(ended))
+        arguments.table.write_text(json.dumps(results))
 
 
 def main() -> None:
@@ -118,11 +125,12 @@ def main() -> None:
     parser.add_argument("--table", type=Path, help="file for each episode's outcome, JSON")
     parser.add_argument("--wordings", choices=["canonical", "drawn"], default="canonical")
     parser.add_argument(
-        "--perturbed", action="store_true", help="perturb every episode, as in a collection"
+        "--perturbed", action="store_true", help="perturb every episode, as `training.collect` does"
     )
     parser.add_argument(
-        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK, help="executed per answer"
-    )
+        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK,
+        help="number of actions executed per answer",
+    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=600.0, help="time limit")
     parser.add_argument("--threads", type=int, default=16)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

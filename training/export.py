@@ -25,18 +25,18 @@ from training.wordings import canonical, draw
 REFERENCE_TASKS = ("libero_spatial/0", "libero_object/3", "libero_goal/5", "libero_10/9")
 REFERENCE_SEED = 2_000_003
 REFERENCE_STEPS = 24
-"""Steps of the expert before the queries, so that the arm's position differs in each."""
+"""Steps of the expert before the queries, so that the arm's position differs between queries."""
 
 
 def export(run: Path, name: str, into: Path) -> None:
-    """Rounds the running mean of a run's weights to half precision and writes it to a file."""
+    """Writes the running mean of a run's weights to the file ``into``, in half precision."""
     state = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
     save_weights(state["mean"], into, name)
     print(f"{into}: {into.stat().st_size:,} bytes, step {state['step']:,}")
 
 
 def write_reference(weights: Path, into: Path, assets: str) -> None:
-    """Writes queries with the weights' answers."""
+    """Writes queries, and the answers that a student with these weights gives."""
     from gymnasium.vector import AutoresetMode
 
     import rollout_libero
@@ -52,17 +52,18 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
         autoreset_mode=AutoresetMode.DISABLED,
     )
     n = len(REFERENCE_TASKS)
-    env.reset(seed=[REFERENCE_SEED + at for at in range(n)])
-    # The arm of each environment moves a little further than that of the environment before.
+    env.reset(seed=[REFERENCE_SEED + index for index in range(n)])
+    # The arm moves a little further in each environment than in the environment before.
     sizes = np.linspace(0.0, 1.0, n)[:, np.newaxis, np.newaxis]
-    nothing = np.zeros((n, REFERENCE_STEPS, 7))
-    _, _, _, _, info = env.step_chunk(nothing, "none", expert=np.ones((n, REFERENCE_STEPS), bool))
-    small = np.nan_to_num(info["expert_action"][:, -8:]) * sizes
-    observation, *_ = env.step_chunk(small)
+    no_actions = np.zeros((n, REFERENCE_STEPS, 7))
+    by_expert = np.ones((n, REFERENCE_STEPS), bool)
+    _, _, _, _, info = env.step_chunk(no_actions, "none", expert=by_expert)
+    actions = np.nan_to_num(info["expert_action"][:, -8:]) * sizes
+    observation, *_ = env.step_chunk(actions)
     env.close()
     instructions = [
-        canonical(task) if at == 0 else draw(task, 2, REFERENCE_SEED)[1]
-        for at, task in enumerate(REFERENCE_TASKS)
+        canonical(task) if index == 0 else draw(task, 2, REFERENCE_SEED)[1]
+        for index, task in enumerate(REFERENCE_TASKS)
     ]
 
     cpu = torch.device("cpu")
@@ -87,14 +88,14 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
         metadata={"instructions": json.dumps(instructions), "weights": weights.name},
     )
     into.chmod(0o644)
-    print(f"{into}: {n} queries, arm after clamping to -1..1")
+    print(f"{into}: {n} queries; the arm's actions are clamped to -1..1")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--run", type=Path, required=True)
+    parser.add_argument("--run", type=Path, required=True, help="folder that training.train wrote")
     parser.add_argument("--name", default="student", help="name of the student")
-    parser.add_argument("--into", type=Path, required=True, help="the weights file")
+    parser.add_argument("--into", type=Path, required=True, help="weights file to write")
     parser.add_argument("--reference", type=Path, help="file for queries and answers")
     parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     arguments = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Writes digests of the evaluation's wordings, so that training can exclude them.
+"""Writes digests of the evaluation's wordings, so that training can exclude these wordings.
 
 python -m training.held_out
 """
@@ -11,7 +11,8 @@ from pathlib import Path
 from training.wordings import TASK_NAMES, canonical, digest
 
 LEVELS = ("L1", "L2", "L3")
-PRESETS = 10
+CONFIGURATIONS = 10
+"""Number of the benchmark's own configurations on each axis and level."""
 
 
 def evaluation_sentences() -> list[str]:
@@ -22,7 +23,7 @@ def evaluation_sentences() -> list[str]:
     for task in TASK_NAMES:
         suite, index = task.split("/")
         for level in LEVELS:
-            for config in range(PRESETS):
+            for config in range(CONFIGURATIONS):
                 for axis in ("language", "combination"):
                     name = f"{suite}/t{index}/{axis}/{level}/c{config:02}"
                     sentences.add(str(json.loads(native.configuration_row(name))["language"]))

@@ -1,6 +1,8 @@
-"""The network: two pictures, the robot's state and an instruction in, eight actions out.
+"""The student's network, which computes eight actions from two pictures, the robot's state and an
+instruction.
 
-It keeps no state between queries. Its parameters have the names of the weights file.
+The network keeps no state between queries. Its parameters have the names of the tensors in a
+weights file.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from torch.nn import functional
 from training.text import BUCKETS
 
 CHUNK = 8
-"""Actions of one query."""
+"""Number of actions in the answer to a query."""
 ARM = 6
 """Numbers of an action for the arm; a seventh number is for the gripper."""
 STATE = 14
@@ -25,20 +27,20 @@ PICTURE = 128
 WORD_WIDTH = 48
 TEXT_WIDTH = 128
 POINTS = 64
-"""Learned points of each camera's picture."""
+"""Number of learned points in each camera's picture."""
 GRID = 32
-"""Side of the map in which points are located; twice the side of the last features."""
+"""Height and width of the map in which points are located, twice those of the last features."""
 HEAD = 512
 """Width of the two layers before the actions."""
 GROUPS = 8
-"""Groups of channels in each normalisation."""
+"""Number of groups of channels in each normalisation."""
 
 
 class Actions(NamedTuple):
-    """The network's output, before it is clipped to the robot's range."""
+    """The network's output for n queries, before clipping to the robot's range."""
 
     arm: Tensor
-    """[n, 8, 6]"""
+    """[n, 8, 6]: the arm's part of each action."""
     gripper: Tensor
     """[n, 8]: a positive value closes the gripper."""
 
@@ -76,9 +78,9 @@ class Block(nn.Module):
 
 
 class Encoder(nn.Module):
-    """One camera: a picture [n, 3, 128, 128] to [n, 320].
+    """Encoder of one camera: converts pictures [n, 3, 128, 128] to features [n, 320].
 
-    The 320 numbers are the columns, rows and peaks of 64 learned points, and
+    The 320 features are the columns, rows and peaks of 64 learned points, and
     the means of 128 channels.
     """
 
@@ -126,7 +128,7 @@ class Network(nn.Module):
         self.gripper = nn.Linear(HEAD, CHUNK)
         self.register_buffer("state_mean", torch.zeros(STATE))
         self.register_buffer("state_std", torch.ones(STATE))
-        # Zero, so that words that never occur in training have no effect.
+        # Initially zero, so that words that never occur in training have no effect.
         nn.init.zeros_(self.words.weight)
 
     def forward(

@@ -14,7 +14,8 @@ from training.network import STATE
 from training.text import features
 
 Observation = Mapping[str, NDArray[Any]]
-"""Observation of ``rollout_libero`` with ``orientation="upright"``: n rows under each name."""
+"""Observation of ``rollout_libero`` with ``orientation="upright"``: an array with n rows under
+each name."""
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 """Cameras in the order of a frame's pictures."""
@@ -23,7 +24,7 @@ RENDERED = 256
 
 
 def shrink(pictures: Tensor) -> Tensor:
-    """Halves height and width by integer area mean.
+    """Halves height and width: a pixel becomes the rounded mean of four.
 
     Args:
         pictures: uint8 [..., 2h, 2w, channels].
@@ -39,8 +40,8 @@ def shrink(pictures: Tensor) -> Tensor:
 
 
 def frames(observation: Observation, device: torch.device) -> Tensor:
-    """Returns both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device,
-    in the observation's orientation. The student is trained on upright pictures."""
+    """Returns both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device, in the orientation
+    of the observation. The student is trained on upright pictures."""
     views = [shrink(torch.from_numpy(observation[camera]).to(device)) for camera in CAMERAS]
     return torch.stack(views, dim=1)
 
@@ -73,8 +74,8 @@ def scaled(picture: Tensor) -> Tensor:
 
 
 def instruction_rows(texts: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Returns the features of n instructions, padded to the longest: rows [n, w] and
-    presence [n, w]."""
+    """Returns the features of n instructions, padded to the longest instruction: the features'
+    rows, [n, w], and a mask [n, w] that is 1 where there is a feature."""
     by_text = [[*singles, *pairs] for singles, pairs in map(features, texts)]
     longest = max(1, *map(len, by_text))
     rows = np.zeros((len(by_text), longest), np.int64)

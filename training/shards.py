@@ -1,20 +1,20 @@
-"""Collected episodes on disk: folders of shards, each of some dozens of episodes.
+"""Collected episodes on disk: folders of shards, each with some dozens of episodes.
 
 A shard has F frames, S control steps and E episodes. There is a frame before
 every few steps, and a label for every step.
 
     frames.npy       uint8   [F, 2, 128, 128, 3]  both cameras, row 0 at the top
     table.npz:
-      state          float32 [F, 14]  of the robot, at the frame
+      state          float32 [F, 14]  the robot's state at the frame
       frame_step     int32   [F]      the step that follows the frame, counted in the shard
       label          float32 [S, 7]   the expert's action
       executed       float32 [S, 7]   the executed action
-      source         uint8   [S]      the driver of the step
-      frames, steps  int32   [E]      number of each in an episode
+      source         uint8   [S]      a ``Source``
+      frames, steps  int32   [E]      number of frames, and of steps, in the episode
       task           int16   [E]      index in ``wordings.TASK_NAMES``
-      outcome        uint8   [E]
-      driver         uint8   [E]
-      perturbation   str     [E]      "" if there was none
+      outcome        uint8   [E]      an ``Outcome``
+      driver         uint8   [E]      a ``Driver``
+      perturbation   str     [E]      configuration, or "" for an unperturbed episode
 """
 
 from __future__ import annotations
@@ -36,16 +36,18 @@ FRAMES_PER_SHARD = 2_000
 PREFIX = "shard_"
 MAX_DRIFT = 0.5
 """Bound on the sum of the differences between the student's and the expert's actions within a
-chunk, along any axis (0.025 m). Beyond it, the expert's later labels no longer count."""
+chunk, along any axis; it corresponds to 0.025 m. After a larger sum, the expert's later labels in
+the chunk do not count."""
 
 
 STALL_FRAMES = 12
 STALL_M = 0.008
-"""The robot has stalled if hand and fingers stay within this range for ``STALL_FRAMES`` frames."""
+"""The robot has stalled if hand and fingers have moved less than this distance, metres, in the last
+``STALL_FRAMES`` frames."""
 
 
 class Source(IntEnum):
-    """Driver of a step."""
+    """Driver of a step, or the disturbance of the expert in the step."""
 
     EXPERT = 0
     NOISE = 1
@@ -61,7 +63,7 @@ class Outcome(IntEnum):
     FAILURE = 0
     SUCCESS = 1
     UNFINISHED = 2
-    """The collection ended before the episode."""
+    """The collection ended before the episode did."""
 
 
 class Driver(IntEnum):
@@ -78,7 +80,7 @@ class Driver(IntEnum):
 
 
 class Episode(NamedTuple):
-    """One rollout; ``frame_step`` is counted from its first step."""
+    """One rollout. ``frame_step`` is counted from the rollout's first step."""
 
     task: int
     outcome: Outcome
@@ -93,7 +95,7 @@ class Episode(NamedTuple):
 
 
 class Shard(NamedTuple):
-    """A shard's contents."""
+    """The contents of a shard; the module's documentation describes the arrays."""
 
     frames: NDArray[np.uint8]
     state: NDArray[np.float32]
@@ -119,15 +121,15 @@ class Targets(NamedTuple):
     actions: NDArray[np.float32]
     """[F, 8, 7]: the expert's actions."""
     valid: NDArray[np.bool_]
-    """[F, 8]: True if the action counts."""
+    """[F, 8]: True for actions that count in the loss."""
 
 
 def targets(shard: Shard) -> Targets:
-    """Returns the expert's next eight actions at each frame, and a mask of those that count.
+    """Returns the expert's next eight actions at each frame, and a mask of the actions that count.
 
-    An action counts until the episode's end or a deviation from the expert: a step in
-    which the robot was pushed, or in which the student moved the gripper differently or
-    drifted too far. Noise does not matter: its mean is zero.
+    After a frame, actions count until the episode ends or the robot deviates from the expert:
+    it is pushed, or the student moves the gripper differently or drifts too far. After noise,
+    actions still count, because the mean of the noise is zero.
     """
     first = shard.frame_step[:, np.newaxis]
     steps = first + np.arange(CHUNK)
@@ -148,14 +150,14 @@ def targets(shard: Shard) -> Targets:
 
 
 def _sum_before(values: NDArray[Any]) -> NDArray[Any]:
-    """Returns the sum of the values of all earlier steps, for each step."""
+    """Returns for each step the sum of the values of all earlier steps."""
     total = np.cumsum(values, axis=0)
     return np.concatenate([np.zeros_like(total[:1]), total[:-1]])
 
 
 def worth_learning(shard: Shard) -> NDArray[np.bool_]:
-    """Returns a mask [E] of the episodes for training: all except those in which the expert
-    failed without the student."""
+    """Returns a mask [E] of the episodes for training: all except the episodes in which the expert
+    drove alone and failed."""
     by_expert = (shard.driver == Driver.CLEAN) | (shard.driver == Driver.DISTURBED)
     return np.asarray(~(by_expert & (shard.outcome == Outcome.FAILURE)), bool)
 
@@ -163,39 +165,42 @@ def worth_learning(shard: Shard) -> NDArray[np.bool_]:
 def stalled(shard: Shard) -> NDArray[np.bool_]:
     """Returns a mask [F] of the frames in which the robot has stalled (see ``STALL_M``).
 
-    In these frames the expert makes no progress, or the student does not follow it. A
+    In these frames the expert makes no progress, or the student does not follow the expert. A
     few such frames are instructive; hundreds would dominate the training.
     """
     first = shard.repeat_per_frame(np.cumsum(shard.episode_frames) - shard.episode_frames)
     number = np.arange(len(shard.state)) - first
     values = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
     moved = np.zeros(len(values), np.float32)
-    # Compares with each of the last frames, within the episode.
-    for back in range(1, STALL_FRAMES + 1):
-        earlier = np.maximum(np.arange(len(values)) - back, first)
+    # Each frame is compared with each of the last frames of its episode.
+    for distance in range(1, STALL_FRAMES + 1):
+        earlier = np.maximum(np.arange(len(values)) - distance, first)
         moved = np.maximum(moved, np.abs(values - values[earlier]).max(axis=1))
     return np.asarray((number >= STALL_FRAMES) & (moved < STALL_M), bool)
 
 
 def shard_folders(folder: Path) -> list[Path]:
-    """Returns the shards of a folder, in order."""
+    """Returns the folders of the shards in a folder, in the order of their numbers."""
     return sorted(path for path in folder.glob(f"{PREFIX}*") if not path.name.endswith(".part"))
 
 
 def next_number(folder: Path) -> int:
-    """Returns the number of the next shard."""
+    """Returns the number of the next shard to be written to a folder."""
     numbers = (int(path.name.removeprefix(PREFIX)) for path in shard_folders(folder))
     return max(numbers, default=-1) + 1
 
 
 def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
-    """Writes a shard atomically."""
+    """Writes a shard atomically, and returns its folder."""
     steps = np.array([len(episode.label) for episode in episodes], np.int32)
     first_steps = np.cumsum(steps, dtype=np.int32) - steps
     table: dict[str, Any] = {
         "state": np.concatenate([episode.state for episode in episodes]),
         "frame_step": np.concatenate(
-            [episode.frame_step + at for episode, at in zip(episodes, first_steps, strict=True)]
+            [
+                episode.frame_step + first_step
+                for episode, first_step in zip(episodes, first_steps, strict=True)
+            ]
         ).astype(np.int32),
         "label": np.concatenate([episode.label for episode in episodes]),
         "executed": np.concatenate([episode.executed for episode in episodes]),
@@ -207,14 +212,14 @@ def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
         "driver": np.array([episode.driver for episode in episodes], np.uint8),
         "perturbation": np.array([episode.perturbation for episode in episodes], np.str_),
     }
-    done = folder / f"{PREFIX}{number:05}"
-    part = done.with_name(done.name + ".part")
+    complete = folder / f"{PREFIX}{number:05}"
+    part = complete.with_name(complete.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     np.savez(part / "table.npz", **table)
     np.save(part / "frames.npy", np.concatenate([episode.frames for episode in episodes]))
-    os.replace(part, done)
-    return done
+    os.replace(part, complete)
+    return complete
 
 
 def read(folder: Path) -> Shard:
@@ -239,14 +244,15 @@ class Writer:
         self._gathered: list[Episode] = []
         self._frames = 0
         self._lock = threading.Lock()
-        # A short queue, so that a slow disk slows the collection rather than filling the memory.
+        # The queue is short, so that a slow disk slows the collection instead of filling the
+        # memory.
         self._full: queue.Queue[list[Episode] | None] = queue.Queue(maxsize=4)
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._write_all)
         self._thread.start()
 
     def add(self, episode: Episode) -> None:
-        """Adds an episode, from any thread."""
+        """Adds an episode. Any thread may call this."""
         full = None
         with self._lock:
             self._gathered.append(episode)
@@ -257,7 +263,11 @@ class Writer:
             self._queue(full)
 
     def close(self) -> None:
-        """Writes the remaining episodes."""
+        """Writes the remaining episodes and ends the thread.
+
+        Raises:
+            OSError: if a shard could not be written.
+        """
         if self._gathered:
             self._queue(self._gathered)
             self._gathered = []
@@ -267,7 +277,7 @@ class Writer:
             raise self._error
 
     def _queue(self, episodes: list[Episode]) -> None:
-        """Queues a shard's episodes for the thread that writes."""
+        """Queues a shard's episodes for the writing thread."""
         if self._error:
             raise self._error
         self._full.put(episodes)

@@ -19,9 +19,9 @@ FRAME_BYTES = 2 * PICTURE * PICTURE * 3
 WORD = 8
 """Bytes per word; frames are stored and copied in words."""
 READERS = 8
-"""Threads that read shards."""
-HELD_OUT = 50
-"""One of this many episodes is held out for validation."""
+"""Number of threads that read shards."""
+HELD_OUT_INTERVAL = 50
+"""Of this many episodes of a shard, one is held out for validation."""
 
 
 class Batch(NamedTuple):
@@ -34,13 +34,13 @@ class Batch(NamedTuple):
     task: Tensor
     """int64 [n]"""
     targets: Tensor
-    """[n, 8, 7]"""
+    """[n, 8, 7]: the expert's actions."""
     valid: Tensor
-    """[n, 8]"""
+    """[n, 8]: 1 for targets that count in the loss, 0 for the others."""
 
 
 class Store:
-    """Weighted samples, up to a capacity."""
+    """Weighted samples in the device's memory, up to a capacity."""
 
     def __init__(self, capacity: int, device: torch.device) -> None:
         self.count = 0
@@ -55,35 +55,35 @@ class Store:
         self._cumulative = torch.empty(0, dtype=torch.float64, device=device)
 
     def add(self, shard: Shard, indices: NDArray[np.int64], suite_weights: Tensor) -> int:
-        """Copies the frames at ``indices`` of a shard, and returns their number. Once the store is
-        full, the new frames replace stored frames drawn at random."""
+        """Copies the frames at ``indices`` of a shard, and returns the number of copied frames.
+        When the store is full, new frames replace stored frames drawn at random."""
         indices = indices[: self.capacity]
         if not len(indices):
             return 0
         device = self._frames.device
         appended = min(len(indices), self.capacity - self.count)
-        at = torch.arange(self.count, self.count + appended, device=device)
+        rows = torch.arange(self.count, self.count + appended, device=device)
         if appended < len(indices):
             replaced = torch.randperm(self.capacity - appended, device=device)
-            at = torch.cat([at, replaced[: len(indices) - appended]])
+            rows = torch.cat([rows, replaced[: len(indices) - appended]])
         target = targets(shard)
         task = torch.from_numpy(shard.repeat_per_frame(shard.task)[indices].astype(np.int64))
         frames = torch.from_numpy(shard.frames).view(-1, FRAME_BYTES).view(torch.int64).to(device)
-        self._frames[at] = frames[torch.from_numpy(indices).to(device)]
-        self._state[at] = torch.from_numpy(shard.state[indices]).to(self._state.device)
-        self._task[at] = task.to(self._task.device)
-        self._targets[at] = torch.from_numpy(target.actions[indices]).to(self._targets.device)
-        self._valid[at] = torch.from_numpy(target.valid[indices]).to(self._valid.device).float()
-        self._weight[at] = suite_weights[task // 10].to(self._weight.device)
+        self._frames[rows] = frames[torch.from_numpy(indices).to(device)]
+        self._state[rows] = torch.from_numpy(shard.state[indices]).to(self._state.device)
+        self._task[rows] = task.to(self._task.device)
+        self._targets[rows] = torch.from_numpy(target.actions[indices]).to(self._targets.device)
+        self._valid[rows] = torch.from_numpy(target.valid[indices]).to(self._valid.device).float()
+        self._weight[rows] = suite_weights[task // 10].to(self._weight.device)
         self.count += appended
         self._cumulative = self._weight[: self.count].cumsum(0)
         return len(indices)
 
     def draw(self, n: int) -> Batch:
-        """Draws n samples, with replacement, by their weights."""
+        """Draws n samples with replacement; probabilities are proportional to the weights."""
         cumulative = self._cumulative
-        at = torch.rand(n, dtype=torch.float64, device=cumulative.device) * cumulative[-1]
-        return self.batch(torch.searchsorted(cumulative, at).clamp(max=self.count - 1))
+        drawn = torch.rand(n, dtype=torch.float64, device=cumulative.device) * cumulative[-1]
+        return self.batch(torch.searchsorted(cumulative, drawn).clamp(max=self.count - 1))
 
     def batch(self, indices: Tensor) -> Batch:
         """Returns the samples at these indices, [n]."""
@@ -104,7 +104,7 @@ class Store:
 
 
 class Library:
-    """The shards of some folders, in stores for training and for validation."""
+    """The shards of some folders, loaded into a store for training and one for validation."""
 
     def __init__(
         self,
@@ -122,13 +122,13 @@ class Library:
         self.by_suite = np.zeros(4, np.int64)
 
     def refresh(self) -> int:
-        """Loads the new shards. Returns the number of their frames."""
+        """Loads the new shards. Returns the number of frames by which the stores grew."""
         before = self.training.count + self.held_out.count
         paths = [path for folder in self._folders for path in shard_folders(folder)]
         new = [path for path in paths if path not in self._loaded]
         self._loaded.update(new)
         with ThreadPoolExecutor(READERS) as readers:
-            # In groups, to limit the host memory of shards that are not on the device yet.
+            # Shards are read in groups, to limit the host memory of those not on the device yet.
             for first in range(0, len(new), READERS):
                 group = new[first : first + READERS]
                 for path, shard in zip(group, readers.map(read, group), strict=True):
@@ -137,18 +137,19 @@ class Library:
 
     def _add(self, shard: Shard, path: Path) -> None:
         held_out = _held_out(path, len(shard.task))
-        good = worth_learning(shard)
-        moves = ~stalled(shard)
-        train = np.flatnonzero(shard.repeat_per_frame(good & ~held_out) & moves)
-        added = self.training.add(shard, train, self._weights)
+        usable = worth_learning(shard)
+        is_moving = ~stalled(shard)
+        training = np.flatnonzero(shard.repeat_per_frame(usable & ~held_out) & is_moving)
+        added = self.training.add(shard, training, self._weights)
         if self.held_out.count < self.held_out.capacity:
-            validation = np.flatnonzero(shard.repeat_per_frame(good & held_out) & moves)
+            validation = np.flatnonzero(shard.repeat_per_frame(usable & held_out) & is_moving)
             self.held_out.add(shard, validation, self._weights)
-        suite = shard.repeat_per_frame(shard.task)[train[:added]] // 10
+        suite = shard.repeat_per_frame(shard.task)[training[:added]] // 10
         self.by_suite += np.bincount(suite, minlength=len(TASK_NAMES) // 10)
 
 
 def _held_out(path: Path, episodes: int) -> NDArray[np.bool_]:
-    """Returns a mask of a shard's episodes for validation, the same at every reading."""
+    """Returns a mask of a shard's episodes for validation. It depends only on the shard's
+    number."""
     number = int(path.name.split("_")[1])
-    return np.equal(np.arange(episodes) % HELD_OUT, (7 * number) % HELD_OUT)
+    return np.equal(np.arange(episodes) % HELD_OUT_INTERVAL, (7 * number) % HELD_OUT_INTERVAL)

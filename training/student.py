@@ -20,9 +20,9 @@ IN_SINGLE_PRECISION = ("state_mean", "state_std")
 
 
 def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str) -> None:
-    """Writes a weights file in half precision, except the state's scale.
+    """Writes a weights file in half precision; the state's scale is in single precision.
 
-    The file is written atomically, so that a running collection can read it.
+    The file is replaced atomically, so that a running collection reads complete weights.
     """
     rounded = {
         key: (value.float() if key in IN_SINGLE_PRECISION else value.half()).cpu().contiguous()
@@ -58,7 +58,8 @@ class Student:
     def act_on(
         self, pictures: Tensor, state: Tensor, instructions: Sequence[str]
     ) -> NDArray[np.float64]:
-        """Returns the actions for pictures, uint8 [n, 2, 128, 128, 3], and states [n, 14]."""
+        """Returns eight actions, [n, 8, 7], for each of n pairs of pictures, uint8
+        [n, 2, 128, 128, 3], with the robot's state, [n, 14], and an instruction."""
         rows, present = (
             torch.from_numpy(array).to(self._device) for array in instruction_rows(instructions)
         )

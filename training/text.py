@@ -1,4 +1,5 @@
-"""An instruction as the network's input: hashed words and pairs of neighbouring words."""
+"""Conversion of instructions to the network's input: hashed words and pairs of neighbouring
+words."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 BUCKETS = 4096
-"""Rows of the table that words and pairs are hashed into."""
+"""Number of rows of the network's table, to which words and pairs are hashed."""
 
 _WORD = re.compile(r"[a-z0-9]+")
 
@@ -34,7 +35,7 @@ def bucket(feature: str) -> int:
 
 
 def features(text: str) -> tuple[list[int], list[int]]:
-    """Returns rows of the n words of a text, and of its n - 1 pairs of neighbours."""
+    """Returns the table's rows of a text's n words, and of its n - 1 pairs of neighbours."""
     singles = words(text)
-    pairs = [f"{a} {b}" for a, b in pairwise(singles)]
+    pairs = [f"{first} {second}" for first, second in pairwise(singles)]
     return [bucket(word) for word in singles], [bucket(pair) for pair in pairs]

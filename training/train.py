@@ -24,7 +24,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.augment import PictureChange, Wordings, changed, draw_changes
+from training.augment import PictureChange, Wordings, apply_changes, draw_changes
 from training.network import ARM, Network, parameters
 from training.observations import scaled
 from training.store import FRAME_BYTES, Batch, Library
@@ -37,14 +37,15 @@ GRIPPER_WEIGHT = 0.1
 WARM_UP = 200
 """Steps in which the learning rate rises to its maximum."""
 EMA = 0.999
-"""Share of the running mean that remains in it at each step."""
+"""Weight of the previous running mean of the weights in the next; the new weights have the rest."""
 MAX_GRADIENT = 1.0
-"""Norm to which the gradient is clipped."""
+"""Largest norm of the gradient, which is clipped."""
 REPORT_SECONDS = 20.0
 CHECKPOINT_SECONDS = 20.0
 WATCH_SECONDS = 10.0
-"""Seconds between two searches for new shards."""
+"""Time between two searches for new shards, seconds."""
 HELD_OUT_FRAMES = 4_096
+"""Largest number of frames for validation."""
 GPU_SHARE = 0.7
 """Share of the free memory of a GPU that frames may take."""
 
@@ -57,8 +58,8 @@ class Losses(nn.Module):
         self.network = network
 
     def forward(self, batch: Batch, change: PictureChange, rows: Tensor, present: Tensor) -> Tensor:
-        """Returns the loss of a batch: L1 of the arm, and a little cross-entropy of the gripper."""
-        views = changed(batch.pictures, change)
+        """Returns the loss of a batch: L1 of the arm plus weighted cross-entropy of the gripper."""
+        views = apply_changes(batch.pictures, change)
         output = self.network(*views, batch.state, rows, present)
         valid = batch.valid
         total = valid.sum().clamp(min=1.0)
@@ -72,7 +73,8 @@ class Losses(nn.Module):
 
 
 class Trainer:
-    """One run: a network, its running mean, an optimizer and a clock."""
+    """One training run: a network, the running mean of its weights, and an optimizer, which are
+    written to checkpoints with the time spent."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
@@ -81,7 +83,7 @@ class Trainer:
         self.step = 0
         self.trained_seconds = 0.0
         self.spent_seconds = 0.0
-        """Seconds spent on loading, summed over all calls."""
+        """Time spent on loading, seconds, summed over all calls."""
         self._network = Network().to(self._device)
         self._network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._mean = copy.deepcopy(self._network).requires_grad_(False).eval()
@@ -92,7 +94,8 @@ class Trainer:
         self._load()
 
     def prepare(self, library: Library) -> None:
-        """Computes the state's scale from the data, unless an earlier run did."""
+        """Computes the state's scale from the data, unless loaded weights contain it, and compiles
+        the loss if requested."""
         if not self._has_scale:
             mean, deviation = library.training.state_scale()
             for network in (self._network, self._mean):
@@ -107,7 +110,7 @@ class Trainer:
         """Makes one optimizer step and returns the loss.
 
         Args:
-            fraction: share of the training time that is already spent.
+            fraction: the spent share of the training time, from which the learning rate follows.
         """
         rate = self._arguments.learning_rate * _schedule(self.step, fraction)
         for group in self._optimizer.param_groups:
@@ -126,7 +129,8 @@ class Trainer:
 
     @torch.inference_mode()
     def validate(self, library: Library, wordings: Wordings) -> tuple[float, float]:
-        """Returns L1 of the arm and the gripper's accuracy, on held-out episodes."""
+        """Returns L1 of the arm and the gripper's accuracy, for the mean weights on held-out
+        episodes."""
         store = library.held_out
         distance = correct = total = torch.zeros((), device=self._device)
         for first in range(0, store.count, 512):
@@ -143,7 +147,7 @@ class Trainer:
         return (distance / total).item(), (correct / total).item()
 
     def save(self, *, finished: bool = False) -> None:
-        """Writes the checkpoint, and the running mean as a student's weights."""
+        """Writes the checkpoint, and the running mean as a weights file."""
         self._run.mkdir(parents=True, exist_ok=True)
         state = {
             "network": self._network.state_dict(),
@@ -185,16 +189,18 @@ class Trainer:
         self._has_scale = True
 
     def _make_optimizer(self) -> torch.optim.AdamW:
-        """Returns AdamW without weight decay of norms, biases and words."""
-        matrices: list[nn.Parameter] = []
-        others: list[nn.Parameter] = []
+        """Returns an AdamW optimizer, whose weight decay excludes norms, biases and word
+        vectors."""
+        with_decay: list[nn.Parameter] = []
+        without_decay: list[nn.Parameter] = []
         for name, parameter in self._network.named_parameters():
             is_embedding = name == "words.weight"
-            (others if parameter.ndim < 2 or is_embedding else matrices).append(parameter)
+            excluded = parameter.ndim < 2 or is_embedding
+            (without_decay if excluded else with_decay).append(parameter)
         return torch.optim.AdamW(
             [
-                {"params": matrices, "weight_decay": self._arguments.weight_decay},
-                {"params": others, "weight_decay": 0.0},
+                {"params": with_decay, "weight_decay": self._arguments.weight_decay},
+                {"params": without_decay, "weight_decay": 0.0},
             ],
             lr=self._arguments.learning_rate,
             fused=self._device.type == "cuda",
@@ -206,8 +212,8 @@ class Trainer:
         except Exception as error:
             if not self._is_compiled or self.step > 0:
                 raise
-            # Catches any failure of the compiler. Training without it is slower, with the same
-            # result.
+            # Any failure of the compiler is caught. Training without the compiler is slower, with
+            # the same result.
             print(f"trains without torch.compile: {type(error).__name__}: {str(error)[:300]}")
             self._losses, self._is_compiled = Losses(self._network), False
             return self._compute_loss(*inputs)
@@ -224,7 +230,7 @@ class Trainer:
 
     @torch.no_grad()
     def _update_mean(self) -> None:
-        """Moves the running mean towards the network, faster in the first steps."""
+        """Moves the running mean towards the network's weights, faster in the first steps."""
         keep = min(EMA, (1 + self.step) / (10 + self.step))
         torch._foreach_lerp_(
             list(self._mean.parameters()), list(self._network.parameters()), 1 - keep
@@ -232,12 +238,13 @@ class Trainer:
 
 
 def _schedule(step: int, fraction: float) -> float:
-    """Returns the learning rate's factor: a warm-up over steps, then a cosine decay over time."""
+    """Returns the factor on the learning rate: a warm-up over steps, and a cosine decay over
+    time."""
     return min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
 def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
-    """Returns the number of frames that the device can hold."""
+    """Returns the requested number of frames, or the number that the device can hold."""
     if arguments.capacity:
         return int(arguments.capacity)
     if device.type == "cuda":
@@ -247,11 +254,11 @@ def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
 
 
 def train(arguments: argparse.Namespace) -> None:
-    """Trains until the time is spent."""
+    """Trains until ``--seconds`` or ``--stop-after`` have passed."""
     start, seconds = time.monotonic(), arguments.seconds
     device = torch.device(arguments.device)
     torch.manual_seed(arguments.seed)
-    # Must run before CUDA is initialised, because it forks processes that draw wordings.
+    # This must run before CUDA is initialised, because it forks processes, which draw wordings.
     wordings = Wordings(arguments.wordings, arguments.seed, device, arguments.processes)
     trainer = Trainer(arguments)
     held_out = min(HELD_OUT_FRAMES, arguments.capacity or HELD_OUT_FRAMES)
@@ -273,7 +280,7 @@ def train(arguments: argparse.Namespace) -> None:
         flush=True,
     )
     trainer.prepare(library)
-    # Loading counts as training time, so that a stage ends on schedule.
+    # The time of loading is subtracted from the training time, so that a stage ends on schedule.
     earlier = trainer.trained_seconds
     trainer.spent_seconds += time.monotonic() - start
     length = max(seconds - trainer.spent_seconds - earlier, 1.0)
@@ -308,7 +315,7 @@ def train(arguments: argparse.Namespace) -> None:
 def report(
     trainer: Trainer, library: Library, wordings: Wordings, loss: float, speed: float
 ) -> None:
-    """Prints the progress."""
+    """Validates the mean weights and prints a progress line."""
     distance, correct = (
         trainer.validate(library, wordings) if library.held_out.count else (np.nan,) * 2
     )

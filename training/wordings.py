@@ -1,7 +1,7 @@
 """Many wordings of each of the forty tasks, drawn from ``grammar``.
 
-They do not include the sentences of the evaluation's language axis: ``data/held_out.txt`` has their
-digests, and a sentence with the same words is drawn again.
+Wordings exclude the sentences of the evaluation's language axis: ``data/held_out.txt`` has digests
+of these sentences, and a sentence with the same words as one of them is drawn again.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from training.grammar import FRAMES, TASKS, Grammar, Templates
 from training.text import words
 
 TASK_NAMES: tuple[str, ...] = tuple(TASKS)
-"""``libero_spatial/0`` to ``libero_10/9``; a task's index here is its number in shards."""
+"""``libero_spatial/0`` to ``libero_10/9``; shards store a task as its index in this tuple."""
 
 UNFRAMED = 0.45
-"""Share of the imperatives without a frame such as "please" or "your task is to"."""
+"""Share of the imperatives that have no frame such as "please" or "your task is to"."""
 MAX_PLAIN = 0.8
-"""Greatest share of a sentence's slots that always take their first option."""
+"""Greatest probability that a slot of a sentence takes its first option without a draw."""
 KINDS = {"do": 0.6, "doing": 0.1, "must": 0.18, "is": 0.12}
 """Probability of each kind of clause."""
 
@@ -36,10 +36,10 @@ def canonical(task: str) -> str:
 
 
 def draw(task: str, count: int, seed: int) -> list[str]:
-    """Returns ``count`` different wordings of a task; the first is the canonical one.
+    """Returns ``count`` different wordings of a task; the first is the benchmark's instruction.
 
     Raises:
-        ValueError: if the grammar does not give as many.
+        ValueError: if the grammar gives fewer wordings.
     """
     rng = random.Random(f"{seed} {task}")
     held_out = held_out_digests()
@@ -60,11 +60,11 @@ def draw(task: str, count: int, seed: int) -> list[str]:
 
 
 def sentence(task: str, rng: random.Random) -> str:
-    """Returns one wording of a task."""
+    """Draws a wording of a task."""
     grammar = TASKS[task][1]
     kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
     frame = "{do}" if kind == "do" and rng.random() < UNFRAMED else rng.choice(FRAMES[kind])
-    # Varies from almost the benchmark's words to almost none of them.
+    # Some sentences keep nearly all of the benchmark's words, others almost none.
     plain = rng.uniform(0.0, MAX_PLAIN)
     return _tidy(_expand(_choose_options(frame, rng), grammar, rng, plain))
 
@@ -76,12 +76,12 @@ def digest(text: str) -> str:
 
 @cache
 def held_out_digests() -> frozenset[str]:
-    """Returns digests of the sentences that training must not see."""
+    """Returns digests of the sentences that training must exclude."""
     return frozenset(_HELD_OUT.read_text().split())
 
 
 def _expand(template: str, grammar: Grammar, rng: random.Random, plain: float) -> str:
-    """Fills all slots, with their first option when the draw is plain."""
+    """Fills all slots. With probability ``plain``, a slot takes its first option."""
     while slot := _SLOT.search(template):
         options: Templates = grammar[slot[1]]
         option = options[0] if rng.random() < plain else rng.choice(options)
@@ -99,7 +99,8 @@ def _choose_options(template: str, rng: random.Random) -> str:
 
 
 def _tidy(text: str) -> str:
-    """Removes the gaps left by empty options."""
+    """Removes spaces and punctuation that empty options leave, and corrects "a" before a vowel to
+    "an"."""
     text = re.sub(r"\s+", " ", text)
     text = re.sub(r" ([,.;:?])", r"\1", text)
     text = re.sub(r"[,;]+([.,;:?])", r"\1", text)

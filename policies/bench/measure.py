@@ -79,7 +79,7 @@ def running(command: list[str]):
 
 
 def measure_slots(programs: dict, address: str, count: int, secs: int) -> dict:
-    """Runs a closed loop of slots against a server."""
+    """Runs `bench_gateway slots` against a server. Returns its JSON report."""
     command = [programs["bench"], "slots", "--address", address]
     command += ["--slots", str(count), "--secs", str(secs)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
@@ -87,8 +87,8 @@ def measure_slots(programs: dict, address: str, count: int, secs: int) -> dict:
 
 
 def measure_served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dict:
-    """Measures the same network behind the Python server, queried directly and
-    through the gateway."""
+    """Measures the simulated policy behind the Python server, queried directly and through the
+    gateway."""
     command = [sys.executable, str(HERE / "simulated_smolvla.py"), "--device", arguments.device]
     command += ["--max-batch", str(max_batch)] + ["--tiny"] * arguments.tiny
     with running(command) as server:
@@ -112,13 +112,13 @@ def main() -> None:
     parser.add_argument("--secs", type=int, default=10)
     parser.add_argument("--tiny", action="store_true", help="a small network, for a CPU")
     arguments = parser.parse_args()
-    found = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]
+    candidates = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]
     programs = {
         "gateway": str(arguments.bin / "policy-gateway"),
-        "bench": str(next((path for path in found if path.exists()), found[0])),
+        "bench": str(next((path for path in candidates if path.exists()), candidates[0])),
     }
     policy = SimulatedSmolvla(arguments.device, max(BATCHES), arguments.tiny)
-    limits = [measure_network(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]
+    model_alone = [measure_network(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]
     on_gpu = policy.device.type == "cuda"
     report = {
         "policy": policy.description.name,
@@ -128,7 +128,7 @@ def main() -> None:
         "device": torch.cuda.get_device_name() if on_gpu else platform.processor() or "CPU",
         "cores": os.cpu_count(),
         "torch": torch.__version__,
-        "model_alone": limits,
+        "model_alone": model_alone,
     }
     # Frees GPU memory for the servers.
     del policy

@@ -26,7 +26,7 @@ from torch.nn import functional
 
 from rollout_policies import Camera, Description, Episode, Observation, Policy, State, serve
 
-#: Number of actions in an answer, and their width inside the network.
+#: Number of actions in an answer, and width of an action inside the network.
 CHUNK, WIDTH = 50, 32
 FLOW_STEPS = 10
 LANGUAGE_TOKENS = 48
@@ -40,6 +40,7 @@ STATE = (State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS)
 class Size:
     """Dimensions of the network."""
 
+    #: Sides of an enlarged frame and of a patch, pixels.
     side: int = 512
     patch: int = 16
     #: Side of the square of patches that becomes one token.
@@ -51,8 +52,9 @@ class Size:
     layers: int = 16
     heads: int = 15
     kv_heads: int = 5
+    #: Width of an attention head.
     head: int = 64
-    words: int = 49_280
+    vocabulary: int = 49_280
 
 
 #: A small size for testing the programs on a CPU.
@@ -96,20 +98,20 @@ class Layer(nn.Module):
         self.down = nn.Linear(hidden, width, bias=False)
 
     def forward(self, x: Tensor, before: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Attends to its own keys and values and to `before`, keys and values [2, batch, kv heads,
-        n, head]. Returns the output, and its own keys and values."""
+        """Attends to the keys and values of `x`, and to those in `before` [2, batch, kv heads, n,
+        head]. Returns the output, and the keys and values of `x`."""
         batch, count, _ = x.shape
         normed = self.norms[0](x)
         query = self.query(normed).view(batch, count, -1, self.size.head).transpose(1, 2)
-        own = self.key_value(normed).view(batch, count, 2, -1, self.size.head)
-        own = own.permute(2, 0, 3, 1, 4)
-        key, value = own if before is None else torch.cat([before, own], dim=3)
-        share = self.size.heads // self.size.kv_heads
-        key, value = (tensor.repeat_interleave(share, dim=1) for tensor in (key, value))
+        keys_values = self.key_value(normed).view(batch, count, 2, -1, self.size.head)
+        keys_values = keys_values.permute(2, 0, 3, 1, 4)
+        key, value = keys_values if before is None else torch.cat([before, keys_values], dim=3)
+        heads_per_kv_head = self.size.heads // self.size.kv_heads
+        key, value = (tensor.repeat_interleave(heads_per_kv_head, dim=1) for tensor in (key, value))
         mixed = functional.scaled_dot_product_attention(query, key, value)
         x = x + self.out(mixed.transpose(1, 2).reshape(batch, count, -1))
         gate, up = self.gate_up(self.norms[1](x)).chunk(2, dim=-1)
-        return x + self.down(functional.silu(gate) * up), own
+        return x + self.down(functional.silu(gate) * up), keys_values
 
 
 class Network(nn.Module):
@@ -126,7 +128,7 @@ class Network(nn.Module):
             for _ in range(size.vision_layers)
         )
         self.connect = nn.Linear(size.vision_width * size.merge**2, size.width, bias=False)
-        self.words = nn.Embedding(size.words, size.width)
+        self.words = nn.Embedding(size.vocabulary, size.width)
         self.state = nn.Linear(WIDTH, size.width)
         self.layers = nn.ModuleList(Layer(size.width, size) for _ in range(size.layers))
         self.action_in = nn.Linear(WIDTH + 1, size.expert_width)
@@ -134,8 +136,8 @@ class Network(nn.Module):
         self.action_out = nn.Linear(size.expert_width, WIDTH)
 
     def forward(self, frames: Tensor, words: Tensor, state: Tensor, noise: Tensor) -> Tensor:
-        """frames uint8 [b, 2, h, w, 3], words [b, n], state [b, 32], noise
-        [b, 50, 32]; returns [b, 50, 32]."""
+        """Takes frames uint8 [b, 2, h, w, 3], words [b, n], state [b, 32] and noise [b, 50, 32].
+        Returns actions [b, 50, 32]."""
         batch = len(frames)
         images = self.encode_frames(frames).view(batch, -1, self.size.width)
         prefix = torch.cat([images, self.words(words), self.state(state)[:, None]], dim=1)
@@ -241,8 +243,8 @@ class SimulatedSmolvla(Policy):
         return answer
 
     def _capture(self, count: int):
-        """Captures a CUDA graph of one batch size. Returns it with its input
-        and output tensors."""
+        """Captures a CUDA graph of one batch size. Returns the graph with its input and output
+        tensors."""
         inputs = [
             torch.zeros(count, 2, 256, 256, 3, dtype=torch.uint8, device=self.device),
             torch.zeros(count, LANGUAGE_TOKENS, dtype=torch.int64, device=self.device),
@@ -250,12 +252,12 @@ class SimulatedSmolvla(Policy):
             torch.zeros(count, CHUNK, WIDTH, dtype=self.dtype, device=self.device),
         ]
         # Libraries choose their kernels at the first calls, which must precede the capture.
-        side = torch.cuda.Stream()
-        side.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(side):
+        warm_up_stream = torch.cuda.Stream()
+        warm_up_stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(warm_up_stream):
             for _ in range(3):
                 self.network(*inputs)
-        torch.cuda.current_stream().wait_stream(side)
+        torch.cuda.current_stream().wait_stream(warm_up_stream)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
             answer = self.network(*inputs)

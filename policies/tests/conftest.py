@@ -44,14 +44,14 @@ def serving():
     """Starts servers and stops them at the end: `serving(policy) -> Client`."""
     with contextlib.ExitStack() as stack:
 
-        def start_one(policy):
+        def start_server(policy):
             server = start(policy)
             stack.callback(server.stop, 0)
             client = Client(server.address)
             stack.callback(client.channel.close)
             return client
 
-        yield start_one
+        yield start_server
 
 
 class Noisy(Policy):
@@ -88,7 +88,7 @@ class Recording(Policy):
 
 
 class Answering(Policy):
-    """Answers, or raises, its constructor's argument."""
+    """Answers its constructor's argument, or raises it if it is an exception."""
 
     description = Description(name="crooked", horizon=2)
 
@@ -112,14 +112,14 @@ def refusal(call, *arguments, **fields):
 
 
 def gateway_program():
-    """The program named by the environment variable POLICY_GATEWAY."""
+    """Returns the path in the environment variable POLICY_GATEWAY, or skips the test."""
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:
         pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
     return program
 
 
-def assert_gateway_finds_that_it_conforms(url, *arguments):
+def assert_gateway_check_passes(url, *arguments):
     """Runs the gateway's conformance check on a server."""
     check = subprocess.run(
         [gateway_program(), "check", url, *arguments], capture_output=True, text=True, check=False
@@ -133,14 +133,14 @@ def assert_conforms(policy):
     gateway_program()
     server = start(policy)
     try:
-        assert_gateway_finds_that_it_conforms(f"grpc://{server.address}")
+        assert_gateway_check_passes(f"grpc://{server.address}")
     finally:
         server.stop(0)
 
 
 @contextlib.contextmanager
 def running(*command, **options):
-    """Runs a server as a separate process; yields its output after `listening on`."""
+    """Runs a server as a separate process; yields the process, and the address that it prints."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options)
     try:
         line = process.stdout.readline()

@@ -1,4 +1,4 @@
-"""Programs that print their address, and a gateway in front of them.
+"""Context managers that run a server, or a gateway with a client, as separate processes.
 
 The gateway is the program that the environment variable POLICY_GATEWAY names.
 """
@@ -34,7 +34,7 @@ def gateway_program():
 
 @contextlib.contextmanager
 def client_behind(program, *arguments):
-    """Returns a client of a gateway with these arguments."""
+    """Runs a gateway with these arguments; yields a client of it."""
     with running([program, "--listen", "127.0.0.1:0", *arguments]) as address:
         client = Client(address)
         yield client

@@ -42,24 +42,24 @@ def synthetic_statistics() -> dict[str, dict[str, torch.Tensor]]:
     """Returns every kind of statistics that lerobot's normalisation may need."""
 
     def statistics(width: int, spread: float) -> dict[str, torch.Tensor]:
-        ends = torch.full((width,), spread)
+        bounds = torch.full((width,), spread)
         return {
             "mean": torch.zeros(width),
-            "std": ends / 2,
-            "min": -ends,
-            "max": ends,
-            "q01": -ends,
-            "q99": ends,
+            "std": bounds / 2,
+            "min": -bounds,
+            "max": bounds,
+            "q01": -bounds,
+            "q99": bounds,
         }
 
-    # Actions are narrow, because random weights leave much of a flow's noise, which exceeds 1,
-    # unchanged.
+    # Actions have a small spread, because random weights leave much of a flow's noise unchanged,
+    # and noise exceeds the range of actions, -1..1.
     return {"observation.state": statistics(8, 2.0), "action": statistics(7, 0.5)}
 
 
 def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedTokenizerFast:
-    """Saves a tokeniser with one token per known word into a folder; `special`
-    names the tokens that are looked up by name."""
+    """Saves a tokeniser with one token per known word into a folder; `special` maps names that
+    transformers uses, such as `image_token`, to tokens."""
     tokens = ["<unk>", "<pad>", "<s>", "</s>", "\n", *WORDS, *map(str, range(256)), *extra]
     vocabulary = {token: index for index, token in enumerate(dict.fromkeys(tokens))}
     words = Tokenizer(models.WordLevel(vocabulary, unk_token="<unk>"))
@@ -124,7 +124,7 @@ def smolvla(folder: Path) -> None:
     config = SmolVLAConfig(
         vlm_model_name=str(backbone),
         num_vlm_layers=2,
-        # As in the released checkpoint: a third camera that never provides images.
+        # As in the released checkpoint, the third image slot never gets a frame.
         input_features={
             "observation.images.camera1": visual(),
             "observation.images.camera2": visual(),
@@ -167,8 +167,8 @@ def small_pi05() -> Iterator[None]:
 
 
 def pi05(folder: Path) -> None:
-    """π0.5 with two layers instead of eighteen and twenty-seven, and frames of 56 x 56
-    instead of 224 x 224."""
+    """π0.5 with two layers in the language models (instead of eighteen) and in the vision encoder
+    (instead of twenty-seven), and frames of 56 x 56 instead of 224 x 224."""
     from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
     words = folder / "words"
@@ -188,11 +188,11 @@ def pi05(folder: Path) -> None:
         device="cpu",
     )
     # The tokeniser's name is fixed in lerobot's code, too.
-    replaced = mock.patch(
+    with_saved_tokeniser = mock.patch(
         "lerobot.policies.pi05.processor_pi05.TokenizerProcessorStep",
         _with_tokeniser(str(words)),
     )
-    with small_pi05(), replaced:
+    with small_pi05(), with_saved_tokeniser:
         save(config, folder)
 
 
@@ -282,8 +282,8 @@ def vla_jepa(folder: Path) -> None:
 
 
 def act(folder: Path) -> None:
-    """lerobot's ACT, which keeps chunks in an ensemble. It replaces MINERVA
-    where MINERVA cannot be installed."""
+    """lerobot's ACT, which averages overlapping chunks. Tests use it in place of MINERVA, whose
+    package cannot be installed beside lerobot."""
     from lerobot.configs.types import NormalizationMode
     from lerobot.policies.act.configuration_act import ACTConfig
 

@@ -1,5 +1,5 @@
-"""A model server of the real vla-eval, around a policy whose answers depend on
-the instruction. It records its messages in a file, one JSON object per message.
+"""A model server of the real vla-eval, around a policy whose answers depend on the instruction.
+It records the messages that it receives in a file, one JSON object per message.
 """
 
 import argparse
@@ -20,8 +20,8 @@ from vla_eval.specs import DimSpec
 GRIPPERS = (0.3, -0.2, 0.0, -1.5)
 
 
-def scripted(step):
-    """Returns the action of a step, whose gripper is rarely -1 or 1."""
+def scripted_action(step):
+    """Returns the action of a step. Its gripper value, one of GRIPPERS, is neither -1 nor 1."""
     action = np.linspace(-1.2, 0.6, 7) + 0.01 * step
     action[6] = GRIPPERS[step % len(GRIPPERS)]
     return action
@@ -66,15 +66,15 @@ class Policy(PredictModelServer):
             case "answer a list":
                 return {"action": [0.5, 0, 0, 0, 0, 0, -0.1]}
             case "answer a chunk":
-                return {"actions": np.stack([scripted(ctx.step + at) for at in range(6)])}
+                return {"actions": np.stack([scripted_action(ctx.step + at) for at in range(6)])}
             case _:
-                return {"actions": scripted(ctx.step)}
+                return {"actions": scripted_action(ctx.step)}
 
 
-def described(value):
+def to_json(value):
     """Converts a received value to one that JSON can hold."""
     if isinstance(value, dict):
-        return {key: described(entry) for key, entry in value.items()}
+        return {key: to_json(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray) and value.dtype == np.uint8:
         digest = hashlib.sha256(value.tobytes()).hexdigest()
         return [value.dtype.str, *value.shape, digest, value.mean(axis=(0, 1)).tolist()]
@@ -83,8 +83,8 @@ def described(value):
     return value
 
 
-def wire_forms(data):
-    """Returns the encodings of the frames of a message."""
+def image_encodings(data):
+    """Returns the encoding of each frame of a packed message, by camera."""
     images = msgpack.unpackb(data)["payload"].get("images", {})
     return {name: image.get("format", image.get("dtype")) for name, image in images.items()}
 
@@ -101,23 +101,23 @@ def main():
     lock = threading.Lock()
     unpack = serve.unpack_message
 
-    def recorded(data):
+    def unpack_and_record(data):
         message = unpack(data)
         line = {
             "type": message.type.value,
             "seq": message.seq,
             "timestamp": type(message.timestamp).__name__,
-            "payload": described(message.payload),
-            "forms": wire_forms(data),
+            "payload": to_json(message.payload),
+            "forms": image_encodings(data),
         }
         with lock:
             print(json.dumps(line), file=received, flush=True)
         return message
 
-    serve.unpack_message = recorded
+    serve.unpack_message = unpack_and_record
     handle, connections = serve._handle_connection, itertools.count()
 
-    async def counted(socket, policy):
+    async def handle_and_record_end(socket, policy):
         connection = next(connections)
         await handle(socket, policy)
         with lock:
@@ -127,7 +127,7 @@ def main():
                 flush=True,
             )
 
-    serve._handle_connection = counted
+    serve._handle_connection = handle_and_record_end
 
     async def run():
         async with anyio.create_task_group() as tasks:

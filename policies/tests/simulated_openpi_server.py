@@ -3,7 +3,7 @@ simulated policy. It sends a metadata message first, then answers one msgpack
 message after another; if the policy raises, it sends the traceback as text and
 closes. Messages are packed by the real openpi-client.
 
-Its inputs are recorded in a file, one JSON object per line, for a test to examine.
+The policy's inputs are recorded in a file, one JSON object per query, for a test to examine.
 """
 
 import argparse

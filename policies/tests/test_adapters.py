@@ -19,7 +19,7 @@ from rollout_policies import Camera, Episode, Observation, State, UnderWay
 from rollout_policies.adapters import (
     MODULES,
     Options,
-    executed,
+    executed_actions,
     load,
     openvla_oft,
     predvla,
@@ -66,7 +66,7 @@ def later_query(earlier, query_index):
 # Policies that lerobot runs.
 
 
-def test_lerobot_gets_turned_frames_and_eight_numbers():
+def test_lerobot_gets_turned_frames_and_a_state_of_eight_numbers():
     slots = camera_of_slot(["observation.images.image", "observation.images.image2"])
     assert slots["observation.images.image"] == "agentview"
     batch = batch_of([observation(), observation(instruction="other")], slots)
@@ -92,7 +92,7 @@ class Loaded:
 
 
 class RecordingFlow(Loaded):
-    """Answers its noise, or a draw of its generator."""
+    """Records its calls. Answers the given noise, else noise of a generator with its last seed."""
 
     config = SimpleNamespace(chunk_size=50, max_action_dim=32)
     chunks_in_real_time = True
@@ -140,18 +140,19 @@ def test_a_flow_policy_passes_on_the_actions_under_way_per_query():
 def test_listed_checkpoints_execute_the_protocols_number_and_others_their_own():
     smolvla = entry("smolvla")
     numbers = {"chunk": 50, "from_checkpoint": 10}
-    assert executed(smolvla, Options(), **numbers) == 1
-    assert executed(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **numbers) == 1
-    assert executed(smolvla, Options(checkpoint="me/mine"), **numbers) == 10
-    assert executed(smolvla, Options(execute=5), **numbers) == 5
-    assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **numbers) == 5
+    assert executed_actions(smolvla, Options(), **numbers) == 1
+    assert executed_actions(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **numbers) == 1
+    assert executed_actions(smolvla, Options(checkpoint="me/mine"), **numbers) == 10
+    assert executed_actions(smolvla, Options(execute=5), **numbers) == 5
+    assert executed_actions(smolvla, Options(checkpoint="me/mine", execute=5), **numbers) == 5
     # This chunk is shorter than the number of actions that LIBERO-CTRL executes with the listed
     # checkpoint.
-    assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, from_checkpoint=5) == 5
+    pi05 = entry("pi05")
+    assert executed_actions(pi05, Options(checkpoint="me/mine"), chunk=5, from_checkpoint=5) == 5
 
 
 def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
-    executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, from_checkpoint=10)
+    executed_actions(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, from_checkpoint=10)
     assert "executing 10 actions of every chunk" in caplog.text
     assert "LIBERO-CTRL executes 1 with" in caplog.text
 
@@ -165,18 +166,18 @@ def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
 )
 def test_more_actions_than_a_chunk_has_are_refused(chunk, options, words):
     with pytest.raises(UnusableOption, match=words):
-        executed(entry("smolvla"), options, chunk=chunk, from_checkpoint=1)
+        executed_actions(entry("smolvla"), options, chunk=chunk, from_checkpoint=1)
 
 
 @pytest.mark.parametrize(("cls", "name"), [(FlowPolicy, "smolvla"), (VlaJepa, "vla-jepa")])
 def test_noise_depends_on_seed_and_query_only(cls, name):
     policy = flow(cls, name)
-    ours, other = observation(seed=1, query_index=3), observation(seed=2, query_index=3)
-    alone = policy.infer(ours)
-    assert (policy.infer(ours) == alone).all()
-    assert (policy.infer_batch([other, ours])[1] == alone).all()
-    assert (policy.infer(other) != alone).any()
-    assert (policy.infer(later_query(ours, 4)) != alone).any()
+    query, other_query = observation(seed=1, query_index=3), observation(seed=2, query_index=3)
+    alone = policy.infer(query)
+    assert (policy.infer(query) == alone).all()
+    assert (policy.infer_batch([other_query, query])[1] == alone).all()
+    assert (policy.infer(other_query) != alone).any()
+    assert (policy.infer(later_query(query, 4)) != alone).any()
     assert alone.shape == (50, 7)
 
 
@@ -195,10 +196,10 @@ def test_minerva_declares_canonical_instructions_and_keeps_episodes_apart():
     policy = Minerva(entry("minerva"), RecordingLerobot())
     assert policy.description.language is Language.CANONICAL_ONLY
     assert policy.description.stateful and policy.description.horizon == 1
-    one, two = observation(), observation()
-    policy.reset(one.episode)
-    policy.reset(two.episode)
-    answers = [policy.infer(which)[0] for which in (one, one, two, one)]
+    first, second = observation(), observation()
+    policy.reset(first.episode)
+    policy.reset(second.episode)
+    answers = [policy.infer(query)[0] for query in (first, first, second, first)]
     assert answers == pytest.approx([0.1, 0.2, 0.1, 0.3])
 
 
@@ -343,15 +344,15 @@ def test_every_episode_of_predvla_has_its_own_instruction():
     policy = predvla.PredVla(
         entry("predvla"), RecordingPredvla(), suite="libero_goal", checkpoint="weights"
     )
-    one, two = observation(instruction="one"), observation(instruction="two")
-    policy.reset(one.episode)
-    policy.reset(two.episode)
-    policy.infer(one)
-    assert one.episode.memory.correction[0] == "one"
-    assert two.episode.memory.correction == ["two"]
+    first, second = observation(instruction="one"), observation(instruction="two")
+    policy.reset(first.episode)
+    policy.reset(second.episode)
+    policy.infer(first)
+    assert first.episode.memory.correction[0] == "one"
+    assert second.episode.memory.correction == ["two"]
 
 
-def test_cached_statistics_are_searched_in_the_package(tmp_path):
+def test_a_relative_path_of_statistics_is_resolved_in_the_authors_repository(tmp_path):
     assert predvla._statistics_path("../data/cache_l64", tmp_path) == str(
         tmp_path / "data/cache_l64"
     )
@@ -363,7 +364,7 @@ def test_cached_statistics_are_searched_in_the_package(tmp_path):
 
 @pytest.mark.parametrize("name", ["openvla-oft", "univla", "predvla"])
 def test_an_episode_of_another_suite_is_refused(name):
-    made = {
+    policy = {
         "openvla-oft": lambda: openvla_oft.OpenVlaOft(
             entry(name), RecordingOft(), suite="libero_10", checkpoint="w"
         ),
@@ -375,7 +376,7 @@ def test_an_episode_of_another_suite_is_refused(name):
         ),
     }[name]()
     with pytest.raises(WrongSuite, match="libero_10, and the episode is of libero_goal"):
-        made.reset(observation().episode)
+        policy.reset(observation().episode)
 
 
 def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
@@ -418,7 +419,7 @@ def test_weights_per_suite_require_a_suite():
         entry("univla").checkpoint_for("libero_90")
 
 
-def test_batches_are_refused_where_neighbours_would_share_noise():
+def test_batches_are_refused_if_their_queries_would_share_noise():
     with pytest.raises(UnusableOption, match="VLA-JEPA answers one query at a time"):
         load("vla-jepa", Options(max_batch=4))
 
@@ -426,8 +427,8 @@ def test_batches_are_refused_where_neighbours_would_share_noise():
 def test_a_digest_changes_with_content_and_name(tmp_path):
     (tmp_path / "a").write_bytes(b"weights")
     (tmp_path / "b").write_bytes(b"weights")
-    one, other = digest([tmp_path / "a"]), digest([tmp_path / "b"])
-    assert len(one) == 64 and one != other
+    first, second = digest([tmp_path / "a"]), digest([tmp_path / "b"])
+    assert len(first) == 64 and first != second
     assert digest([tmp_path / "b", tmp_path / "a"]) == digest([tmp_path / "a", tmp_path / "b"])
 
 

@@ -39,17 +39,17 @@ def test_a_query_of_a_batch_fails_alone_and_answers_do_not_depend_on_the_batch(s
 
 
 class Batching(Policy):
-    """Fails to answer the session named "bad"."""
+    """Raises `error` for a query or batch of the session named "bad"."""
 
     def __init__(self, error, stateful=False):
         self.description = Description(name="batching", max_batch=4, stateful=stateful)
-        self.error, self.alone = error, []
+        self.error, self.single_queries = error, []
 
     def reset(self, episode):
         pass
 
     def infer(self, observation):
-        self.alone.append(observation.episode.session)
+        self.single_queries.append(observation.episode.session)
         return self.answers([observation])[0]
 
     def infer_batch(self, observations):
@@ -61,7 +61,8 @@ class Batching(Policy):
         return [np.full(7, 0.5) for _ in observations]
 
 
-def answered_in_a_batch(client):
+def batch_results(client):
+    """Returns the actions, or else the error, of each query of a batch."""
     for session in ("a", "bad", "b"):
         client.reset(session)
     queries = [client.request(session) for session in ("a", "bad", "b")]
@@ -71,10 +72,10 @@ def answered_in_a_batch(client):
 
 def test_only_the_faulty_query_of_a_batch_fails(serving):
     policy = Batching(KeyError("butter"))
-    one, faulty, other = answered_in_a_batch(serving(policy))
-    assert one == other == [0.5] * 7
+    first, faulty, last = batch_results(serving(policy))
+    assert first == last == [0.5] * 7
     assert faulty == "infer raised KeyError: 'butter'"
-    assert policy.alone == ["a", "bad", "b"]
+    assert policy.single_queries == ["a", "bad", "b"]
 
 
 def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
@@ -84,7 +85,7 @@ def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
 
     policy = AnsweringTooFew(KeyError("butter"))
     client = serving(policy)
-    assert [len(answer) == 7 for answer in answered_in_a_batch(client)] == [True, False, True]
+    assert [len(result) == 7 for result in batch_results(client)] == [True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -97,9 +98,9 @@ def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
     ids=["unrecoverable error", "stateful"],
 )
 def test_a_failed_batch_of_a_stateful_or_broken_policy_fails_as_a_whole(serving, policy):
-    answers = answered_in_a_batch(serving(policy))
-    assert all(answer.startswith("infer raised ") for answer in answers)
-    assert policy.alone == []
+    results = batch_results(serving(policy))
+    assert all(result.startswith("infer raised ") for result in results)
+    assert policy.single_queries == []
 
 
 def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving):
@@ -108,10 +109,10 @@ def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving
             raise ValueError("the batch failed")
 
     policy = FailingBatch(RuntimeError("CUDA out of memory"))
-    one, faulty, other = answered_in_a_batch(serving(policy))
-    assert one == [0.5] * 7
-    assert "out of memory" in faulty and "out of memory" in other
-    assert policy.alone == ["a", "bad"]
+    first, faulty, last = batch_results(serving(policy))
+    assert first == [0.5] * 7
+    assert "out of memory" in faulty and "out of memory" in last
+    assert policy.single_queries == ["a", "bad"]
 
 
 def test_the_gateway_has_the_same_words_of_unrecoverable_errors():

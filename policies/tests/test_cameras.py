@@ -12,9 +12,10 @@ def slots(*names):
     return [f"observation.images.{name}" for name in names]
 
 
-def by_name(*names, **given):
-    found = camera_of_slot(slots(*names), **given)
-    return {slot.removeprefix("observation.images."): camera for slot, camera in found.items()}
+def by_name(*names, **arguments):
+    """Returns the camera of each slot, by the slot's name without the common prefix."""
+    cameras = camera_of_slot(slots(*names), **arguments)
+    return {slot.removeprefix("observation.images."): camera for slot, camera in cameras.items()}
 
 
 @pytest.mark.parametrize(
@@ -67,17 +68,17 @@ def test_unknown_or_ambiguous_slot_names_are_refused_with_the_flag_to_add(names)
 
 
 def test_image_keys_assign_slots_with_unknown_names():
-    given = {"scene": "right", "wrist": "observation.images.left"}
-    assert by_name("left", "right", given=given) == {"right": SCENE, "left": WRIST}
+    image_keys = {"scene": "right", "wrist": "observation.images.left"}
+    assert by_name("left", "right", image_keys=image_keys) == {"right": SCENE, "left": WRIST}
     # The command line may contradict the names, and may leave a slot empty.
-    given = {"wrist": "image"}
-    assert by_name("image", "image2", given=given) == {"image": WRIST}
+    image_keys = {"wrist": "image"}
+    assert by_name("image", "image2", image_keys=image_keys) == {"image": WRIST}
 
 
-@pytest.mark.parametrize("given", [{"scene": "front"}, {"scene": "left", "wrist": "left"}])
-def test_a_missing_slot_or_one_given_twice_is_refused(given):
+@pytest.mark.parametrize("image_keys", [{"scene": "front"}, {"scene": "left", "wrist": "left"}])
+def test_a_missing_slot_and_a_slot_given_twice_are_refused(image_keys):
     with pytest.raises(UnusableOption, match="--image-keys"):
-        by_name("left", "right", given=given)
+        by_name("left", "right", image_keys=image_keys)
 
 
 def test_recorded_renames_take_precedence_over_slot_names():

@@ -164,8 +164,8 @@ def test_a_policy_of_one_suite_is_checked_with_a_task_of_that_suite():
     check(LiberoGoalOnly(), suite="libero_goal")
 
 
-class Wire(pb_grpc.PolicyServicer):
-    """A handwritten server with the given faults."""
+class FaultyService(pb_grpc.PolicyServicer):
+    """A service that does not use this package, and violates the named points."""
 
     def __init__(self, *faults):
         self.faults = set(faults)
@@ -187,10 +187,10 @@ class Wire(pb_grpc.PolicyServicer):
     def Infer(self, request, context):
         if "unopened" not in self.faults and request.session not in self.seeds:
             context.abort(grpc.StatusCode.UNAVAILABLE, "not open")
-        seed, times = self.seeds.get(request.session, 0), 0
+        seed, retry = self.seeds.get(request.session, 0), 0
         if "retry" in self.faults:
-            times = self.retries[request.session] = self.retries.get(request.session, -1) + 1
-        rng = np.random.default_rng([seed, request.query_index, times])
+            retry = self.retries[request.session] = self.retries.get(request.session, -1) + 1
+        rng = np.random.default_rng([seed, request.query_index, retry])
         count, width = (3 if "horizon" in self.faults else 2), (6 if "width" in self.faults else 7)
         actions = rng.uniform(-1, 1, count * width).astype(np.float32)
         if "nan" in self.faults:
@@ -234,7 +234,7 @@ def findings_of(servicer, healthy=True):
     ],
 )
 def test_a_servers_fault_fails_its_point(fault, failing, expected):
-    findings = findings_of(Wire(fault), healthy=fault != "health")
+    findings = findings_of(FaultyService(fault), healthy=fault != "health")
     assert [finding.point for finding in findings] == list(Point)
     failed = {finding.point: finding.verdict.text for finding in findings if finding.verdict.failed}
     if failing is None:
@@ -311,13 +311,13 @@ def test_a_synthetic_observation_has_the_requested_shape():
     }
     assert all(frame.dtype == np.uint8 for frame in synthetic.images.values())
     assert len(synthetic.vector()) == sum(field.size for field in State)
-    # The robot's own readings have this range.
+    # The readings of LIBERO's robot are below 4, too.
     assert all(np.abs(reading).max() < 4 for reading in synthetic.state.values())
 
 
 def test_synthetic_observations_depend_on_seed_and_query():
-    def bytes_of(*which):
-        synthetic = fake_observation(ALL_INPUTS, *which)
+    def bytes_of(*seed_and_query):
+        synthetic = fake_observation(ALL_INPUTS, *seed_and_query)
         return synthetic.images["agentview"].tobytes() + synthetic.vector().tobytes()
 
     assert bytes_of(1, 2) == bytes_of(1, 2)

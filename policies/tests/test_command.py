@@ -121,12 +121,12 @@ def test_a_wrong_command_line_is_refused_with_2(capsys, arguments, expected):
 
 
 def test_access_errors_show_before_weights_are_loaded(capsys, tmp_path):
-    taken = start(Flags("w"))
+    listening = start(Flags("w"))
     try:
         for arguments, expected in (
             (["--token-file", str(tmp_path / "missing")], "missing: No such file"),
             (["--tls-cert", "c", "--tls-key", "k"], "certificate c and key k"),
-            (["--listen", taken.address], taken.address),
+            (["--listen", listening.address], listening.address),
             (["--listen", "localhost"], "'localhost' as an address.*HOST:PORT"),
         ):
             capsys.readouterr()
@@ -134,7 +134,7 @@ def test_access_errors_show_before_weights_are_loaded(capsys, tmp_path):
                 run(Flags, ["--checkpoint", "w", *arguments])
             assert "loading" not in capsys.readouterr().err
     finally:
-        taken.stop(0)
+        listening.stop(0)
 
 
 def test_help_shows_the_docstring_and_fits_a_terminal(capsys, monkeypatch):

@@ -71,9 +71,9 @@ class ComputedPredvla:
         return np.full(7, correction[-1])
 
 
-def around_computed_networks():
-    """Returns adapters of policies whose upstream packages are in no registry. The check plays a
-    task of libero_object."""
+def adapters_with_computed_networks():
+    """Returns adapters of the policies whose upstream packages are in no registry, with functions
+    in place of the networks. They serve libero_object, the suite of the check's task."""
     served = {"suite": "libero_object", "checkpoint": "none: computed in the network's place"}
     bounds = {"q01": [-1.0] * 7, "q99": [1.0] * 7, "mask": [True] * 6 + [False]}
     return [
@@ -86,7 +86,7 @@ def around_computed_networks():
 
 @pytest.mark.parametrize(
     "policy",
-    [Noisy(), Batched(), Remembering(), ColourServo(), *around_computed_networks()],
+    [Noisy(), Batched(), Remembering(), ColourServo(), *adapters_with_computed_networks()],
     ids=lambda policy: policy.description.name,
 )
 def test_a_server_of_this_package_conforms(policy):

@@ -61,6 +61,6 @@ def test_a_network_with_cuda_graphs_answers_many_connections(tmp_path):
 
         with ThreadPoolExecutor(16) as pool:
             episodes = list(pool.map(episode, range(48)))
-    for one in episodes[1:]:
-        assert np.array_equal(one, episodes[0])
+    for answers in episodes[1:]:
+        assert np.array_equal(answers, episodes[0])
     assert not np.array_equal(episodes[0][0], episodes[0][1])

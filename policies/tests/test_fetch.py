@@ -43,7 +43,7 @@ def test_a_local_folder_has_no_revision(hub, tmp_path):
     assert (fetched.folder, fetched.settings, hub.requests) == (tmp_path, {}, [])
     with pytest.raises(UnusableOption, match="--revision names a commit of the hub"):
         fetch(entry("smolvla"), str(tmp_path), "v2")
-    # The path of one of the hub's own folders contains its commit.
+    # A folder in the hub's cache is named after its commit.
     assert fetch(entry("smolvla"), str(hub.snapshot)).revision == COMMIT
 
 

@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 import numpy as np
 import pytest
 from conftest import Client, running
-from test_conformance import around_computed_networks
+from test_conformance import adapters_with_computed_networks
 
 from rollout_policies import Description, Policy, UnusableActions, fake_observation
 from rollout_policies.adapters import openvla_oft
@@ -235,7 +235,7 @@ def test_running_queries_are_answered_before_a_server_stops(tmp_path):
 
 
 class WarmedUp(Policy):
-    """Accepts tasks of one suite, and records its queries."""
+    """Accepts tasks of one suite, and records the sizes of its batches."""
 
     def __init__(self, answer, max_batch=1):
         self.description = Description(name="warmed-up", horizon=2, max_batch=max_batch)
@@ -291,7 +291,7 @@ def test_a_policy_that_refuses_all_synthetic_episodes_is_served_without_warm_up(
 
 @pytest.mark.parametrize("name", ["openvla-oft", "univla"])
 def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch, name):
-    policies = around_computed_networks()
+    policies = adapters_with_computed_networks()
     policy, *_ = [policy for policy in policies if policy.description.name == name]
     preparing_threads = []
 

@@ -28,7 +28,8 @@ from rollout_policies.adapters.upstream import (  # noqa: E402
     UnusableOption,
 )
 
-#: lerobot's own ACT replaces MINERVA: it, too, keeps chunks of one episode inside the policy.
+#: The adapter of each random policy. lerobot's ACT is served by MINERVA's adapter: both networks
+#: hold the chunks of one episode.
 ADAPTERS = {"smolvla": "smolvla", "pi05": "pi05", "vla-jepa": "vla-jepa", "act": "minerva"}
 
 
@@ -54,7 +55,7 @@ def loaded(name, folder, **options):
 
 
 def play(policy, seed, queries=3):
-    """Returns the answers of an episode that is started again."""
+    """Starts an episode. Returns the answers to its first queries."""
     first_query = observation(seed)
     policy.reset(first_query.episode)
     return [policy.infer(later_query(first_query, index)) for index in range(queries)]
@@ -108,9 +109,12 @@ def test_an_episode_depends_on_its_seed_alone(policy):
 def test_interleaved_episodes_equal_single_ones(policy):
     alone = [play(policy, seed) for seed in (1, 2)]
     episodes = [observation(1), observation(2)]
-    for one in episodes:
-        policy.reset(one.episode)
-    together = [[policy.infer(later_query(one, index)) for one in episodes] for index in range(3)]
+    for first_query in episodes:
+        policy.reset(first_query.episode)
+    together = [
+        [policy.infer(later_query(first_query, index)) for first_query in episodes]
+        for index in range(3)
+    ]
     assert np.array_equal(np.swapaxes(together, 0, 1), alone)
 
 
@@ -122,9 +126,9 @@ def test_actions_depend_on_instruction_and_frames(policy, checkpoint):
         dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images}
     )
     answers = []
-    for one in (first_query, dark, observation(1, instruction="pick up the butter")):
-        policy.reset(one.episode)
-        answers.append(policy.infer(one))
+    for query in (first_query, dark, observation(1, instruction="pick up the butter")):
+        policy.reset(query.episode)
+        answers.append(policy.infer(query))
     assert (answers[0] != answers[1]).any()
     uses_instruction = checkpoint[0] != "act"
     assert (answers[0] != answers[2]).any() == uses_instruction
@@ -137,23 +141,23 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
         return
     first_query = observation(1)
     policy.reset(first_query.episode)
-    free = policy.infer(first_query)
-    # Actions of another episode replace the rest of an earlier chunk; any actions would do.
+    unguided = policy.infer(first_query)
+    # The actions under way are taken from another episode; any actions would do.
     executed = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
     continued = policy.infer(replace(first_query, under_way=UnderWay(executed, delay)))
-    assert continued.shape == free.shape and np.isfinite(continued).all()
+    assert continued.shape == unguided.shape and np.isfinite(continued).all()
 
     def distance(chunk, steps):
         return np.abs(chunk[steps] - executed[steps]).mean()
 
     # lerobot's guidance fades from the delay on, and ends after ten actions.
     during_delay, after_delay = slice(0, delay), slice(delay, 8)
-    assert distance(continued, during_delay) < distance(free, during_delay) / 2
-    assert np.array_equal(policy.infer(first_query), free), (
+    assert distance(continued, during_delay) < distance(unguided, during_delay) / 2
+    assert np.array_equal(policy.infer(first_query), unguided), (
         "without actions under way, nothing changes"
     )
-    # The last chunk does not guide the new chunk beyond the last chunk's end.
+    # The actions under way guide the new chunk only up to their end.
     short = policy.infer(replace(first_query, under_way=UnderWay(executed[:delay], delay)))
     assert distance(continued, after_delay) < distance(short, after_delay)
 
@@ -251,8 +255,8 @@ def test_a_large_tensor_that_differs_from_the_file_is_refused(altered, monkeypat
 
 
 def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
-    # If a file lacks the embedding, as released ones do, lerobot copies the head's weights into
-    # π0.5's, but not into SmolVLA's.
+    # If a file lacks the embedding, as the released files do, lerobot copies the head's weights
+    # into π0.5's embedding, but not into SmolVLA's.
     name, folder = altered
     if name not in ("smolvla", "pi05"):
         pytest.skip(f"{name} has no tied embeddings")
@@ -303,23 +307,23 @@ def test_slots_with_unknown_names_are_refused_with_the_flag_to_add(altered):
     assert loaded(name, folder, image_keys={"scene": "left", "wrist": "right"})
 
 
-@pytest.mark.parametrize("which", ["action", "observation.state"])
-def test_a_checkpoint_without_statistics_is_refused(altered, which):
+@pytest.mark.parametrize("feature", ["action", "observation.state"])
+def test_a_checkpoint_without_statistics_is_refused(altered, feature):
     # lerobot would leave the numbers unchanged.
     name, folder = altered
     for file in folder.glob("policy_*_normalizer_processor.safetensors"):
-        drop_statistics(file, which)
+        drop_statistics(file, feature)
     for file in folder.glob("policy_*_unnormalizer_processor.safetensors"):
-        drop_statistics(file, which)
-    what = "actions" if which == "action" else "the state"
-    with pytest.raises(UnusableCheckpoint, match=f"has no statistics of {what}"):
+        drop_statistics(file, feature)
+    title = "actions" if feature == "action" else "the state"
+    with pytest.raises(UnusableCheckpoint, match=f"has no statistics of {title}"):
         loaded(name, folder)
 
 
-def drop_statistics(file, which):
+def drop_statistics(file, feature):
     tensors = load_file(file)
-    others = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
-    save_file(others, file)
+    kept = {key: tensors[key] for key in tensors if not key.startswith(f"{feature}.")}
+    save_file(kept, file)
 
 
 def test_a_missing_file_is_named_with_the_remedy(altered):

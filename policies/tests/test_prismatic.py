@@ -72,13 +72,13 @@ def module_of(**parts):
 @pytest.fixture
 def upstream(monkeypatch):
     """Replaces upstream's modules for the duration of a test."""
-    folder = SimpleNamespace(from_pretrained=lambda folder: None)
+    image_processor = SimpleNamespace(from_pretrained=lambda folder: None)
     modules = {
         "timm": {},
         "prismatic.extern.hf.modeling_prismatic": {"OpenVLAForActionPrediction": Network},
         "prismatic.extern.hf.processing_prismatic": {
             "PrismaticProcessor": Processor,
-            "PrismaticImageProcessor": folder,
+            "PrismaticImageProcessor": image_processor,
         },
         "prismatic.vla.constants": {"NUM_ACTIONS_CHUNK": 8},
         "prismatic.models.action_heads": {
@@ -93,7 +93,7 @@ def upstream(monkeypatch):
     for name, parts in modules.items():
         monkeypatch.setitem(sys.modules, name, module_of(**parts))
     monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda folder: None)
-    # Result of OpenVLA-OFT's own transformers.
+    # The result with OpenVLA-OFT's own transformers, in which tokens attend to later tokens.
     monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: True)
 
 
@@ -133,12 +133,12 @@ def test_all_parts_of_openvla_oft_are_loaded_onto_the_chosen_device(oft):
     settings = policy.description.settings
     assert (settings["device"], settings["precision"]) == ("cpu", "bfloat16")
     assert settings["statistics"].startswith("libero_goal_no_noops: actions QUANTILES ")
-    # Tensors on the device "meta" hold no numbers, but "meta" differs from upstream's device.
+    # The device "meta", whose tensors hold no numbers, stands for a device other than upstream's.
     parts = (policy.model.action_head, policy.model.proprio_projector, policy.model.network)
-    elsewhere = served(oft, device="meta").model
-    for part in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
-        assert {number.device.type for number in part.parameters()} == {"meta"}
-    assert {number.device.type for part in parts for number in part.parameters()} == {"cpu"}
+    on_meta = served(oft, device="meta").model
+    for part in (on_meta.network, on_meta.action_head, on_meta.proprio_projector):
+        assert {tensor.device.type for tensor in part.parameters()} == {"meta"}
+    assert {tensor.device.type for part in parts for tensor in part.parameters()} == {"cpu"}
 
 
 def test_a_network_that_lacks_a_tensor_is_refused(oft):
@@ -190,8 +190,8 @@ def test_another_robot_s_chunk_is_refused(oft):
 
 
 def test_openvla_oft_refuses_the_standard_transformers(oft, monkeypatch):
-    # The standard transformers and OpenVLA-OFT's have the same version, but only in OpenVLA-OFT's
-    # does a token attend to later tokens.
+    # The standard transformers and OpenVLA-OFT's have the same version number, but a token attends
+    # to later tokens only in OpenVLA-OFT's.
     monkeypatch.undo()
     network = Network()
     assert not prismatic._attends_to_later_tokens(network, torch, transformers)
@@ -260,12 +260,12 @@ def test_univlas_random_numbers_continue_across_queries(univla_checkpoint):
     )
     pixels = np.zeros((4, 4, 3), dtype=np.uint8)
 
-    def drawn(generator):
-        _, tokens, after = model.chunk(pixels, "text", generator)
-        return tokens, after
+    def draw_tokens(generator):
+        _, tokens, state_afterwards = model.chunk(pixels, "text", generator)
+        return tokens, state_afterwards
 
-    first, after_first = drawn(7)
-    second, _ = drawn(after_first)
+    first, after_first = draw_tokens(7)
+    second, _ = draw_tokens(after_first)
     torch.rand(1)
-    assert drawn(7)[0] == first != second
-    assert drawn(after_first)[0] == second
+    assert draw_tokens(7)[0] == first != second
+    assert draw_tokens(after_first)[0] == second

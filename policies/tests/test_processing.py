@@ -54,8 +54,9 @@ def test_bilinear_shrinks_as_torch_with_antialias():
 
 
 def test_halving_with_a_triangle_filter_equals_weights_computed_by_hand():
-    # The filter's half width is 2. The centre 1.0 is 1/4 of that from the samples at 0.5
-    # and 1.5, and 3/4 from 2.5. At the edge, the filter's left quarter is cut off.
+    # The filter's half width is 2 samples. The first result's centre, 1.0, is 1/4 of the half width
+    # from the samples at 0.5 and 1.5, and 3/4 from the sample at 2.5; the sample to the left does
+    # not exist.
     row = np.zeros((1, 8, 3), dtype=np.uint8)
     row[0, :, :] = np.array([10, 50, 90, 250, 0, 0, 80, 40])[:, None]
     first = (0.75 * 10 + 0.75 * 50 + 0.25 * 90) / 1.75

@@ -15,9 +15,9 @@ PAGE = PACKAGE / "README.md"
 
 
 def samples():
-    found = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert found, f"{PAGE} has no sample in Python"
-    return found
+    programs = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert programs, f"{PAGE} has no sample in Python"
+    return programs
 
 
 @pytest.mark.parametrize("sample", samples())

@@ -108,6 +108,6 @@ def test_frames_that_are_not_turned_are_found(run_command):
 
 
 def test_a_server_that_keeps_every_episode_is_found_by_its_memory(run_command):
-    found = failed(run_command("doctor", Leaking()))
-    assert list(found) == ["memory"]
-    assert f"process {os.getpid()} grew" in found["memory"]
+    failures = failed(run_command("doctor", Leaking()))
+    assert list(failures) == ["memory"]
+    assert f"process {os.getpid()} grew" in failures["memory"]

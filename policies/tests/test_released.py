@@ -7,7 +7,7 @@ import grpc
 import pytest
 from conftest import (
     Client,
-    assert_gateway_finds_that_it_conforms,
+    assert_gateway_check_passes,
     gateway_program,
     running,
 )
@@ -43,7 +43,7 @@ def test_this_packages_check_finds_that_a_released_server_conforms(released):
 
 
 def test_the_gateways_check_finds_that_a_released_server_conforms(released):
-    assert_gateway_finds_that_it_conforms(f"grpc://{released}")
+    assert_gateway_check_passes(f"grpc://{released}")
 
 
 def test_a_released_server_works_after_the_end_of_an_episode(released):

@@ -1,4 +1,4 @@
-"""The ends of episodes, and the state kept until then."""
+"""Ends of episodes, and the release of the state that the server keeps for an open episode."""
 
 import time
 

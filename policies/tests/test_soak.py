@@ -13,8 +13,8 @@ EPISODES = 2_000
 QUERIES = 2
 #: Number of episodes between two memory measurements.
 EPISODES_PER_MEASUREMENT = 20
-#: Limits of a quarter of the run, relative to the first quarter. If episodes never ended, memory
-#: would grow by the state of a thousand episodes.
+#: Largest medians of memory and of latency in a later quarter of the run, relative to the first
+#: quarter. If episodes never ended, memory would grow by the state of a thousand episodes.
 MORE_MEMORY, MORE_LATENCY = 1.5, 3.0
 
 POLICY = """

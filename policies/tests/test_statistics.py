@@ -13,8 +13,8 @@ GOOD = {"q01": -np.ones(7), "q99": np.ones(7)}
 
 
 def test_statistics_are_summarised_as_mode_and_digest():
-    brief = require_statistics("actions", "QUANTILES", GOOD, 7)
-    assert brief == f"actions QUANTILES {digest(GOOD)}" and len(digest(GOOD)) == 12
+    summary = require_statistics("actions", "QUANTILES", GOOD, 7)
+    assert summary == f"actions QUANTILES {digest(GOOD)}" and len(digest(GOOD)) == 12
     assert digest({**GOOD, "q99": np.ones(7) * 2}) != digest(GOOD)
     assert require_statistics("actions", "IDENTITY", {}, 7) == "actions not normalised"
 
@@ -45,6 +45,6 @@ def test_a_folder_without_statistics_of_the_suite_is_refused(tmp_path):
         statistics_in(tmp_path, "libero_goal")
     plain = {name: numbers.tolist() for name, numbers in GOOD.items()}
     file.write_text(json.dumps({"libero_goal_no_noops": {"action": plain}}))
-    _, key, brief = statistics_in(tmp_path, "libero_goal")
+    _, key, summary = statistics_in(tmp_path, "libero_goal")
     assert key == "libero_goal_no_noops"
-    assert brief == f"{key}: actions QUANTILES {digest(GOOD)}"
+    assert summary == f"{key}: actions QUANTILES {digest(GOOD)}"

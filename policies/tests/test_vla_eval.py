@@ -21,7 +21,7 @@ from rollout_policies.proto import policy_pb2 as pb
 pytest.importorskip("vla_eval", reason="vla-eval is not installed")
 pytest.importorskip("anyio", reason="anyio is not installed")
 import anyio  # noqa: E402
-from recording_vla_eval_server import described, scripted  # noqa: E402
+from recording_vla_eval_server import scripted_action, to_json  # noqa: E402
 from vla_eval.benchmarks.libero.benchmark import LIBEROBenchmark  # noqa: E402
 from vla_eval.connection import Connection  # noqa: E402
 from vla_eval.runners.sync_runner import SyncEpisodeRunner  # noqa: E402
@@ -80,8 +80,8 @@ def rotation_of(quaternion):
 
 
 def simulated_observations():
-    """Returns robosuite's observations at a few steps, including the hand's
-    rest, near half a turn, and quaternions of either sign."""
+    """Yields synthetic observations of a few steps in robosuite's form. Their orientations include
+    rotations near half a turn, as of the hand at rest, with quaternions of either sign."""
     generator = np.random.default_rng(3)
     quaternions = generator.normal(size=(STEPS, 4))
     quaternions[0] = (0.9999, 0.001, -0.002, 0.0003)
@@ -190,7 +190,8 @@ def played_by_the_gateway(program, server, received, instruction):
 
 
 def assert_alike(ours, theirs):
-    """Checks equality, but numbers may differ in the last bit of single precision."""
+    """Checks that two recorded messages are equal, except that floats may differ in the last bit
+    of single precision."""
     if isinstance(theirs, dict):
         assert list(ours) == list(theirs), "the same keys in the same order"
         for key, value in theirs.items():
@@ -254,7 +255,7 @@ def test_frames_are_sent_in_each_image_format(program, received, form, sent):
     dtype, *shape, digest, mean = sent_line["payload"]["images"]["agentview"]
     assert (dtype, shape) == ("|u1", [256, 256, 3])
     turned = np.ascontiguousarray(frame[::-1, ::-1])
-    is_lossless = described(turned)[4] == digest
+    is_lossless = to_json(turned)[4] == digest
     assert is_lossless == (form != "jpeg")
     np.testing.assert_allclose(mean, turned.mean(axis=(0, 1)), atol=1)
 
@@ -276,7 +277,7 @@ def test_execute_in_the_address_executes_the_servers_chunks(program, received):
             assert (description.horizon, description.execute) == (5, 5)
             client.reset(suite=SUITE, instruction="answer a chunk")
             actions = client.infer(observation=OBSERVATION)
-            expected = np.float32([scripted(step) for step in range(5)])
+            expected = np.float32([scripted_action(step) for step in range(5)])
             np.testing.assert_array_equal(actions[:, :6], expected[:, :6])
             assert actions[:, 6].tolist() == [1, -1, 1, -1, 1]
             client.reset("t", suite=SUITE, instruction="reach")
@@ -292,7 +293,7 @@ def test_every_episode_has_its_own_connection_and_chunks(program, received):
         for step in range(3):
             for session in ("a", "b"):
                 action = client.infer(session, step, OBSERVATION)
-                expected = np.float32(scripted(step))
+                expected = np.float32(scripted_action(step))
                 np.testing.assert_array_equal(action[0, :6], expected[:6])
         assert not [line for line in lines(received) if line["type"] == "disconnected"]
         client.stub.End(pb.EndRequest(session="a"))

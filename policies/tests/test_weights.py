@@ -10,7 +10,7 @@ from rollout_policies.adapters.weights import Exceptions, compare
 NO_EXCEPTIONS = Exceptions()
 
 
-def found(network, stored, exceptions=NO_EXCEPTIONS):
+def compare_arrays(network, stored, exceptions=NO_EXCEPTIONS):
     return compare(network, stored, np.array_equal, exceptions)
 
 
@@ -20,13 +20,13 @@ def tensors(**shapes):
 
 def test_equal_tensors_have_no_differences():
     network = tensors(weight=(3, 4), bias=(3,))
-    assert str(found(network, dict(reversed(network.items())))) == ""
+    assert str(compare_arrays(network, dict(reversed(network.items())))) == ""
 
 
 def test_every_kind_of_difference_is_named():
     network = tensors(missing=(2,), shape=(2, 3), content=(2,), same=(4,))
     stored = {**tensors(unknown=(2,), shape=(3, 2), same=(4,)), "content": np.zeros(2)}
-    differences = found(network, stored)
+    differences = compare_arrays(network, stored)
     assert differences.missing == ["missing"]
     assert differences.unknown == ["unknown"]
     assert differences.shape == ["shape: [2, 3], in the file [3, 2]"]
@@ -35,31 +35,33 @@ def test_every_kind_of_difference_is_named():
 
 def test_the_first_differences_and_their_number_are_shown():
     network = tensors(**{f"layer{index}": (1,) for index in range(9)})
-    assert str(found(network, {})) == "9 missing in the file (layer0, layer1, layer2, ...)"
+    assert str(compare_arrays(network, {})) == "9 missing in the file (layer0, layer1, layer2, ...)"
 
 
 def test_tied_tensors_are_compared_under_either_name():
     tied = Exceptions(tied={"embed": "head"})
-    both, one = tensors(embed=(2,), head=(2,)), {"head": np.full(2, 5)}
-    both["head"] = both["embed"]
-    assert str(found(both, one, tied)) == ""
-    assert str(found({"embed": np.full(2, 5)}, both, tied)) == ""
-    # A tied tensor must equal the file's, even if its other name was loaded.
-    assert found({**both, "embed": np.zeros(2)}, one, tied).content == ["embed"]
-    assert found(both, one).missing == ["embed"]
+    both_names, head_only = tensors(embed=(2,), head=(2,)), {"head": np.full(2, 5)}
+    both_names["head"] = both_names["embed"]
+    assert str(compare_arrays(both_names, head_only, tied)) == ""
+    assert str(compare_arrays({"embed": np.full(2, 5)}, both_names, tied)) == ""
+    # The network's "embed" must equal the file's "head".
+    differing = {**both_names, "embed": np.zeros(2)}
+    assert compare_arrays(differing, head_only, tied).content == ["embed"]
+    assert compare_arrays(both_names, head_only).missing == ["embed"]
 
 
 def test_unused_and_skipped_tensors_may_be_missing_on_one_side():
-    named = Exceptions(unused=("*.head",), skipped=("video.*",))
+    exceptions = Exceptions(unused=("*.head",), skipped=("video.*",))
     network, stored = tensors(a=(1,)), tensors(a=(1,))
     network["text.head"], stored["video.encoder"] = np.ones(1), np.ones(1)
-    assert str(found(network, stored, named)) == ""
-    assert found(network, stored).missing == ["text.head"]
-    assert found(network, stored).unknown == ["video.encoder"]
+    assert str(compare_arrays(network, stored, exceptions)) == ""
+    assert compare_arrays(network, stored).missing == ["text.head"]
+    assert compare_arrays(network, stored).unknown == ["video.encoder"]
     computed = {**tensors(a=(1,)), "text.rotary_emb.inv_freq": np.ones(1)}
-    assert str(found(tensors(a=(1,)), computed)) == ""
+    assert str(compare_arrays(tensors(a=(1,)), computed)) == ""
     # Different content is still refused.
-    assert found(network, {**stored, "text.head": np.zeros(1)}, named).content == ["text.head"]
+    differing = {**stored, "text.head": np.zeros(1)}
+    assert compare_arrays(network, differing, exceptions).content == ["text.head"]
 
 
 def torch_network():

@@ -9,7 +9,7 @@ from rollout_policies import Description, Policy, run
 
 
 class Threads(Policy):
-    """Records its threads."""
+    """Records the thread of each method call."""
 
     description = Description(name="threads", max_batch=4)
 
@@ -17,8 +17,8 @@ class Threads(Policy):
         self.notes = open(notes, "a", buffering=1)
         self.note("__init__")
 
-    def note(self, what):
-        print(what, threading.get_ident(), file=self.notes)
+    def note(self, method):
+        print(method, threading.get_ident(), file=self.notes)
 
     def warm_up(self):
         self.note("warm_up")

@@ -1,4 +1,4 @@
-"""Times LIBERO's environments: those of the installed `libero`, original or shim, and those of
+"""Times the environments of the installed `libero` (the original or the shim), and those of
 `rollout_libero`. Prints one line of JSON.
 
 usage: speed.py one|processes|threads TASK [--environments N] [--steps N]
@@ -36,10 +36,10 @@ def main() -> None:
     parser.add_argument("task")
     parser.add_argument("--environments", type=int, default=16)
     parser.add_argument("--steps", type=int, default=30)
-    given = parser.parse_args()
+    flags = parser.parse_args()
     measured = {"one": measure_one, "processes": measure_processes, "threads": measure_threads}[
-        given.mode
-    ](given)
+        flags.mode
+    ](flags)
     print(json.dumps(measured))
 
 
@@ -49,7 +49,7 @@ def actions(count: int) -> np.ndarray:
     return 0.3 * np.sin(phase)
 
 
-def files(task: str) -> tuple[str, np.ndarray]:
+def task_files(task: str) -> tuple[str, np.ndarray]:
     """Returns the path of a task's BDDL file, and its initial states."""
     # The original imports torch, and does not call it here.
     sys.modules.setdefault("torch", types.ModuleType("torch"))
@@ -89,29 +89,29 @@ def environment(bddl: str, *, frames: bool):
 
 
 def median_ms(work: Callable[[], object], times: int) -> float:
-    taken = []
+    durations = []
     for _ in range(times):
         start = time.perf_counter()
         work()
-        taken.append(time.perf_counter() - start)
-    return statistics.median(taken) * 1e3
+        durations.append(time.perf_counter() - start)
+    return statistics.median(durations) * 1e3
 
 
-def measure_one(given: argparse.Namespace) -> dict[str, float]:
+def measure_one(flags: argparse.Namespace) -> dict[str, float]:
     """Returns the duration of one environment's calls, ms."""
-    bddl, states = files(given.task)
+    bddl, states = task_files(flags.task)
     measured = {}
     for frames, name in ((False, "step_ms"), (True, "frames_ms")):
         env = environment(bddl, frames=frames)
         env.seed(0)
         env.reset()
         env.set_init_state(states[0])
-        moves = iter(actions(given.steps + WARM_UP))
+        moves = iter(actions(flags.steps + WARM_UP))
         for _ in range(WARM_UP):
             env.step(next(moves))
-        measured[name] = median_ms(lambda env=env, moves=moves: env.step(next(moves)), given.steps)
+        measured[name] = median_ms(lambda env=env, moves=moves: env.step(next(moves)), flags.steps)
         if frames:
-            # Resets are timed only without frames, since each would render its observation.
+            # Resets are timed only without frames, since each reset would render its observation.
             env.close()
             continue
         measured["reset_ms"] = median_ms(env.reset, RESETS)
@@ -119,20 +119,19 @@ def measure_one(given: argparse.Namespace) -> dict[str, float]:
     return measured
 
 
-def measure_processes(given: argparse.Namespace) -> dict[str, float]:
+def measure_processes(flags: argparse.Namespace) -> dict[str, float]:
     """Returns observations per second of environments in processes, and megabytes of each."""
     import multiprocessing
 
     from libero.libero.envs import SubprocVectorEnv
 
     multiprocessing.set_start_method("spawn", force=True)
-    bddl, states = files(given.task)
-    count = given.environments
-    make = [_Maker(bddl)] * count
-    env = SubprocVectorEnv(make)
+    bddl, states = task_files(flags.task)
+    count = flags.environments
+    env = SubprocVectorEnv([_Maker(bddl)] * count)
     env.reset()
     env.set_init_state([states[0]] * count)
-    rate = observations_per_second(env.step, given.steps, count)
+    rate = observations_per_second(env.step, flags.steps, count)
     memory = [pss_mb(worker.process.pid) for worker in env.workers]
     env.close()
     return {"observations_per_second": rate, "further_mb": statistics.median(memory)}
@@ -148,21 +147,21 @@ class _Maker:
         return environment(self.bddl, frames=True)
 
 
-def measure_threads(given: argparse.Namespace) -> dict[str, float]:
+def measure_threads(flags: argparse.Namespace) -> dict[str, float]:
     """Returns observations per second of environments in this process, and megabytes of each."""
     import rollout_libero
 
-    count = given.environments
+    count = flags.environments
     options = {"height": SIDE, "width": SIDE, "max_steps": 10_000, "init_states": [0]}
-    single = rollout_libero.VectorEnvironment(given.task, 1, **options)
+    single = rollout_libero.VectorEnvironment(flags.task, 1, **options)
     single.reset()
     single.step(actions(1))
     before = pss_mb(os.getpid())
-    env = rollout_libero.VectorEnvironment(given.task, count, **options)
+    env = rollout_libero.VectorEnvironment(flags.task, count, **options)
     env.reset()
     env.step(np.repeat(actions(1), count, axis=0))
     growth = (pss_mb(os.getpid()) - before) / count
-    rate = observations_per_second(env.step, given.steps, count)
+    rate = observations_per_second(env.step, flags.steps, count)
     env.close()
     single.close()
     return {"observations_per_second": rate, "further_mb": growth}

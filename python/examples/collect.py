@@ -83,7 +83,8 @@ class Episode:
 
 
 def observation_of(observations: Observations, index: int) -> Observations:
-    """Returns a copy of one environment's observation: a view would keep the frames of all."""
+    """Returns one environment's observation. It is a copy, since a view would keep the frames of
+    all environments in memory."""
     return {key: values[index].copy() for key, values in observations.items()}
 
 
@@ -133,7 +134,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("episodes"), help="folder to write")
     parser.add_argument("--assets", default="libero", help="`libero`, `primitives`, or a folder")
     parser.add_argument("--size", type=int, default=128, help="height and width of frames")
-    parser.add_argument("--max-steps", type=int, help="the suite's budget, unless it is given")
+    parser.add_argument("--max-steps", type=int, help="steps of an episode (default: the suite's)")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
 

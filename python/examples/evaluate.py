@@ -50,7 +50,7 @@ def succeeds(env: rollout_libero.Environment, policy: Policy, init_state: int, s
     observation, info = env.reset(seed=seed, options={"init_state": init_state})
     policy.reset(info["instruction"])
     while True:
-        # Only the last frames of a chunk are used, so only those are rendered.
+        # The policy sees only the frames after a chunk, so only these are rendered.
         observation, _, terminated, truncated, info = env.step_chunk(
             policy.act(observation), render="last"
         )
@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("tasks", nargs="+", metavar="TASK", help="for example libero_spatial/0")
     parser.add_argument("--episodes", type=int, default=10, help="initial states 0 to N - 1")
     parser.add_argument("--assets", default="libero", help="`libero`, `primitives`, or a folder")
-    parser.add_argument("--max-steps", type=int, help="the suite's budget, unless it is given")
+    parser.add_argument("--max-steps", type=int, help="steps of an episode (default: the suite's)")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     if arguments.episodes < 1:

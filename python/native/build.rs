@@ -1,4 +1,4 @@
-//! Lets the extension find libmujoco beside it in the package.
+//! Makes the extension load libmujoco from its own folder in the package.
 
 fn main() {
     println!("cargo:rustc-link-arg=-Wl,-rpath,$ORIGIN");

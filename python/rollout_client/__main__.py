@@ -12,18 +12,18 @@ from .export import lerobot, tensorboard, wandb
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs a command; returns its exit code."""
-    given = _parser().parse_args(arguments)
+    flags = _parser().parse_args(arguments)
     try:
-        with Archive(given.archive) as archive:
-            if given.form == "lerobot":
-                count = lerobot.export(archive, given.output, films=given.films)
-                what = "episodes"
-            elif given.form == "tensorboard":
-                count, what = tensorboard.export(archive, given.output), "points"
+        with Archive(flags.archive) as archive:
+            if flags.form == "lerobot":
+                count = lerobot.export(archive, flags.output, films=flags.films)
+                unit = "episodes"
+            elif flags.form == "tensorboard":
+                count, unit = tensorboard.export(archive, flags.output), "points"
             else:
-                count = wandb.export(archive, given.output, project=given.project)
-                what = "points"
-            print(f"wrote {count} {what} of campaign {archive.name} to {given.output}")
+                count = wandb.export(archive, flags.output, project=flags.project)
+                unit = "points"
+            print(f"wrote {count} {unit} of campaign {archive.name} to {flags.output}")
     except CoordinatorError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

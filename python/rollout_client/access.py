@@ -1,5 +1,5 @@
-"""The address of a coordinator and a client's credentials: the certificate authority
-that it trusts and its token. Files and variables are those of the command line."""
+"""The address of a coordinator, and a client's credentials: the certificate authority that the
+client trusts, and its token. The command line uses the same files and environment variables."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def read(
     )
 
 
-def _path(given: str | os.PathLike[str] | None, variable: str) -> Path | None:
-    path = given or os.environ.get(variable)
+def _path(argument: str | os.PathLike[str] | None, variable: str) -> Path | None:
+    path = argument or os.environ.get(variable)
     return Path(path) if path else None
 
 
@@ -111,26 +111,26 @@ def _token(path: Path | None) -> str | None:
             raise SettingsError(f"failed to read token file {path}: it is not UTF-8") from None
         except OSError as error:
             raise SettingsError(f"failed to read token file {path}: {error.strerror}") from error
-        return _usable(text, f"token file {path}")
+        return _select_token(text, f"token file {path}")
     text = os.environ.get(TOKENS_VARIABLE, "")
-    return _usable(text, TOKENS_VARIABLE) if text else None
+    return _select_token(text, TOKENS_VARIABLE) if text else None
 
 
-def _require_private(path: Path, found: os.stat_result) -> None:
-    """Refuses a token file that other users can read or write, as the command line
-    does. The group may have access only if the file belongs to another user."""
+def _require_private(path: Path, status: os.stat_result) -> None:
+    """Refuses a token file that other users can read or write; the command line has the same rule.
+    The group may have access only if the file belongs to another user."""
     if not hasattr(os, "geteuid"):
-        return  # Windows has other permissions.
-    others = 0o077 if found.st_uid == os.geteuid() else 0o007
-    if stat.S_ISREG(found.st_mode) and found.st_mode & others:
+        return  # Windows has no such permission bits.
+    refused_bits = 0o077 if status.st_uid == os.geteuid() else 0o007
+    if stat.S_ISREG(status.st_mode) and status.st_mode & refused_bits:
         raise SettingsError(
-            f"failed to read token file {path}: its permissions, {found.st_mode & 0o777:04o}, let"
+            f"failed to read token file {path}: its permissions, {status.st_mode & 0o777:04o}, let"
             f" other users access its tokens; restrict them with `chmod 600 {path}`"
         )
 
 
-def _usable(text: str, place: str) -> str:
-    """Returns the token that this client uses from the lines of a token file."""
+def _select_token(text: str, place: str) -> str:
+    """Returns the token of the preferred role from the lines of a token file."""
     tokens: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()

@@ -32,7 +32,7 @@ FORMAT, SCHEMA = 1, 13
 READ_BYTES = 1 << 20
 
 LIST, DATABASE = "archive.json", "coordinator.sqlite"
-#: Place in an error about bytes after the last member.
+#: Place that an error names if it is about bytes after the last member.
 END = "the end"
 #: Members of every archive, in order; all others are films.
 MEMBERS = ("specification.json", "provenance.json", "report.json", DATABASE)
@@ -41,7 +41,8 @@ FILM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.mp4")
 
 #: Largest list of members, bytes: room for three hundred thousand films.
 MAX_LIST = 64 << 20
-#: Largest ratio of the members' size to the archive's, unless their total is below SMALL bytes.
+#: Largest ratio of the members' total size to the archive's size, unless the total is below SMALL
+#: bytes.
 MAX_RATIO, SMALL = 100, 64 << 20
 #: Largest number of zeros after the last member, bytes.
 MAX_PADDING = 1 << 20
@@ -70,11 +71,11 @@ class Rollout:
     replicate: int
     #: Task, such as `libero_object/0`.
     task: str
-    #: The instruction that the policy was given.
+    #: The instruction for the policy.
     instruction: str
     #: Condition, as in rollout ids: `clean`, `camera`, `combination`.
     axis: str
-    #: Level: `L0` for nominal rollouts and those of the placebo level.
+    #: Level: `L0` for nominal rollouts and for rollouts of the placebo level.
     level: str
     success: bool
     #: Number of the policy's control steps.
@@ -183,15 +184,15 @@ class Archive:
         try:
             with gzip.open(self._file, "rb") as stream:
                 entries = _Entries(stream)
-                listed = entries.next()
-                if listed is None or listed.name != LIST or not 0 <= listed.size <= MAX_LIST:
+                first = entries.next()
+                if first is None or first.name != LIST or not 0 <= first.size <= MAX_LIST:
                     raise self._bad("it is not an archive of a campaign", LIST)
-                contents: dict[str, Any] = json.loads(b"".join(entries.read(listed.size)))
+                contents: dict[str, Any] = json.loads(b"".join(entries.read(first.size)))
                 self._check_version(contents)
                 self._check_members(contents, folder)
                 for member in contents["members"]:
                     name = member["name"]
-                    self._member(entries, member, folder)
+                    self._unpack_member(entries, member, folder)
                 name = END
                 if entries.next() is not None:
                     raise self._bad(f"there are members that {LIST} does not name", name)
@@ -208,28 +209,29 @@ class Archive:
         return contents
 
     def _check_version(self, contents: dict[str, Any]) -> None:
-        for what, version, newest in (
+        for kind, version, newest in (
             ("format", contents["format"], FORMAT),
             ("schema", contents["schema"], SCHEMA),
         ):
             if version > newest:
                 raise ArchiveError(
                     f"failed to read archive {self._file}: {contents.get('program')} wrote it, with"
-                    f" {what} {version}, and this package reads up to {newest}; install a release"
+                    f" {kind} {version}, and this package reads up to {newest}; install a release"
                     " at least as new"
                 )
 
     def _check_members(self, contents: dict[str, Any], folder: Path) -> None:
-        """Checks that no member leaves the folder and that there is room for all of them."""
+        """Checks that every member is written inside the folder, and that the disk has room for all
+        members."""
         members = contents["members"]
         names = [member["name"] for member in members]
         if tuple(names[: len(MEMBERS)]) != MEMBERS:
             raise self._bad(f"its members do not begin with {', '.join(MEMBERS)}", LIST)
         films = f"artifacts/{contents['campaign']}/"
-        is_one_folder = re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", contents["campaign"])
+        is_folder_name = re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", contents["campaign"])
         for name in names[len(MEMBERS) :]:
             if (
-                not is_one_folder
+                not is_folder_name
                 or not name.startswith(films)
                 or not FILM.fullmatch(name[len(films) :])
             ):
@@ -249,17 +251,18 @@ class Archive:
                 " disk in TMPDIR"
             )
 
-    def _member(self, entries: _Entries, member: dict[str, Any], folder: Path) -> None:
+    def _unpack_member(self, entries: _Entries, member: dict[str, Any], folder: Path) -> None:
         name, size = member["name"], member["bytes"]
         entry = entries.next()
-        found = entry and entry.name
+        entry_name = entry and entry.name
         if entry is not None and entry.type == tarfile.GNUTYPE_LONGNAME:
-            # A name that is too long for a header is stored before it, in a separate entry.
+            # A name that is too long for a header is stored in a separate entry before the header.
             if not 0 <= entry.size <= len(name) + 1:
                 raise self._bad("another member is in its place, or none", name)
-            found = b"".join(entries.read(entry.size)).rstrip(b"\0").decode("utf-8", "replace")
+            long_name = b"".join(entries.read(entry.size)).rstrip(b"\0")
+            entry_name = long_name.decode("utf-8", "replace")
             entry = entries.next()
-        if entry is None or found != name or not entry.isreg():
+        if entry is None or entry_name != name or not entry.isreg():
             raise self._bad("another member is in its place, or none", name)
         if entry.size != size:
             raise self._bad(f"it has {entry.size} bytes, and {LIST} states {size}", name)
@@ -282,14 +285,15 @@ class Archive:
 
 
 class _Entries:
-    """The entries of a tar file, header by header. `tarfile` itself would read long names and
-    extended headers into memory, whatever size they declare."""
+    """Reader of a tar file, entry by entry. `tarfile` itself would read long names and extended
+    headers into memory, whatever size they declare."""
 
     def __init__(self, stream: gzip.GzipFile) -> None:
         self._stream = stream
 
     def next(self) -> tarfile.TarInfo | None:
-        """Returns the next header; None at the end. The previous entry must be read first."""
+        """Returns the next entry's header; None at the end. The bytes of the previous entry must
+        have been read."""
         try:
             return tarfile.TarInfo.frombuf(
                 self._read_exactly(tarfile.BLOCKSIZE), "utf-8", "replace"
@@ -318,8 +322,8 @@ class _Entries:
 def _tables_only(
     action: int, table: str | None, _column: str | None, _database: str | None, view: str | None
 ) -> int:
-    """Permits SQLite to read real tables only. A view or a generated column in place of a table
-    would run expressions written by the archive's author."""
+    """Permits SQLite to read the tables in TABLES only. If a table were replaced by a view or had a
+    generated column, SQLite would evaluate expressions that the archive's author wrote."""
     is_table_read = action == sqlite3.SQLITE_READ and table in TABLES and view is None
     is_allowed = action == sqlite3.SQLITE_SELECT or is_table_read
     return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY

@@ -111,12 +111,14 @@ class Campaign:
             request.after_job_id = page[-1].job_id
 
     def report(self) -> Report:
-        """Returns the report on the results so far. The program `coordinator` computes it."""
+        """Returns the report on the campaign's results so far, which the program `coordinator`
+        computes."""
         return reports.report(self._connection, self._program, (self._name,))
 
     def compare(self, other: Campaign | str | os.PathLike[str]) -> Comparison:
-        """Compares this campaign minus another (a Campaign or its name), or minus a
-        result file or its folder (a Path). The program `coordinator` computes it."""
+        """Returns the comparison of this campaign (A) with another campaign (B: a Campaign or its
+        name), or with a result file or its folder (B: a Path). Differences are A - B. The program
+        `coordinator` computes them."""
         source: str | Path = Path(other) if isinstance(other, os.PathLike) else _name(other)
         return reports.compare(self._connection, self._program, self._name, source)
 
@@ -129,7 +131,7 @@ class Campaign:
         return self._change(Change.CHANGE_RESUME)
 
     def cancel(self) -> Status:
-        """Ends the campaign permanently; its results are kept."""
+        """Ends the campaign permanently. Its results are kept."""
         return self._change(Change.CHANGE_CANCEL)
 
     def _change(self, change: wire.ChangeCampaignRequest.Change) -> Status:

@@ -45,11 +45,12 @@ class Client:
         else port 7411 of this machine. token_file: lines `ROLE TOKEN` of an operator or a viewer;
         by default ROLLOUT_TOKEN_FILE, or such lines in ROLLOUT_TOKENS. ca: the certificate
         authority, PEM; by default ROLLOUT_CA. retry_secs: time to keep trying if the coordinator
-        does not answer. program: the program `coordinator`, for reports; by default that on PATH.
+        does not answer. program: the program `coordinator`, for reports; by default the first on
+        PATH.
         """
-        found = access.read(url, token_file, ca)
-        self._connection = Connection(found, retry_secs)
-        self._program = Program(program, found)
+        settings = access.read(url, token_file, ca)
+        self._connection = Connection(settings, retry_secs)
+        self._program = Program(program, settings)
 
     def __repr__(self) -> str:
         return f"Client({self._connection.access.url!r})"
@@ -125,8 +126,8 @@ class Client:
         return reports.report(self._connection, self._program, tuple(map(_source, sources)))
 
     def compare(self, a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Comparison:
-        """Compares A - B over the rollouts that both have, for campaigns
-        (names) or result files or their folders (paths)."""
+        """Returns the comparison of two campaigns (names), or result files or their folders
+        (paths), over the rollouts that both have. Differences are A - B."""
         return reports.compare(self._connection, self._program, _source(a), _source(b))
 
 
@@ -142,8 +143,8 @@ def _text(spec: Spec) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is not UTF-8"
-        raise SettingsError(f"failed to read specification {path}: {why}") from error
+        reason = getattr(error, "strerror", None) or "it is not UTF-8"
+        raise SettingsError(f"failed to read specification {path}: {reason}") from error
 
 
 def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:

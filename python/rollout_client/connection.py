@@ -1,5 +1,5 @@
-"""An operator's calls: retries while the coordinator cannot be reached, and the
-distinction of a refusal from a failure."""
+"""An operator's calls: they are retried while the coordinator cannot be reached, and a refusal by
+the coordinator is distinguished from a failed connection."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .errors import (
 from .proto import coordinator_pb2 as wire
 from .proto.coordinator_pb2_grpc import OperatorServiceStub
 
-#: First and longest pause between tries, which double, s.
+#: First and longest pause between two tries, s. Each pause is twice as long as the previous one.
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
-#: Longest wait for an answer of one message, s.
+#: Longest wait for an answer that is a single message, s.
 ANSWER_TIMEOUT = 60.0
 #: Status codes that may mean a connection failure; all other codes come from a server.
 CONNECTION_CODES = (
@@ -81,9 +81,9 @@ class Connection:
             try:
                 return send()
             except grpc.RpcError as error:
-                found = self._diagnosis(error)
-                failure = _refusal(error) if found is None else self._unreachable(found)
-                is_temporary = _is_outage(error) if found is None else not found.is_final
+                finding = self._diagnose(error)
+                failure = _refusal(error) if finding is None else self._unreachable(finding)
+                is_temporary = _is_outage(error) if finding is None else not finding.is_final
             if not is_temporary or time.monotonic() + pause > deadline:
                 raise failure
             if not has_warned:
@@ -92,7 +92,7 @@ class Connection:
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
 
-    def _diagnosis(self, error: grpc.RpcError) -> probe.Finding | None:
+    def _diagnose(self, error: grpc.RpcError) -> probe.Finding | None:
         """Identifies the server at the URL; None if the coordinator itself answered."""
         code, details = error.code(), error.details() or ""
         is_from_web_server = details.startswith(probe.WEB_ANSWER)
@@ -102,11 +102,11 @@ class Connection:
         may_be_lost = is_from_web_server or code in CONNECTION_CODES
         if not may_be_lost or has_answered and not is_unimplemented:
             return None
-        found = probe.identify_server(self.access)
-        return probe.OLDER if found is probe.BROKEN and is_unimplemented else found
+        finding = probe.identify_server(self.access)
+        return probe.OLDER if finding is probe.BROKEN and is_unimplemented else finding
 
-    def _unreachable(self, found: probe.Finding) -> UnreachableError:
-        return UnreachableError(self.access.url, found.words, found.remedy)
+    def _unreachable(self, finding: probe.Finding) -> UnreachableError:
+        return UnreachableError(self.access.url, finding.words, finding.remedy)
 
 
 def _is_outage(error: grpc.RpcError) -> bool:
@@ -117,9 +117,9 @@ def _refusal(error: grpc.RpcError) -> CoordinatorError:
     """Converts a coordinator's error to an exception with its message."""
     code = error.code()
     details = error.details() or f"complete the call: gRPC status {code.name}, without a reason"
-    words = f"failed to {details}"
+    message = f"failed to {details}"
     if code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED):
-        return AccessDeniedError(f"{words} (in Python: `token_file`)")
+        return AccessDeniedError(f"{message} (in Python: `token_file`)")
     if code is grpc.StatusCode.NOT_FOUND:
-        return NoSuchCampaignError(words)
-    return RefusedError(words)
+        return NoSuchCampaignError(message)
+    return RefusedError(message)

@@ -19,7 +19,7 @@ class UnreachableError(CoordinatorError, ConnectionError):
         super().__init__(f"failed to reach the coordinator at {url}: {found}; {remedy}")
         #: The coordinator's address, as given.
         self.url = url
-        #: Description of the server at the URL, or of the failed connection.
+        #: Description of the server that was found at the URL, or of the failed connection.
         self.found = found
         #: Description of the remedy.
         self.remedy = remedy

@@ -72,10 +72,10 @@ WORKERS = {
 
 def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.DataFrame:
     """Returns a frame with exactly these columns and types, even if rows lack some or have more."""
-    listed = list(rows)
-    data = {name: _column([row.get(name) for row in listed], columns[name]) for name in columns}
-    made: pd.DataFrame = pd.DataFrame(data)
-    return made
+    rows = list(rows)
+    data = {name: _column([row.get(name) for row in rows], columns[name]) for name in columns}
+    result: pd.DataFrame = pd.DataFrame(data)
+    return result
 
 
 def instant(unix_ms: int) -> datetime:
@@ -84,7 +84,7 @@ def instant(unix_ms: int) -> datetime:
 
 
 def _column(values: list[Any], dtype: str) -> pd.Series[Any]:
-    # Without a given resolution, all instants would take that of the first.
-    given = pd.to_datetime(values, utc=True).as_unit("ms") if dtype == INSTANT else values
-    made: pd.Series[Any] = pd.Series(given, dtype=dtype)
-    return made
+    # Without an explicit resolution, pandas would give all instants the resolution of the first.
+    converted = pd.to_datetime(values, utc=True).as_unit("ms") if dtype == INSTANT else values
+    column: pd.Series[Any] = pd.Series(converted, dtype=dtype)
+    return column

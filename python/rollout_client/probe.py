@@ -21,8 +21,9 @@ FRAME_HEAD, FRAME_TYPE, SETTINGS_FRAME = 9, 3, 4
 #: Characters of a server's reply that are quoted.
 QUOTED_CHARS = 60
 #: HTTP statuses of a proxy that cannot reach its server.
-PROXY_WAITING = ("502", "503", "504")
-#: Calls without side effects, which only some kinds of servers implement.
+PROXY_STATUSES = ("502", "503", "504")
+#: Calls without side effects that identify a kind of server: only a coordinator implements the
+#: first, and only a policy server the second.
 COORDINATOR_CALL = "/rollout.coordinator.v1.OperatorService/ListCampaigns"
 POLICY_CALL = "/rollout.policy.v1.Policy/Describe"
 #: Start of gRPC's message about an answer from a web server.
@@ -32,7 +33,7 @@ NOT_YET_VALID, EXPIRED = 9, 10
 UNTRUSTED = (2, 7, 18, 19, 20, 21)
 OTHER_NAME = (62, 64)
 
-NAME_ANOTHER = "give Client the address of the coordinator"
+GIVE_ADDRESS = "give Client the address of the coordinator"
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ CLEAR = Finding(
     "write http:// in place of https://, or start the coordinator with --tls-cert and --tls-key",
     is_final=True,
 )
-MUTE = Finding(
+SILENT = Finding(
     "the server there closes the connection or sends nothing",
     "check that the URL names the port of the coordinator",
     is_final=False,
@@ -74,7 +75,7 @@ MUTE = Finding(
 
 
 def identify_server(access: Access) -> Finding:
-    """Connects as the client does, and describes the server. Takes a few seconds at most."""
+    """Connects with the client's settings, and describes the server within a few seconds."""
     try:
         connection = socket.create_connection((access.host, access.port), timeout=ANSWER_TIMEOUT)
     except OSError as error:
@@ -82,20 +83,20 @@ def identify_server(access: Access) -> Finding:
     if access.is_encrypted:
         with connection:
             try:
-                found = _read_reply(
+                finding = _read_reply(
                     _context(access).wrap_socket(connection, server_hostname=access.host)
                 )
             except ssl.SSLCertVerificationError as error:
                 return _certificate_finding(access, error)
             except OSError:
-                # No TLS, or no version that both sides support.
+                # The server does not use TLS, or supports none of this client's versions.
                 return _identify_without_tls(access)
-        return found or _identify_grpc_server(access)
+        return finding or _identify_grpc_server(access)
     with connection:
-        found = _read_reply(connection)
-    if found is MUTE and _accepts_tls(access):
+        finding = _read_reply(connection)
+    if finding is SILENT and _accepts_tls(access):
         return ENCRYPTED
-    return found or _identify_grpc_server(access)
+    return finding or _identify_grpc_server(access)
 
 
 def _no_connection(access: Access, error: OSError) -> Finding:
@@ -103,12 +104,12 @@ def _no_connection(access: Access, error: OSError) -> Finding:
         words = f"no address is known for the name `{access.host}`"
         return Finding(words, "correct the host's name in the URL", is_final=False)
     if isinstance(error, ConnectionRefusedError):
-        remedy = f"start it with `coordinator serve`, or {NAME_ANOTHER}"
+        remedy = f"start it with `coordinator serve`, or {GIVE_ADDRESS}"
         return Finding("nothing listens there", remedy, is_final=False)
     return Finding(
         f"the machine does not answer ({error.strerror or 'timed out'})",
         "check that the machine is running and that no firewall blocks the connection, or"
-        f" {NAME_ANOTHER}",
+        f" {GIVE_ADDRESS}",
         is_final=False,
     )
 
@@ -152,11 +153,11 @@ def _identify_without_tls(access: Access) -> Finding:
         with socket.create_connection(
             (access.host, access.port), timeout=ANSWER_TIMEOUT
         ) as connection:
-            found = _read_reply(connection)
+            finding = _read_reply(connection)
     except OSError:
-        return MUTE
-    # HTTP/1 or HTTP/2, but without TLS.
-    return CLEAR if found is None or "web server" in found.words else found
+        return SILENT
+    # The reply is HTTP/1 or HTTP/2 without TLS.
+    return CLEAR if finding is None or "web server" in finding.words else finding
 
 
 def _accepts_tls(access: Access) -> bool:
@@ -174,11 +175,11 @@ def _accepts_tls(access: Access) -> bool:
 
 
 def _read_reply(connection: socket.socket) -> Finding | None:
-    """Sends an HTTP/2 client's preface, and describes the reply; None if it is HTTP/2."""
+    """Sends an HTTP/2 client's preface, and describes the reply; None if the reply is HTTP/2."""
     reply = b""
     connection.settimeout(ANSWER_TIMEOUT)
     try:
-        # A server may send first, and close the connection because of the preface.
+        # A server may have sent a reply before it closes the connection because of the preface.
         connection.sendall(PREFACE)
         while len(reply) < FRAME_HEAD and (more := connection.recv(128)):
             reply += more
@@ -191,7 +192,7 @@ def _describe_reply(reply: bytes) -> Finding | None:
     line = reply.decode("utf-8", "replace").partition("\n")[0]
     quoted = "".join(character for character in line if character.isprintable())[:QUOTED_CHARS]
     if not reply:
-        return MUTE
+        return SILENT
     if reply[:1] in (b"\x15", b"\x16") and reply[1:2] == b"\x03":
         return ENCRYPTED
     if reply.startswith(b"SSH-"):
@@ -204,11 +205,11 @@ def _describe_reply(reply: bytes) -> Finding | None:
 
 
 def _wrong_server(words: str) -> Finding:
-    return Finding(words, NAME_ANOTHER, is_final=True)
+    return Finding(words, GIVE_ADDRESS, is_final=True)
 
 
 def _web_server(status_line: str) -> Finding:
-    if any(status in status_line.split() for status in PROXY_WAITING):
+    if any(status in status_line.split() for status in PROXY_STATUSES):
         words = f"a proxy there cannot reach the server behind it ({status_line})"
         return Finding(words, "start it with `coordinator serve`", is_final=False)
     return _wrong_server(f"a web server of another kind is there ({status_line})")
@@ -217,11 +218,11 @@ def _web_server(status_line: str) -> Finding:
 def _identify_grpc_server(access: Access) -> Finding:
     """Describes an HTTP/2 server by the gRPC methods that it implements."""
     with channel(access) as opened:
-        found = _has_call(opened, access, COORDINATOR_CALL)
-        if found is True:
+        is_coordinator = _has_call(opened, access, COORDINATOR_CALL)
+        if is_coordinator is True:
             return BROKEN
-        if isinstance(found, Finding):
-            return found
+        if isinstance(is_coordinator, Finding):
+            return is_coordinator
         if _has_call(opened, access, POLICY_CALL) is True:
             return _wrong_server("a policy server or policy-gateway is there, not a coordinator")
     return _wrong_server("a gRPC server is there, and it is not a coordinator")

@@ -1,5 +1,5 @@
-"""The program `coordinator` on this machine, which computes results that need the
-protocol or statistics: reports, comparisons, and the expansion of a specification."""
+"""The program `coordinator` on this machine. It computes results that need the protocol or
+statistics: reports, comparisons, and the expansion of a specification."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ NAME = "coordinator"
 
 
 class Program:
-    """The program, located at the first use."""
+    """The program `coordinator`: the given path, else the first on PATH at the time of a call."""
 
-    def __init__(self, given: str | os.PathLike[str] | None, access: Access) -> None:
-        self._given = given
+    def __init__(self, path: str | os.PathLike[str] | None, access: Access) -> None:
+        self._given_path = path
         self._access = access
 
-    def run(self, *words: str | Path, text: str | None = None) -> str:
-        """Runs a command with `text` as its input. Returns its output.
+    def run(self, *arguments: str | Path, text: str | None = None) -> str:
+        """Runs the program with these arguments, and with `text` as its input. Returns its output.
 
         Raises ProgramError if the program is missing, and RefusedError, with
         the program's message, if it fails.
         """
-        command = [self._path(), *map(str, words)]
+        command = [self._path(), *map(str, arguments)]
         try:
             done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
         except OSError as error:
@@ -40,24 +40,24 @@ class Program:
             raise RefusedError(message or f"{' '.join(command)} ended with {done.returncode}")
         return done.stdout
 
-    def with_connection(self, *words: str | Path) -> list[str | Path]:
-        """Returns the words, followed by the flags that name this client's coordinator."""
+    def with_connection(self, *arguments: str | Path) -> list[str | Path]:
+        """Returns the arguments, followed by the flags that name this client's coordinator."""
         access = self._access
-        names: list[str | Path] = ["--connect", access.url]
+        flags: list[str | Path] = ["--connect", access.url]
         if access.token_file is not None:
-            names += ["--token-file", access.token_file]
+            flags += ["--token-file", access.token_file]
         if access.ca is not None:
-            names += ["--ca", access.ca]
-        return [*words, *names]
+            flags += ["--ca", access.ca]
+        return [*arguments, *flags]
 
     def _path(self) -> str:
-        if self._given is not None:
-            return str(Path(self._given).expanduser())
-        found = shutil.which(NAME)
-        if found is None:
+        if self._given_path is not None:
+            return str(Path(self._given_path).expanduser())
+        path_on_system = shutil.which(NAME)
+        if path_on_system is None:
             raise ProgramError(
                 f"failed to find the program `{NAME}`, which computes reports and forecasts on"
                 " this machine: build it (`cargo build --bin coordinator`) and put its folder on"
                 " PATH, or name it in Client(program=…)"
             )
-        return found
+        return path_on_system

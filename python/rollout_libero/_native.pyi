@@ -94,7 +94,7 @@ class PlusVariant:
         """Describes the files that the variant lacks in an asset pack; None if it lacks none."""
 
 class PlusPath:
-    """A BDDL file of LIBERO-Plus, and the changes that its path tells: the view of `agentview`, the
+    """A BDDL file of LIBERO-Plus, and the changes that its path names: the view of `agentview`, the
     arm's posture at resets, the corruption of `agentview`'s pictures. Raises ValueError if
     LIBERO-Plus' environments do not know the changes."""
 
@@ -118,7 +118,7 @@ class PlusPath:
 
 def plus_problem_parent(problem: str) -> str | None:
     """Returns LIBERO's problem class of which a class of LIBERO-Plus is a copy with other scene
-    files or textures; LIBERO's own classes return themselves, names of neither None."""
+    files or textures. For a class of LIBERO, returns that class; for any other name, None."""
 
 class Scene:
     """A compiled scene, shared by all its simulations."""
@@ -166,9 +166,9 @@ class Snapshot:
     """Everything that the next step depends on, including the scripted expert."""
 
 class Look:
-    """Camera views at the time of an observation, a few kilobytes, rendered on demand. Pictures are
-    bit-identical to those that `Simulation` would have rendered at that time, even after it is
-    closed."""
+    """Camera views at the time of an observation, in a few kilobytes, rendered on demand. Pictures
+    are bit-identical to those that the `Simulation` would have rendered at that time, even if it
+    has been closed since."""
 
     def frame(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:
         """Frame, [height, width, 3]."""
@@ -202,10 +202,10 @@ class Simulation:
         0. Then computes the derived quantities and observes once.
 
         `joint_sampler_rounds` is the number of times that the original has loaded its model so
-        far: once at construction, and once per hard reset, each of which lengthens its list of
-        samplers for open and closed joints. With `hard` False the model is not loaded again.
+        far: once at construction, and once per hard reset. Each load lengthens the original's list
+        of samplers for open and closed joints. With `hard` False the model is not loaded again.
         Returns the generator's state after the reset and the number of rounds, which is larger
-        than given if objects had to be placed again for lack of room."""
+        than the given number if objects had to be placed again for lack of room."""
     def load(self, state: ArrayLike) -> None:
         """Loads a state (time, qpos, qvel) as the start of an episode, as a campaign does: resets,
         places fixtures by the benchmark's seed, sets the state and observes it, as
@@ -250,7 +250,8 @@ class Simulation:
     def look(self) -> Look:
         """Captures the current camera views for rendering on demand."""
     def planes(self) -> tuple[float, float, float]:
-        """Returns the model's extent, m, and the near and far plane of cameras, in extents."""
+        """Returns the model's extent, m, and the distances of the cameras' near and far planes, as
+        multiples of the extent."""
     def controller_pose(self) -> tuple[F64, F64]:
         """Returns position [3] and rotation matrix [3, 3] of the end-effector at the controller's
         last update."""
@@ -285,9 +286,10 @@ class Schedule:
         """True under real-time chunking: a query includes the actions that are executed until its
         answer takes effect."""
     def due(self) -> tuple[int, F64] | None:
-        """Returns the query that is due before the next control step, or None: the number of steps
-        until its answer takes effect, and the actions [n, 7] scheduled for the next steps. The
-        first actions, up to that number, are executed regardless of the answer."""
+        """Returns the query that is due before the next control step: the number of steps until its
+        answer takes effect, and the actions [n, 7] scheduled for the next steps. The first actions,
+        up to that number, are executed regardless of the answer. Returns None if no query is
+        due."""
     def answer(self, actions: ArrayLike) -> None:
         """Sets the answer to the due query, actions [n, 7]. Raises ValueError if no query is due,
         or if none of the actions would be executed."""
@@ -316,8 +318,9 @@ class Batch:
         expert: NDArray[np.bool_] | None = None,
         past_success: bool = False,
     ) -> dict[str, Any]:
-        """Starts a rollout in each simulation for which `starts` has a start; all others execute
-        their actions, [simulations, steps, 7]: at most `limits`, and none after a success.
+        """Starts a rollout in each simulation for which `starts` has a start. Every other
+        simulation executes its actions, [simulations, steps, 7]: at most as many as `limits` has
+        for it, and none after a success.
 
         A start is JSON: a manifest row; or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`
         with optional `perturbed`; or `{"legacy_seed": SEED, "rounds": N, "settle_steps": N,
@@ -326,8 +329,8 @@ class Batch:
 
         `render` selects the steps that are rendered and read: "last", "all" or "none". With
         `expert`, [simulations, steps], the scripted expert is queried at every step; at steps where
-        `expert` is True, the expert drives and the action is added to its own. With `past_success`,
-        steps continue after a success.
+        `expert` is True, the sum of the expert's action and the given action is executed. With
+        `past_success`, steps continue after a success.
 
         Returns `steps` executed and `success` of each simulation; the readings by name; the frames
         by camera, with row 0 at the top, and column 0 at the right if `mirrored`; `expert_action`,
@@ -335,4 +338,5 @@ class Batch:
         step; and `errors`, None or the exception of each simulation, whose `steps` counts the steps
         that it completed. Invalid arguments raise before any simulation moves."""
     def restore(self, snapshots: Sequence[Snapshot]) -> None:
-        """Restores a snapshot in each simulation. If one of them fails, none is changed."""
+        """Restores a snapshot in each simulation. If one cannot be restored, no simulation
+        changes."""

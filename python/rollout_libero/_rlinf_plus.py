@@ -21,17 +21,19 @@ _CORRUPTED = "agentview_image"
 
 
 class PlusRows(Rows):
-    """Environments of LIBERO-Plus' variants. Each has NumPy's generator of the process that RLinf
-    would start for it: ``seed`` seeds it, also during a rollout, resets place objects with its
-    numbers, and the corruption of every frame continues with them."""
+    """Environments of LIBERO-Plus' variants. RLinf would start a process for each environment, with
+    its own global NumPy generator; here each environment has the state of such a generator.
+    ``seed`` seeds the generators, also during a rollout; resets place objects with their numbers,
+    and the corruption of every frame draws the next numbers."""
 
     def __init__(
         self, parameters: Sequence[dict[str, Any]], *, threads: int, draws_all: bool
     ) -> None:
         super().__init__(parameters, threads=threads, draws_all=draws_all)
         self._generators = [_seeded(seed) for seed in self._seeds]
-        # State of each generator before the numbers of the last frame; None if it is not corrupted.
-        self._before: list[LegacyState | None] = [None] * self.env_num
+        # State of each generator before it drew the numbers of the last frame's corruption; None if
+        # the frame is not corrupted.
+        self._frame_states: list[LegacyState | None] = [None] * self.env_num
         self._changes: list[tuple[str, PlusPath] | None] = [None] * self.env_num
 
     def reconfigure_env_fns(self, env_fns: Sequence[dict[str, Any]], id: Any = None) -> None:
@@ -50,8 +52,8 @@ class PlusRows(Rows):
         """Resets environments; the samplers place all objects."""
         rows = self._ids(id)
         for row in rows:
-            self._make(row)
-        list(self._pool.map(self._place, rows))
+            self._assign_variant(row)
+        list(self._pool.map(self._place_objects, rows))
         self._draw_numbers(rows, 1)
         return self._observed(self._rows.observe(rows, render="none"), rows)
 
@@ -65,57 +67,57 @@ class PlusRows(Rows):
             simulation.forward()
             simulation.post_process()
             simulation.observe_now()
-            self._before[row] = None
+            self._frame_states[row] = None
         return self._observed(self._rows.observe(rows, render="none"), rows)
 
-    def _make(self, row: int) -> None:
-        """Assigns the variant of its file to a row's simulation."""
+    def _assign_variant(self, row: int) -> None:
+        """Gives a row a simulation of the variant that the path of the row's BDDL file names."""
         file = self._files[row]
-        made = self._changes[row]
-        if made is not None and made[0] == file:
+        current = self._changes[row]
+        if current is not None and current[0] == file:
             return
         check_assets(file, assets_of_libero())
         change = native.PlusPath(file)
         width, height = self._size
         change.check(height, width)
         scene = scenes.scene(os.path.realpath(change.file), assets_of_libero())
-        held = self._rows.simulations[row]
-        if held is not None:
-            held.close()
+        previous = self._rows.simulations[row]
+        if previous is not None:
+            previous.close()
         self._rows.simulations[row] = native.Simulation(scene, change=change)
         self._changes[row] = (file, change)
 
-    def _place(self, row: int) -> None:
+    def _place_objects(self, row: int) -> None:
         self._generators[row], self._loads[row] = self._simulation(row).reset(
             self._generators[row], self._loads[row] + 1
         )
 
     def _draw_numbers(self, rows: list[int], steps: int) -> None:
-        list(self._pool.map(lambda row: self._skip(row, steps), rows))
+        list(self._pool.map(lambda row: self._draw_numbers_of_row(row, steps), rows))
 
-    def _skip(self, row: int, frames: int) -> None:
+    def _draw_numbers_of_row(self, row: int, frames: int) -> None:
         change = self._change(row)
         if not change.noise:
             return
         width, height = self._size
         for _ in range(frames):
-            self._before[row] = self._generators[row]
+            self._frame_states[row] = self._generators[row]
             self._generators[row] = change.skip(self._generators[row], height, width)
 
-    def _shown(self, row: int) -> Callable[[Frames], Frames]:
-        change, before = self._change(row), self._before[row]
-        if not change.noise or before is None:
-            return super()._shown(row)
+    def _frame_change(self, row: int) -> Callable[[Frames], Frames]:
+        change, state = self._change(row), self._frame_states[row]
+        if not change.noise or state is None:
+            return super()._frame_change(row)
         return lambda frames: {
-            key: change.corrupted(before, frame) if key == _CORRUPTED else frame
+            key: change.corrupted(state, frame) if key == _CORRUPTED else frame
             for key, frame in frames.items()
         }
 
     def _change(self, row: int) -> PlusPath:
-        made = self._changes[row]
-        if made is None:
+        current = self._changes[row]
+        if current is None:
             raise ValueError(f"failed to step row {row}: it has no rollout; call reset")
-        return made[1]
+        return current[1]
 
     def _simulation(self, row: int) -> Any:
         return self._rows.simulations[row]

@@ -1,4 +1,5 @@
-"""Environments in one process, with the methods of RLinf's environments in processes."""
+"""Environments in one process, with the methods of RLinf's environments, each of which runs in a
+process of its own."""
 
 from __future__ import annotations
 
@@ -33,8 +34,8 @@ class Rows:
     def __init__(
         self, parameters: Sequence[dict[str, Any]], *, threads: int, draws_all: bool
     ) -> None:
-        heights = {of_env.get("camera_heights", 128) for of_env in parameters}
-        widths = {of_env.get("camera_widths", 128) for of_env in parameters}
+        heights = {each.get("camera_heights", 128) for each in parameters}
+        widths = {each.get("camera_widths", 128) for each in parameters}
         if len(heights) != 1 or len(widths) != 1:
             raise ValueError(
                 f"failed to make frames of {sorted(heights)} × {sorted(widths)} pixels: give all "
@@ -44,8 +45,8 @@ class Rows:
         self._size = (widths.pop(), heights.pop())
         self._draws_all = draws_all
         self._pool = ThreadPoolExecutor(threads)
-        self._files = [str(of_env["bddl_file_name"]) for of_env in parameters]
-        self._seeds = [int(of_env["seed"]) for of_env in parameters]
+        self._files = [str(each["bddl_file_name"]) for each in parameters]
+        self._seeds = [int(each["seed"]) for each in parameters]
         # Number of the original's model loads per environment; its samplers draw at each load.
         self._loads = [1] * self.env_num
         self._chunk: _Chunk | None = None
@@ -89,7 +90,7 @@ class Rows:
 
     def step(self, action: Any, id: Any = None) -> Any:
         """Executes one control step, or returns the next step of the simulated chunk."""
-        if self._chunk is not None and self._chunk.is_left and id is None:
+        if self._chunk is not None and self._chunk.has_next and id is None:
             observations, success = self._chunk.next()
             rows = list(range(self.env_num))
         else:
@@ -102,14 +103,14 @@ class Rows:
         return observations, success.astype(np.float64), success.copy(), infos
 
     def chunk(self, actions: NDArray[np.float64]) -> _Chunk:
-        """Simulates a whole chunk, [environments, steps, 7]; ``step`` returns
-        its steps within the context."""
+        """Simulates a whole chunk, [environments, steps, 7]. Within the returned context, ``step``
+        returns the steps of this chunk."""
         if self._draws_all:
             return _Chunk(self, None)
         stepped = self._rows.step_chunk(actions)
         rows = self._ids(None)
         self._draw_numbers(rows, actions.shape[1])
-        last = _objects([self._drawn(stepped.observation, at) for at in rows])
+        last = _objects([self._observation(stepped.observation, at) for at in rows])
         return _Chunk(self, (last, stepped.success))
 
     def check_success(self) -> list[bool]:
@@ -138,26 +139,30 @@ class Rows:
         return self._observed(self._rows.reset(starts, rows, render="none"), rows)
 
     def _observed(self, readings: dict[str, Any], rows: list[int]) -> NDArray[np.object_]:
-        """Returns observations; reading the first frame renders the frames of all on threads."""
+        """Returns observations. When a frame is first read, the frames of all rows are rendered on
+        threads."""
         instant = _Instant(
             [self._rows.simulations[row].look() for row in rows],  # type: ignore[union-attr]
-            [self._shown(row) for row in rows],
+            [self._frame_change(row) for row in rows],
             self._size,
             self._pool.map,
         )
         return _objects(
-            [_LazyObservation(_named(readings, at), instant, at) for at in range(len(rows))]
+            [_LazyObservation(_readings(readings, at), instant, at) for at in range(len(rows))]
         )
 
-    def _drawn(self, observation: dict[str, Any], at: int) -> dict[str, Any]:
+    def _observation(self, observation: dict[str, Any], at: int) -> dict[str, Any]:
+        """Returns one row of an observation, with RLinf's keys and LIBERO's order of pixels."""
         frames = {key: observation[camera][at, ::-1, ::-1] for camera, key in _CAMERAS.items()}
-        return {**self._shown(at)(frames), **_named(observation, at)}
+        return {**self._frame_change(at)(frames), **_readings(observation, at)}
 
     def _draw_numbers(self, rows: list[int], steps: int) -> None:
-        """Draws the random numbers of the frames of rows' steps. LIBERO's frames have none."""
+        """Draws the random numbers for the corruption of the frames of the rows' steps. LIBERO's
+        frames are not corrupted."""
 
-    def _shown(self, row: int) -> Callable[[Frames], Frames]:
-        """Returns the change of a row's frames of its last step. LIBERO's are not changed."""
+    def _frame_change(self, row: int) -> Callable[[Frames], Frames]:
+        """Returns the function that corrupts the frames of a row's last step. LIBERO's frames are
+        not corrupted."""
         return lambda frames: frames
 
     def _simulations(self) -> list[Any]:
@@ -175,19 +180,19 @@ class _Chunk:
     def __init__(self, rows: Rows, results: tuple[Any, NDArray[np.bool_]] | None) -> None:
         self._rows = rows
         self._results = results
-        self._taken = 0
+        self._returned_steps = 0
 
     @property
-    def is_left(self) -> bool:
-        """True if the chunk has further steps."""
-        return self._results is not None and self._taken < self._results[1].shape[1]
+    def has_next(self) -> bool:
+        """True if the chunk has steps that are not returned yet."""
+        return self._results is not None and self._returned_steps < self._results[1].shape[1]
 
     def next(self) -> tuple[Any, NDArray[np.bool_]]:
         """Returns the next step's observations (None before the last step) and success."""
         assert self._results is not None
         last, success = self._results
-        self._taken += 1
-        return (None if self.is_left else last), success[:, self._taken - 1]
+        self._returned_steps += 1
+        return (None if self.has_next else last), success[:, self._returned_steps - 1]
 
     def __enter__(self) -> None:
         self._rows._chunk = self
@@ -197,17 +202,17 @@ class _Chunk:
 
 
 class _Instant:
-    """Observations of all environments at one instant, rendered once."""
+    """The rows' observations at one instant. All frames are rendered together, once."""
 
     def __init__(
         self,
         looks: list[Any],
-        shown: list[Callable[[Frames], Frames]],
+        frame_changes: list[Callable[[Frames], Frames]],
         size: tuple[int, int],
         parallel_map: Callable[..., Any],
     ) -> None:
         self._looks = looks
-        self._shown = shown
+        self._frame_changes = frame_changes
         self._size = size
         self._parallel_map = parallel_map
         self._frames: list[Frames] | None = None
@@ -215,11 +220,11 @@ class _Instant:
     def frames(self, at: int) -> Frames:
         """Returns an environment's frames."""
         if self._frames is None:
-            self._frames = list(self._parallel_map(self._draw, self._looks, self._shown))
+            self._frames = list(self._parallel_map(self._draw, self._looks, self._frame_changes))
         return self._frames[at]
 
-    def _draw(self, look: Any, shown: Callable[[Frames], Frames]) -> Frames:
-        return shown({key: look.frame(camera, *self._size) for camera, key in _CAMERAS.items()})
+    def _draw(self, look: Any, change: Callable[[Frames], Frames]) -> Frames:
+        return change({key: look.frame(camera, *self._size) for camera, key in _CAMERAS.items()})
 
 
 class _LazyObservation(dict[str, Any]):
@@ -236,8 +241,9 @@ class _LazyObservation(dict[str, Any]):
         return self[name]
 
 
-def _named(readings: dict[str, Any], at: int) -> dict[str, Any]:
-    # Copies, because RLinf writes into a quaternion.
+def _readings(readings: dict[str, Any], at: int) -> dict[str, Any]:
+    """Returns the readings of one row, with RLinf's keys. They are copies, because RLinf writes
+    into the quaternion."""
     return {key: readings[name][at].copy() for name, key in _READINGS.items()}
 
 
@@ -248,7 +254,7 @@ def _objects(observations: list[Any]) -> NDArray[np.object_]:
 
 
 def as_array(actions: Any) -> NDArray[np.float64]:
-    """Converts actions, also of PyTorch on any device, to numbers of double precision."""
+    """Converts actions to an array of float64. A tensor of PyTorch may be on any device."""
     if hasattr(actions, "detach"):
         actions = actions.detach().cpu().numpy()
     return np.asarray(actions, dtype=np.float64)

@@ -64,7 +64,7 @@ class Starts:
             )
         self._task = task
         self._count = count
-        self._chosen = _chosen(init_states, count)
+        self._chosen = _choose(init_states, count)
         self._settle_steps = settle_steps
         self._max_steps = max_steps
         self._absolute = absolute
@@ -88,7 +88,7 @@ class Starts:
 
     @property
     def execution(self) -> str:
-        """The execution model of the next rollout: the one given, or else the row's."""
+        """The execution model of the next rollout: the given one, else that of the manifest row."""
         return self._execution_of(self._perturbed)
 
     def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
@@ -96,7 +96,8 @@ class Starts:
 
         Raises:
             ValueError: if there is no such configuration, its actuation axis distorts actions that
-                are poses, or its execution model does not fit; the previous one stays in effect.
+                are poses, or its execution model does not fit; the previous perturbation stays in
+                effect.
         """
         row = None if perturbation is None else _row(self._task, perturbation)
         self._check_execution(self._execution_of(row))
@@ -117,8 +118,8 @@ class Starts:
         *,
         turn: int | None = None,
     ) -> Start:
-        """Returns the next start, at the given turn or the environment's own. Changes nothing:
-        pass the start to ``use`` after the rollout has begun.
+        """Returns the next start, at the given turn, or else at the environment's turn. Changes
+        nothing: pass the start to ``use`` after the rollout has begun.
 
         Raises:
             ValueError: if the options name no initial state of the task.
@@ -210,7 +211,9 @@ class Starts:
         return int(init_state)
 
 
-def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
+def _choose(init_states: InitStates, count: int) -> str | Sequence[int]:
+    """Returns ``"random"``, ``"sampled"``, or the initial states that take turns. Raises
+    ValueError."""
     if init_states == "cycle":
         return range(count)
     if init_states in ("random", "sampled"):
@@ -220,8 +223,8 @@ def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
             f"failed to choose init_states {init_states!r}: it must be 'cycle', 'random', "
             "'sampled', a number, or numbers"
         )
-    given = [init_states] if isinstance(init_states, int) else init_states
-    numbers = [int(number) for number in given]
+    listed = [init_states] if isinstance(init_states, int) else init_states
+    numbers = [int(number) for number in listed]
     if not numbers or not all(0 <= number < count for number in numbers):
         raise ValueError(
             f"failed to choose init_states {init_states!r}: the task has 0 to {count - 1}"
@@ -230,8 +233,8 @@ def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
 
 
 def _row(task: Task, perturbation: str | Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the row of ``combination/L2/c03`` (of this task), of a complete
-    rollout id, or the given row itself."""
+    """Returns the manifest row of a rollout id, of a rollout id without suite and task, such as
+    ``combination/L2/c03``, or the given row itself."""
     if isinstance(perturbation, str):
         text = perturbation
         if text.count("/") == 2:

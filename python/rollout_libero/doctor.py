@@ -1,7 +1,8 @@
 """Finds the package `libero` that a program imports, and the packages that shadow it.
 
 Several distributions install a package of this name into the same folder, and frameworks put
-checkouts of LIBERO before it on the path: the first one found is imported silently.
+checkouts of LIBERO before that folder on the path. Python silently imports the first package that
+it finds.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, af
 
 def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
     """Returns findings about the imported package, and faults with their remedies."""
-    found, faults = [], []
+    findings, faults = [], []
     rivals = [name for name in RIVALS if _version(name) is not None]
     installed = _version(SHIM)
     imported = _imported()
@@ -33,7 +34,7 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
         faults.append(f"no libero can be imported: {REINSTALL}")
     elif (imported / SHIM_MARKER).is_file():
         version = installed or "(not installed, but found in a folder)"
-        found.append(f"libero is {SHIM} {version}: {imported}")
+        findings.append(f"libero is {SHIM} {version}: {imported}")
         if rivals:
             faults.append(_overwritten("libero", rivals))
         faults += [
@@ -45,9 +46,11 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
         faults.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
     for folder in _folders(sys.path if path is None else path):
         if imported is not None and not _is_same(folder, imported):
-            found.append(f"hidden by the imported package, which is earlier on the path: {folder}")
-    found += _configuration()
-    return found, faults
+            findings.append(
+                f"hidden by the imported package, which is earlier on the path: {folder}"
+            )
+    findings += _configuration()
+    return findings, faults
 
 
 def _overwritten(package: str, rivals: list[str]) -> str:
@@ -59,8 +62,8 @@ def _overwritten(package: str, rivals: list[str]) -> str:
 
 def report() -> int:
     """Prints the findings; returns the exit status, 1 if there is a fault."""
-    found, faults = examine()
-    for line in found:
+    findings, faults = examine()
+    for line in findings:
         print(line)
     for line in faults:
         print(f"wrong: {line}")
@@ -82,8 +85,8 @@ def _imported() -> Path | None:
 
 
 def _remedy(imported: Path, rivals: list[str]) -> str:
-    given = [os.path.abspath(part) for part in _split(os.environ.get("PYTHONPATH"))]
-    if str(imported.parent.absolute()) in given:
+    python_path = [os.path.abspath(part) for part in _split(os.environ.get("PYTHONPATH"))]
+    if str(imported.parent.absolute()) in python_path:
         return f"take it out of PYTHONPATH ({imported.parent})"
     if imported.parent.absolute() == Path.cwd():
         return "start Python in another folder"
@@ -97,8 +100,8 @@ def _folders(path: Iterable[str]) -> list[Path]:
 
 
 def _configuration() -> list[str]:
-    """Returns a text for each folder in LIBERO's configuration file that overrides one of the
-    package. Such folders may belong to an old installation."""
+    """Returns a text for each folder in LIBERO's configuration file that replaces a folder of the
+    imported package. The configuration file may belong to an old installation."""
     folder = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
     file = Path(folder) / "config.yaml"
     try:
@@ -106,16 +109,16 @@ def _configuration() -> list[str]:
     except OSError:
         return []
     pairs = [line.partition(":") for line in lines if line.startswith(("bddl_files", "assets"))]
-    named = [(key, value.strip().strip("'\"")) for key, _, value in pairs]
+    folders = [(key, value.strip().strip("'\"")) for key, _, value in pairs]
     return [
         f"{file} sets {key} to {value}: remove the file unless this is intended"
-        for key, value in named
+        for key, value in folders
         if os.path.isdir(value) and os.listdir(value)
     ]
 
 
-def _is_same(first: Path, other: Path) -> bool:
-    return os.path.realpath(first) == os.path.realpath(other)
+def _is_same(first: Path, second: Path) -> bool:
+    return os.path.realpath(first) == os.path.realpath(second)
 
 
 def _version(distribution: str) -> str | None:

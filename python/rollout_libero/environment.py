@@ -64,7 +64,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         renderer: ``"software"``; ``"gl"`` or ``"gl:N"`` for OpenGL, which ties the
             environment's frames to the thread that renders them.
 
-    The reward is 1 in the successful step, which ends the rollout, and 0 in all others.
+    The reward is 1 in the successful step, which ends the rollout, and 0 in all other steps.
     ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.
 
     Raises:
@@ -137,16 +137,18 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins a rollout, up to the policy's first action.
 
-        A seed selects its start. With ``init_states="cycle"`` that is initial state
-        ``seed % 50``; with numbers, number ``seed % len(numbers)`` of them; later
-        resets without a seed continue in turn. ``"random"`` and ``"sampled"`` draw from
-        the generator that the seed starts. ``options={"init_state": 7}`` takes
-        precedence, and a configuration's own initial state does not depend on the seed.
+        A seed selects the rollout's start. With ``init_states="cycle"`` it selects initial state
+        ``seed % 50``; with numbers, the number at index ``seed % len(numbers)``; later resets
+        without a seed continue from there in turn. ``"random"`` and ``"sampled"`` draw from a
+        generator with this seed. ``options={"init_state": 7}`` takes precedence, and a
+        configuration's own initial state does not depend on the seed.
         """
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         start = self.starts.plan(generator, options or {}, turn=seed)
-        none = np.empty((1, 0, ACTION_WIDTH))
-        result = self._batch.advance(none, [0], [start.row], self._cameras, mirrored=self._mirrored)
+        no_actions = np.empty((1, 0, ACTION_WIDTH))
+        result = self._batch.advance(
+            no_actions, [0], [start.row], self._cameras, mirrored=self._mirrored
+        )
         (error,) = result["errors"]
         if isinstance(error, UNTOUCHED):
             raise error
@@ -175,9 +177,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Executes control steps with the actions, [steps, 7], until the rollout ends.
 
-        With ``render="last"`` the observation is that after the last step; with
-        ``"all"`` its arrays have the steps taken as a first axis; with ``"none"`` there
-        are no frames. ``info["steps"]`` counts the steps since the reset.
+        With ``render="last"`` the observation is the one after the last step; with ``"all"`` its
+        arrays have the executed steps as their first axis; with ``"none"`` it has no frames.
+        ``info["steps"]`` counts the steps since the reset.
 
         A call that raises ``ValueError`` for its arguments has changed nothing.
         After ``SimulationError`` the rollout is over: call ``reset``.

@@ -43,8 +43,9 @@ class Wheel(NamedTuple):
     folder: str
     members: tuple[tuple[str, str], ...]
     """Folders and files inside the wheel, with their destinations."""
-    kept: str = ""
-    """Folder beside `folder` in which `worker assets fetch --suite KEPT` leaves the wheel."""
+    suite: str = ""
+    """Suite of which `worker assets fetch --suite SUITE` leaves the wheel, in a folder of that name
+    beside `folder`."""
 
 
 _ROBOSUITE = "robosuite/models/assets/"
@@ -78,15 +79,16 @@ _WHEELS = (
         ),
     ),
 )
-# Written into an unpacked folder when it is complete; `cargo xtask setup` writes the same.
+# File that is written into an unpacked folder when the folder is complete; `cargo xtask setup`
+# writes the same file.
 _STAMP = ".unpacked"
 
 
 def sources_folder() -> Path:
     """Returns the folder of the sources, which may not exist yet: ``$ROLLOUT_SOURCES``, else
     ``rollout/sources`` in the user's cache folder."""
-    if given := os.environ.get("ROLLOUT_SOURCES"):
-        return Path(given)
+    if folder := os.environ.get("ROLLOUT_SOURCES"):
+        return Path(folder)
     cache = os.environ.get("XDG_CACHE_HOME")
     return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
 
@@ -120,27 +122,27 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
         raise FileNotFoundError(
             f"failed to fetch the robot's models and the task files into {folder}: "
             f"{_reason(error)}; check that pip reaches its package index and that there is room, "
-            f"{_worker(wheel)}or set ROLLOUT_SOURCES to a folder that has them"
+            f"{_worker_remedy(wheel)}or set ROLLOUT_SOURCES to a folder that has them"
         ) from error
     return folder / wheel.folder
 
 
 def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
-    """Returns the asset pack: the given one, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
+    """Returns the asset pack: the given pack, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
 
     Raises:
         MissingAssetsError: if the given folder is not an asset pack.
     """
-    given = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
-    if given in (LIBERO, PRIMITIVES):
-        return str(given)
-    if not (Path(given) / "scenes").is_dir():
+    pack = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
+    if pack in (LIBERO, PRIMITIVES):
+        return str(pack)
+    if not (Path(pack) / "scenes").is_dir():
         raise MissingAssetsError(
-            f"failed to find an asset pack at {given}: it has no folder `scenes`; give the path of "
+            f"failed to find an asset pack at {pack}: it has no folder `scenes`; give the path of "
             "LIBERO's "
             'assets folder, "libero" or "primitives"'
         )
-    return str(Path(given).absolute())
+    return str(Path(pack).absolute())
 
 
 def bddl_file(task: Task) -> Path:
@@ -162,8 +164,9 @@ def fetch_assets(
 
     Args:
         tasks: names such as ``"libero_goal/3"``; by default all forty tasks.
-        everything: true to fetch all of LIBERO's files, regardless of the tasks.
-        into: another folder, to be given as ``assets``.
+        everything: True fetches all of LIBERO's files, regardless of the tasks.
+        into: the folder for the files, in place of the default folder; give it as ``assets`` to
+            use the files.
         index: URL of a package index that replaces the environment's (``$ROLLOUT_INDEX_URL``,
             else pip's or uv's, else PyPI).
         wheels: a folder with the wheels, for a machine without a network.
@@ -192,9 +195,9 @@ def _task(name: str | Task) -> Task:
     return name if isinstance(name, Task) else Task.of(name)
 
 
-def _worker(wheel: Wheel) -> str:
-    """Remedy for a wheel that the program `worker` fetches, too."""
-    return f"run `worker assets fetch --suite {wheel.kept}`, " if wheel.kept else ""
+def _worker_remedy(wheel: Wheel) -> str:
+    """Returns the remedy for a wheel that the program `worker` can fetch, too; else nothing."""
+    return f"run `worker assets fetch --suite {wheel.suite}`, " if wheel.suite else ""
 
 
 def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
@@ -204,27 +207,27 @@ def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
 
 def _fetch(wheel: Wheel, folder: Path, complete: Callable[[Path], None] | None) -> None:
     print(f"rollout_libero: fetching {wheel.requirement} into {folder} …", file=sys.stderr)
-    with tempfile.TemporaryDirectory(dir=folder) as aside:
-        archive = folder / wheel.kept / wheel.file
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        archive = folder / wheel.suite / wheel.file
         if not archive.is_file():
-            _download(wheel, aside)
-            archive = Path(aside) / wheel.file
+            _download(wheel, temporary)
+            archive = Path(temporary) / wheel.file
         digest = hashlib.sha256(archive.read_bytes()).hexdigest()
         if digest != wheel.sha256:
             raise OSError(f"{wheel.file} has SHA-256 {digest}, expected {wheel.sha256}")
-        made = Path(aside) / "unpacked"
+        new_folder = Path(temporary) / "unpacked"
         with zipfile.ZipFile(archive) as members:
             for member in members.infolist():
                 if target := _target(wheel, member.filename):
-                    path = made / target
+                    path = new_folder / target
                     path.parent.mkdir(parents=True, exist_ok=True)
                     with members.open(member) as source, path.open("wb") as copy:
                         shutil.copyfileobj(source, copy)
         if complete is not None:
-            complete(made)
-        (made / _STAMP).write_text(wheel.sha256)
+            complete(new_folder)
+        (new_folder / _STAMP).write_text(wheel.sha256)
         shutil.rmtree(folder / wheel.folder, ignore_errors=True)
-        made.rename(folder / wheel.folder)
+        new_folder.rename(folder / wheel.folder)
 
 
 def _download(wheel: Wheel, into: str) -> None:
@@ -234,6 +237,7 @@ def _download(wheel: Wheel, into: str) -> None:
 
 
 def _target(wheel: Wheel, member: str) -> str | None:
+    """Returns the destination of a member of the wheel; None if it is not taken."""
     for source, target in wheel.members:
         if member.startswith(source) and not member.endswith("/") and ".." not in member:
             return target + member[len(source) :]

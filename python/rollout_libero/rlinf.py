@@ -2,8 +2,8 @@
 
 RLinf imports the module that this variable names in each of its workers and calls
 ``register``. RLinf's ``LiberoEnv`` still chooses tasks and initial states, computes rewards and
-metrics, truncates and resets; only the simulation below it is replaced. RLinf itself starts a
-process for each environment, which renders and sends every observation. Here, threads of the worker
+metrics, truncates and resets; only the simulation is replaced. RLinf itself starts a process for
+each environment, which renders and sends every observation. With this module, threads of the worker
 simulate, and render only the last observation of each chunk, which is the policy's input.
 
 If a run saves videos or collects data, every step is rendered, which is slow: set
@@ -46,7 +46,7 @@ def together(base: Any, rows: type[Rows]) -> Any:
 
         def _init_env(self) -> None:
             parameters = self.get_env_fn_params()
-            unknown = {name for of_env in parameters for name in of_env} - _PARAMETERS
+            unknown = {name for each in parameters for name in each} - _PARAMETERS
             if unknown:
                 raise ValueError(
                     f"env.init_params has {', '.join(sorted(unknown))}, which rollout_libero.rlinf "

@@ -15,7 +15,7 @@ UNTOUCHED = (native.BusyError, native.ClosedError)
 class Rollout:
     """The progress of one environment's rollout.
 
-    It changes only after the simulator has returned, so a refused call leaves it unchanged.
+    A rollout changes only after the simulator has returned, so a refused call leaves it unchanged.
     """
 
     instruction: str
@@ -29,21 +29,21 @@ class Rollout:
     are executed as they are given."""
 
     def begin(self, start: Start) -> None:
-        """Adopts a rollout that the simulator has begun."""
+        """Records that the simulator has begun a rollout from this start."""
         self.instruction, self.max_steps = start.instruction, start.max_steps
         self.steps, self.init_state = 0, start.init_state
         self.is_begun, self.is_over = True, False
 
-    def advance(self, taken: int, success: bool, error: Exception | None) -> bool:
-        """Counts the steps of a call and ends the rollout if it is over.
-        Returns true if its budget is spent without success.
+    def advance(self, steps: int, success: bool, error: Exception | None) -> bool:
+        """Counts the executed steps of a call, and ends the rollout if it succeeded, failed or
+        spent its budget of steps. Returns True if the budget is spent without success.
 
-        A failed simulation ends the rollout, too. A call that was refused, or that found the
-        environment busy or closed, does not.
+        A failed simulation ends the rollout. A call that was refused, or that found the environment
+        busy or closed, does not.
         """
-        self.steps += taken
+        self.steps += steps
         truncated = error is None and not success and self.steps >= self.max_steps
         failed = error is not None and not isinstance(error, (*UNTOUCHED, ValueError))
-        # Another thread may have ended the rollout after this one found the environment busy.
+        # Another thread may have ended the rollout after this thread found the environment busy.
         self.is_over = self.is_over or success or truncated or failed
         return truncated

@@ -17,9 +17,7 @@ from rollout_libero._library import native
 from rollout_libero.tasks import Task
 
 _Key = tuple[Hashable, ...]
-_scenes: weakref.WeakValueDictionary[_Key, native.Scene] = (
-    weakref.WeakValueDictionary()
-)
+_scenes: weakref.WeakValueDictionary[_Key, native.Scene] = weakref.WeakValueDictionary()
 _recent: OrderedDict[_Key, native.Scene] = OrderedDict()
 MAX_RECENT = 10
 """Number of scenes kept without an environment: enough for the tasks of a suite."""
@@ -42,8 +40,8 @@ def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scen
 def scene(
     bddl_file: str, assets: str | PathLike[str] | None, *, init_file: str | None = None
 ) -> native.Scene:
-    """Returns the compiled scene of a BDDL file. Missing files that it needs of
-    the pack ``libero`` are fetched.
+    """Returns the compiled scene of a BDDL file. With the pack ``libero``, files that the scene
+    needs are fetched if they are missing.
 
     Raises:
         FileNotFoundError: if files are missing.
@@ -54,25 +52,26 @@ def scene(
     with _lock:
         compiling = _compiling.setdefault(key, threading.Lock())
     with compiling:
-        found = _scenes.get(key)
-        if found is None:
+        compiled = _scenes.get(key)
+        if compiled is None:
             if pack == files.LIBERO:
                 native.fetch_assets(sources, [bddl_file])
-            found = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
-            _scenes[key] = found
-            if found.pack == "custom":
-                differing = ", ".join(found.pack_differences[:MAX_NAMES]) or "all files"
+            compiled = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
+            _scenes[key] = compiled
+            if compiled.pack == "custom":
+                differing = ", ".join(compiled.pack_differences[:MAX_NAMES]) or "all files"
                 warnings.warn(
-                    f"the asset pack {pack} is not LIBERO's; {len(found.pack_differences)} of "
+                    f"the asset pack {pack} is not LIBERO's; {len(compiled.pack_differences)} of "
                     f"LIBERO's files differ: {differing}",
                     stacklevel=2,
                 )
-    _keep_recent(key, found)
-    return found
+    _keep_recent(key, compiled)
+    return compiled
 
 
 def _version(file: str) -> Hashable:
-    """Returns a key of the file's content, so that a changed file gives another scene."""
+    """Returns a file's path, time and size, so that a changed file gives another scene; only the
+    path if the file is missing."""
     try:
         status = os.stat(file)
     except OSError:
@@ -80,9 +79,9 @@ def _version(file: str) -> Hashable:
     return file, status.st_mtime_ns, status.st_size
 
 
-def _keep_recent(key: _Key, found: native.Scene) -> None:
+def _keep_recent(key: _Key, compiled: native.Scene) -> None:
     with _lock:
-        _recent[key] = found
+        _recent[key] = compiled
         _recent.move_to_end(key)
         while len(_recent) > MAX_RECENT:
             _recent.popitem(last=False)

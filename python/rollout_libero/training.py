@@ -60,8 +60,8 @@ class Start:
     seed: int = 0
     """Seed of NumPy's legacy generator, which places fixtures and, without a state, all objects."""
     loads: int = LOADS
-    """Number of times that the original would have loaded the task's model before this start: one
-    more for each reset of a reused environment."""
+    """Number of times that the original would have loaded the task's model before this start. Each
+    reset of a reused environment adds one load."""
 
 
 class TrainingEnvironment:
@@ -77,9 +77,10 @@ class TrainingEnvironment:
         settle_steps, settle_action: number of control steps before the first observation, and
             their action.
 
-    Rows with equal starts in one call, a group of the same task, state and seed, settle
-    only once. If a row fails, the others finish; the exception, ``SimulationError``,
-    has the failed rows as ``environments`` and the results of the call as ``result``.
+    Rows with equal starts in one call, that is, with the same task, state, seed and number of
+    loads, are simulated only once until they have settled. If a row fails, the other rows finish;
+    the exception, ``SimulationError``, has the failed rows as ``environments`` and the results of
+    the call as ``result``.
     """
 
     def __init__(
@@ -118,8 +119,8 @@ class TrainingEnvironment:
         rows: Sequence[int] | None = None,
         render: Literal["last", "none"] = "last",
     ) -> Observation:
-        """Begins rollouts in some rows, or in all, with a start for each;
-        returns their observations, without frames if ``render="none"``.
+        """Begins a rollout in each of some rows, by default of all, with a start for each. Returns
+        the observations of these rows, without frames if ``render="none"``.
 
         Raises:
             FileNotFoundError: if files are missing.
@@ -164,8 +165,8 @@ class TrainingEnvironment:
         rows: Sequence[int] | None = None,
         render: Render = "last",
     ) -> Stepped:
-        """Executes control steps of some rows, or of all, with actions [rows,
-        steps, 7]. All actions are executed, even past success.
+        """Executes control steps of some rows, by default of all, with actions [rows, steps, 7].
+        All actions are executed, even past success.
 
         Raises:
             ValueError: for actions of another shape, and for rows without a rollout; no row has
@@ -187,20 +188,20 @@ class TrainingEnvironment:
     def observe(
         self, rows: Sequence[int] | None = None, render: Literal["last", "none"] = "last"
     ) -> Observation:
-        """Returns the last observations of some rows, or of all; without frames if
+        """Returns the last observations of some rows, by default of all; without frames if
         ``render="none"``.
 
         Raises:
             ValueError: if a row has no rollout.
         """
         rows = self._rows(rows)
-        held = [self._simulation(row) for row in rows]
-        no_actions = np.empty((len(held), 0, ACTION_WIDTH))
-        shown = self._advance(held, no_actions, [None] * len(held), render)
-        return _finished(self._observation(shown), rows, shown["errors"])
+        simulations = [self._simulation(row) for row in rows]
+        no_actions = np.empty((len(rows), 0, ACTION_WIDTH))
+        result = self._advance(simulations, no_actions, [None] * len(rows), render)
+        return _finished(self._observation(result), rows, result["errors"])
 
     def frame(self, row: int, camera: str, width: int, height: int) -> NDArray[np.uint8]:
-        """Returns an upright picture, in any size, of a row at its last observation."""
+        """Returns an upright picture, in any size, of the scene at a row's last observation."""
         return self._simulation(row).frame(camera, width, height)[::-1]
 
     def snapshot(self, row: int) -> native.Snapshot:
@@ -219,7 +220,7 @@ class TrainingEnvironment:
         self.simulations = [None] * self.num_envs
 
     def _assign(self, row: int, task: str) -> None:
-        """Assigns a task to a row's simulation."""
+        """Gives a row a simulation of the task's scene, unless it has one."""
         scene = scenes.scene(_bddl_file(task), self._assets)
         simulation = self.simulations[row]
         if simulation is None or simulation.scene is not scene:

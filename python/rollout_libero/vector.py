@@ -46,18 +46,17 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     Environments of one task share its compiled scene. Frames, readings, rewards
     and ends are stacked, one row per environment.
 
-    A refused call (``ValueError``, ``ResetNeeded``) changes nothing. If an
-    environment fails in a call (``SimulationError``), the others finish their
-    steps first; the exception's ``environments`` has the numbers of those that
-    failed and its ``result`` the call's return value, with ``infos["failed"]``.
-    A failed rollout is over, neither terminated nor truncated: ``NEXT_STEP``
-    begins another one in the next step, the other modes need a reset.
+    A refused call (``ValueError``, ``ResetNeeded``) changes nothing. If an environment fails in a
+    call (``SimulationError``), the other environments finish their steps first; the exception's
+    ``environments`` has the numbers of the environments that failed, and its ``result`` the call's
+    return value, with ``infos["failed"]``. A failed rollout is over, neither terminated nor
+    truncated: ``NEXT_STEP`` begins another rollout in the next step, the other modes need a reset.
 
     Args:
         tasks: one task, or several; environment *i* has the *i*-th, repeated cyclically.
         num_envs: number of environments; by default one per task.
         threads: number of threads; by default one per core, and always one with OpenGL.
-        perturbation: one for all environments, or one for each.
+        perturbation: a perturbation for all environments, or a list with one for each.
         init_states: initial states of rollouts; see ``configuration.InitStates``. Environments
             of one task that take turns share the sequence: of *n* environments, the *r*-th
             begins at index *r* and advances by *n*, so that no two have the same state at a time.
@@ -66,12 +65,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             default that of the perturbation's row, else ``"wait"``. In all models except
             ``"wait"``, ``step_chunk`` takes the answers to the observations of the previous call,
             and runs each environment until its next query.
-        execute: how many actions of an answer are executed before the next query; by default
+        execute: number of actions of an answer that are executed before the next query; by default
             all.
-        autoreset_mode: as gymnasium defines it: ``NEXT_STEP`` begins a rollout in the
-            step after the last, whose action is ignored; ``SAME_STEP`` at once, with the
-            last observation in ``info["final_obs"]``; ``DISABLED`` not at all: reset with
-            ``options={"reset_mask": …}``.
+        autoreset_mode: gymnasium's mode. When a rollout has ended, ``NEXT_STEP`` begins another one
+            in the next call of ``step``, whose action is ignored; ``SAME_STEP`` begins it in the
+            same call, with the last observation in ``info["final_obs"]``; with ``DISABLED``, call
+            ``reset`` with ``options={"reset_mask": …}``.
 
     The other arguments are those of ``Environment``.
     """
@@ -160,11 +159,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins rollouts.
 
-        A number seeds environment *i* with itself plus *i*; a list has a seed, or None, for each.
-        With ``init_states="cycle"``, or numbers, a seed selects the turn: seeds of a list act as in
-        ``Environment.reset``, and with a number the *r*-th environment of a task begins at turn
-        ``seed + r``. ``options`` may have ``reset_mask``, [environments], True for those that
-        begin, and ``init_state``, a number or one for each, which takes precedence.
+        A number seeds environment *i* with ``seed + i``; a list has a seed, or None, for each
+        environment. With ``init_states="cycle"``, or numbers, a seed selects the turn: seeds of a
+        list act as in ``Environment.reset``, and with a number the *r*-th environment of a task
+        begins at turn ``seed + r``. ``options`` may have ``reset_mask``, [environments], True for
+        the environments that begin a rollout, and ``init_state``, a number for all environments or
+        a number for each, which takes precedence.
         """
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
@@ -173,19 +173,19 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 f"failed to reset with a mask of shape {mask.shape}: expected ({self.num_envs},) "
                 "with at least one True"
             )
-        given: Any = options.get("init_state")
-        init_states = np.broadcast_to(given, self.num_envs)
+        init_state: Any = options.get("init_state")
+        init_states = np.broadcast_to(init_state, self.num_envs)
         seeds = _seeds_of(seed, self.num_envs)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
-            own_seed = turn = seeds[at]
+            env_seed = turn = seeds[at]
             generator = self._generators[at]
-            if own_seed is not None:
-                generator = seeding.np_random(own_seed)[0]
+            if env_seed is not None:
+                generator = seeding.np_random(env_seed)[0]
             if isinstance(seed, int | np.integer):
                 turn = int(seed) + self.starts[at].rank
-            option = {"init_state": init_states[at]}
-            starts[at] = self.starts[at].plan(generator, option, turn=turn)
+            start_options = {"init_state": init_states[at]}
+            starts[at] = self.starts[at].plan(generator, start_options, turn=turn)
         advanced = self._batch.advance(
             np.empty((self.num_envs, 0, ACTION_WIDTH)),
             [0] * self.num_envs,
@@ -220,15 +220,15 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Executes control steps, actions [environments, steps, 7], until each rollout ends.
 
-        With ``render="last"`` an environment's observation is that after its last step; with
-        ``"all"`` arrays are [environments, steps, …], and zero beyond the steps taken, which
-        ``info["taken"]`` counts (0 where a rollout begins, whose first observation is at index 0);
-        with ``"none"`` there are no frames.
+        With ``render="last"`` an environment's observation is the one after its last step; with
+        ``"all"`` arrays are [environments, steps, …], and zero beyond the executed steps, which
+        ``info["taken"]`` counts (0 for an environment that begins a rollout, whose first
+        observation is at index 0); with ``"none"`` there are no frames.
 
-        ``expert``, [environments, steps], queries a scripted expert, which reads the
-        simulator's state, at every step: ``info["expert_action"]``, [environments,
-        steps, 7], has its actions, NaN beyond the steps taken. Where ``expert`` is
-        true, the expert drives, and ``actions`` are added to its own.
+        ``expert``, [environments, steps], queries a scripted expert, which reads the simulator's
+        state, at every step: ``info["expert_action"]``, [environments, steps, 7], has the expert's
+        actions, NaN beyond the executed steps. At steps where ``expert`` is True, the sum of the
+        expert's action and of the given action is executed.
 
         Under an execution model, or with ``execute``, ``actions`` are the answers to the
         observations of the previous call. Each environment runs until its next query is due, in
@@ -292,12 +292,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[NDArray[np.float64], dict[int, native.Schedule]]:
         """Returns the actions [environments, steps, 7] until each environment's next query is due,
         and the schedules at that time; shortens ``limits`` to these steps. Changes no rollout."""
-        late = [
+        with_schedule = [
             at
             for at, rollout in enumerate(self._rollouts)
             if rollout.schedule and not rollout.is_over
         ]
-        if not late:
+        if not with_schedule:
             return actions, {}
         if is_expert:
             raise ValueError(
@@ -311,7 +311,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 f"steps, {ACTION_WIDTH})"
             )
         schedules, rows = {}, {at: actions[at] for at in range(self.num_envs)}
-        for at in late:
+        for at in with_schedule:
             schedule: Any = self._rollouts[at].schedule
             schedules[at] = schedule.copy()
             schedules[at].answer(actions[at])
@@ -327,7 +327,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         """Changes an environment's perturbation, from its next rollout on.
 
         Raises:
-            ValueError: if there is no such configuration; the previous one stays in effect.
+            ValueError: if there is no such configuration; the previous perturbation stays in
+                effect.
         """
         self.starts[index].perturb(perturbation)
 
@@ -392,8 +393,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return [starts[at].row if at in starts else None for at in range(self.num_envs)]
 
     def _begin(self, starts: Mapping[int, Start], errors: Sequence[Exception | None]) -> None:
-        """Adopts the rollouts that the simulator has begun. A failed start
-        counts as used, so that the next one differs."""
+        """Records the rollouts that the simulator has begun. A start that failed counts as used,
+        too, so that the next start differs."""
         for at, start in starts.items():
             error = errors[at]
             if isinstance(error, UNTOUCHED):
@@ -432,15 +433,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
         schedules = [rollout.schedule for rollout in self._rollouts]
         queries = [None if schedule is None else schedule.due() for schedule in schedules]
-        late: dict[str, Any] = {}
+        query_infos: dict[str, Any] = {}
         if any(schedules):
-            late["delay"] = np.array([query[0] if query else 0 for query in queries], np.int64)
+            delays = [query[0] if query else 0 for query in queries]
+            query_infos["delay"] = np.array(delays, np.int64)
         if any(schedule is not None and schedule.is_rtc for schedule in schedules):
-            late["under_way"] = np.full(self.num_envs, None, dtype=object)
+            query_infos["under_way"] = np.full(self.num_envs, None, dtype=object)
             for at, query in enumerate(queries):
-                late["under_way"][at] = None if query is None else query[1]
+                query_infos["under_way"][at] = None if query is None else query[1]
         rollouts = self._rollouts
-        return late | {
+        return query_infos | {
             "success": success,
             "instruction": np.array([rollout.instruction for rollout in rollouts], dtype=object),
             "init_state": np.array([rollout.init_state for rollout in rollouts], dtype=object),

@@ -2,5 +2,5 @@
 
 import signal
 
-# A shell that starts tests in the background makes them ignore Ctrl-C, which some of them send.
+# A shell that starts the tests in the background makes Python ignore Ctrl-C, which some tests send.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""Verdicts and tables of the RL comparison (python/bench/rl), on given measurements."""
+"""Verdicts and tables of the RL comparison (python/bench/rl), from invented measurements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The documents' Python code runs unchanged."""
+"""The Python code in the documents runs unchanged."""
 
 import subprocess
 import sys
@@ -13,7 +13,8 @@ PAGES = ("README.md", "docs/PYTHON.md", "python/README.md", "python/libero_shim/
 
 
 def blocks():
-    """Programs that need only the wheels; programs in files belong to a shell session."""
+    """Yields the documents' programs that need only the wheels. A block with `file:` before it is a
+    file of a shell session, and is left out."""
     for page in PAGES:
         text = (ROOT / page).read_text()
         pieces = text.split("```python\n")

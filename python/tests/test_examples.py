@@ -35,7 +35,7 @@ def test_the_evaluation_prints_each_task_with_its_interval():
         successes, n, rate, low, high = map(float, re.findall(r"\d+\.?\d*", line.split(" ", 1)[1]))
         assert rate == pytest.approx(100 * successes / n, abs=0.1)
         assert low <= rate <= high and low < high
-    # Wilson's interval of 0 of 2 and of 0 of 4.
+    # The upper ends of Wilson's intervals for 0 successes of 2 and of 4.
     ends = {line.split()[0]: line.split()[-1] for line in lines if " 0 of" in line}
     assert ends.get("libero_object/0", "65.8") == "65.8"
     assert ends.get("all", "49.0") == "49.0"
@@ -63,7 +63,7 @@ def test_collected_episodes_are_complete_and_reproducible(tmp_path):
             # An episode ends only once, at its last step.
             ended = once["terminated"] | once["truncated"]
             assert list(ended) == [False] * (count - 1) + [True]
-            # The first observation is the reset's, not the last of the previous episode.
+            # The first observation is that of the reset, not the last of the previous episode.
             moved = np.linalg.norm(np.diff(once["eef_pos"], axis=0), axis=1)
             assert moved.max() < 0.1
             assert str(once["instruction"])

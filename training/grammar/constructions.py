@@ -1,5 +1,5 @@
-"""Constructions: the actions that tasks ask for, as clauses. ``{x}`` is an
-object with its article, ``{to}`` its destination, ``{at}`` its position.
+"""Constructions: the actions that tasks ask for, as clauses. The slot ``{x}`` is an object with its
+article, ``{to}`` the object's destination, ``{at}`` the object's position.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from training.grammar.things import (
 # fmt: off
 # Lists of words are easier to read with several words to a line.
 
-# An object that is carried to a place, from anywhere.
+# An object is carried to a place.
 CARRY: Mapping[str, Templates] = {
     "do": (
         "{take} {x} {then} {put it} {to}",
@@ -98,7 +98,7 @@ CARRY: Mapping[str, Templates] = {
     "be": ("be", "rest", "sit", "lie", "stand", "go", "be placed", "be put", "end up"),
 }
 
-# An object that is identified by its position.
+# An object that is identified by its position is carried to a plate.
 CARRY_FROM: Mapping[str, Templates] = {
     **CARRY,
     "do": (
@@ -149,7 +149,7 @@ CARRY_FROM: Mapping[str, Templates] = {
     "plate": PLATE,
 }
 
-# Two objects that are carried to one place.
+# Two objects are carried to one place.
 CARRY_BOTH: Mapping[str, Templates] = {
     "do": (
         "{put} {both x} {to}",
@@ -302,7 +302,7 @@ OPEN: Mapping[str, Templates] = {
     "cabinet": CABINET,
 }
 
-# The drawer is opened, and an object is put inside.
+# A drawer is opened, and an object is put inside.
 OPEN_AND_PUT: Mapping[str, Templates] = {
     "do": (
         "{open} {x} {then} {put} {y} {inside}",
@@ -588,7 +588,7 @@ PUT_AND_CLOSE: Mapping[str, Templates] = {
     ),
 }
 
-# Two objects that are carried to two places.
+# Two objects are carried to two places.
 PUT_TWO: Mapping[str, Templates] = {
     "do": (
         "{put} {a} {to a}[ and|, and|, then| and then|;|. then|, and then|, and also|, while you] "

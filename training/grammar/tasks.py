@@ -59,8 +59,13 @@ from training.grammar.words import COMMON
 # Lists of words are easier to read with several words to a line.
 
 def _carry_from(*, at: Templates, place: Templates = (), **entries: Templates) -> Grammar:
-    """Returns the grammar of a bowl at a position: ``at`` is the position, ``place`` its name
-    after "from"."""
+    """Returns the grammar of a bowl that is carried from a position to the plate.
+
+    Args:
+        at: the position, as in "the bowl on the stove".
+        place: the position after "from", as in "take the bowl from the stove"; by default ``at``.
+        entries: further entries of the grammar.
+    """
     return {
         **COMMON, **CARRY_FROM, "at": at, "place": place or at, "cabinet": CABINET, "stove": STOVE,
         "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **entries,
@@ -104,9 +109,9 @@ def _to_basket(thing: Templates) -> Grammar:
 
 def _both_to_basket(a: Templates, b: Templates) -> Grammar:
     return {
-        **COMMON, **CARRY_BOTH, "one": a, "other": b,
-        "a": ("the {one}", "the {one}", "the {one}", "that {one}"),
-        "b": ("the {other}", "the {other}", "the {other}", "that {other}"),
+        **COMMON, **CARRY_BOTH, "thing a": a, "thing b": b,
+        "a": ("the {thing a}", "the {thing a}", "the {thing a}", "that {thing a}"),
+        "b": ("the {thing b}", "the {thing b}", "the {thing b}", "that {thing b}"),
     }
 
 

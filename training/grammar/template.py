@@ -1,10 +1,11 @@
-"""Types of a grammar."""
+"""The types of which a grammar consists."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 Templates = Sequence[str]
-"""Sentences with ``{slots}`` and ``[one|of|these]``, which may nest; ``[|please]`` is optional."""
+"""Sentences with slots, ``{slot}``, and choices, ``[first|second]``. Choices may nest, and an
+option may be empty: ``[|please]``."""
 Grammar = Mapping[str, Templates]
-"""Templates that may fill each slot."""
+"""For each slot, by its name, the templates that may fill the slot."""

@@ -1,4 +1,5 @@
-"""Verbs and small words for all tasks. A slot has these forms: put, putting, was put."""
+"""Verbs and small words for all tasks. Forms of a verb have slots of their own: ``put``,
+``putting``, ``was put``."""
 
 from __future__ import annotations
 

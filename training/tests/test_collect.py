@@ -1,4 +1,4 @@
-"""Collection from a fake environment: observed, executed and stored values agree."""
+"""Collection from fake environments: observed, executed and stored values agree."""
 
 import argparse
 from pathlib import Path
@@ -15,21 +15,21 @@ from training.shards import Driver, Outcome, Shard, read, shard_folders
 from training.wordings import TASK_NAMES
 
 LENGTHS = (7, 10)
-"""Steps until success of even and of odd environments."""
+"""Steps until success, of environments with even and with odd numbers."""
 
 
 class FakeEnvironments:
-    """Fake environments; both their pictures and their expert's actions encode the step."""
+    """Fake environments, whose pictures and expert's actions encode the step."""
 
     max_steps = np.array([20, 20])
 
-    def __init__(self, tasks: list[str], n: int, *_: Any, **given: Any) -> None:
-        assert given["init_states"] == "sampled"
-        assert given["orientation"] == "upright"
+    def __init__(self, tasks: list[str], n: int, *_: Any, **settings: Any) -> None:
+        assert settings["init_states"] == "sampled"
+        assert settings["orientation"] == "upright"
         self.n = n
         self.step = np.zeros(n, np.int64)
         self.ended = np.zeros(n, bool)
-        self.length = np.array([LENGTHS[at % 2] for at in range(n)])
+        self.length = np.array([LENGTHS[index % 2] for index in range(n)])
         self.perturbed: list[Any] = [None] * n
         self.perturbed_next: list[Any] = [None] * n
 
@@ -71,22 +71,23 @@ class FakeEnvironments:
         pass
 
 
-def shards_of(folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> list[Shard]:
+def collect_shards(folder: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any) -> list[Shard]:
+    """Runs a collection with these arguments changed, and returns the written shards."""
     monkeypatch.setattr(libero, "VectorEnvironment", FakeEnvironments)
     monkeypatch.setattr(collect, "WORDINGS", 2)
     monkeypatch.setattr(collect, "compile_scenes", lambda *_: None)
-    usual: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
         "envs": 4, "groups": 2, "threads": 1, "tasks": ["libero_goal"], "failures": None,
         "budgets": 2, "solved_only": False,
         "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
-    collect.collect(argparse.Namespace(**(usual | given)))
+    collect.collect(argparse.Namespace(**(defaults | changed)))
     return [read(path) for path in shard_folders(folder)]
 
 
 def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shards = shards_of(tmp_path, monkeypatch)
+    shards = collect_shards(tmp_path, monkeypatch)
     assert shards
     for shard in shards:
         ends = np.cumsum(shard.episode_steps)
@@ -107,15 +108,15 @@ def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_second_run_adds_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = len(shards_of(tmp_path, monkeypatch, seconds=1.5))
-    assert len(shards_of(tmp_path, monkeypatch, seconds=1.5)) > first
+    first = len(collect_shards(tmp_path, monkeypatch, seconds=1.5))
+    assert len(collect_shards(tmp_path, monkeypatch, seconds=1.5)) > first
 
 
 def test_perturbations_differ_from_the_benchmarks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = np.concatenate(
-        [shard.perturbation for shard in shards_of(tmp_path, monkeypatch, perturbed=0.7)]
+        [shard.perturbation for shard in collect_shards(tmp_path, monkeypatch, perturbed=0.7)]
     )
     assert 0.5 < (names != "").mean() < 0.9
     for name in names[names != ""]:
@@ -141,13 +142,14 @@ def test_tasks_that_the_student_fails_get_more_environments() -> None:
     assert tasks.count(23) > 2 * tasks.count(22)
 
 
-def test_solved_only_files_no_other_episode(
+def test_solved_only_stores_only_successful_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outcomes = [shard.outcome for shard in shards_of(tmp_path / "all", monkeypatch)]
+    outcomes = [shard.outcome for shard in collect_shards(tmp_path / "all", monkeypatch)]
     assert set(np.concatenate(outcomes)) > {Outcome.SUCCESS}
     solved = [
-        shard.outcome for shard in shards_of(tmp_path / "solved", monkeypatch, solved_only=True)
+        shard.outcome
+        for shard in collect_shards(tmp_path / "solved", monkeypatch, solved_only=True)
     ]
     assert set(np.concatenate(solved)) == {Outcome.SUCCESS}
 
@@ -161,7 +163,7 @@ def test_tasks_are_chosen_by_prefix() -> None:
 
 def test_the_student_needs_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit, match="--weights"):
-        shards_of(tmp_path, monkeypatch, driver="student")
+        collect_shards(tmp_path, monkeypatch, driver="student")
 
 
 def test_the_student_takes_part_once_its_weights_exist(
@@ -174,7 +176,7 @@ def test_the_student_takes_part_once_its_weights_exist(
 
     torch.manual_seed(0)
     save_weights(Network().state_dict(), tmp_path / "weights", "student")
-    shards = shards_of(
+    shards = collect_shards(
         tmp_path / "data", monkeypatch, driver="student", weights=tmp_path / "weights", seconds=5.0
     )
     drivers = np.concatenate([shard.driver for shard in shards])

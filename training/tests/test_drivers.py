@@ -1,23 +1,23 @@
-"""Choice of the driver, and the numbers that are added to the expert's actions."""
+"""The choice of the driver, and the numbers that are added to the expert's actions."""
 
 import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from training.drivers import ExpertDrives, InTurns
+from training.drivers import AlternatingDrivers, ExpertDriver
 from training.shards import Driver, Source
 
 N = 200
 
 
 def test_a_fifth_of_the_experts_episodes_is_clean() -> None:
-    drives = ExpertDrives(N, np.random.default_rng(0))
+    drives = ExpertDriver(N, np.random.default_rng(0))
     drives.begin(np.arange(N))
-    orders = [drives.next(3) for _ in range(100)]
-    actions = np.concatenate([order.actions for order in orders], axis=1)
-    source = np.concatenate([order.source for order in orders], axis=1)
-    assert actions.shape == (N, 300, 7) and all(order.expert.all() for order in orders)
+    commands = [drives.next(3) for _ in range(100)]
+    actions = np.concatenate([command.actions for command in commands], axis=1)
+    source = np.concatenate([command.source for command in commands], axis=1)
+    assert actions.shape == (N, 300, 7) and all(command.expert.all() for command in commands)
     clean = drives.driver == Driver.CLEAN
     assert 0.1 < clean.mean() < 0.3
     assert not actions[clean].any() and (source[clean] == Source.EXPERT).all()
@@ -28,11 +28,11 @@ def test_a_fifth_of_the_experts_episodes_is_clean() -> None:
 
 
 def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
-    drives = ExpertDrives(N, np.random.default_rng(1))
+    drives = ExpertDriver(N, np.random.default_rng(1))
     drives.begin(np.arange(N))
-    orders = [drives.next(3) for _ in range(60)]
-    actions = np.concatenate([order.actions for order in orders], axis=1)
-    pushed = np.concatenate([order.source for order in orders], axis=1) == Source.PUSH
+    commands = [drives.next(3) for _ in range(60)]
+    actions = np.concatenate([command.actions for command in commands], axis=1)
+    pushed = np.concatenate([command.source for command in commands], axis=1) == Source.PUSH
     assert np.abs(actions[pushed][:, :3]).max(axis=1).min() >= 0.49
     for row, mask in zip(actions, pushed, strict=True):
         starts = np.flatnonzero(np.diff(row[:, 0] * mask, prepend=0.0) * mask)
@@ -43,7 +43,7 @@ def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
 
 
 def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
-    drives = InTurns(N, np.random.default_rng(2))
+    drives = AlternatingDrivers(N, np.random.default_rng(2))
     drives.begin(np.arange(N))
     drives.driver[:] = Driver.STUDENT
     answered = np.zeros((N, 8, 7))
@@ -57,26 +57,26 @@ def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
         drives.answer(needs_answer, answers)
         answered[needs_answer] = answers
         since[needs_answer] = 0
-        orders = drives.next(4)
-        assert not orders.expert.any() and (orders.source == Source.STUDENT).all()
+        commands = drives.next(4)
+        assert not commands.expert.any() and (commands.source == Source.STUDENT).all()
         first = since.astype(int)
         for at in (0, N - 1):
             np.testing.assert_array_equal(
-                orders.actions[at], answered[at, first[at] : first[at] + 4]
+                commands.actions[at], answered[at, first[at] : first[at] + 4]
             )
         since += 4
 
 
 def test_student_and_expert_take_turns() -> None:
-    drives = InTurns(N, np.random.default_rng(4))
+    drives = AlternatingDrivers(N, np.random.default_rng(4))
     drives.begin(np.arange(N))
     by_student = []
     for _ in range(100):
         needs_answer = drives.needs_answer()
         drives.answer(needs_answer, np.ones((int(needs_answer.sum()), 8, 7)))
-        orders = drives.next(4)
-        by_student.append(orders.source[:, 0] == Source.STUDENT)
-        assert (orders.expert == (orders.source != Source.STUDENT)).all()
+        commands = drives.next(4)
+        by_student.append(commands.source[:, 0] == Source.STUDENT)
+        assert (commands.expert == (commands.source != Source.STUDENT)).all()
     turns = np.array(by_student)
     alone = drives.driver == Driver.STUDENT
     assert 0.1 < alone.mean() < 0.3 and turns[:, alone].all()

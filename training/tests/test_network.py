@@ -84,13 +84,13 @@ def test_a_learned_point_is_at_the_maps_peak() -> None:
             scores[:, :, 3, 12] = 100.0
             return scores
 
-    class Finer(torch.nn.Module):
+    class FinePeak(torch.nn.Module):
         def forward(self, x: torch.Tensor) -> torch.Tensor:
             scores = torch.zeros(len(x), 64, 32, 32)
             scores[:, :, 7, 24] = 50.0
             return scores
 
-    encoder.points, encoder.fine = Peak(), Finer()
+    encoder.points, encoder.fine = Peak(), FinePeak()
     out = encoder(torch.zeros(1, 3, 128, 128), torch.zeros(1, 128))[0]
     torch.testing.assert_close(out[:64], torch.full((64,), -1 + 2 * 24 / 31))
     torch.testing.assert_close(out[64:128], torch.full((64,), -1 + 2 * 7 / 31))
@@ -100,12 +100,12 @@ def test_a_learned_point_is_at_the_maps_peak() -> None:
 
 def test_pictures_shrink_by_the_area_mean() -> None:
     pictures = torch.randint(0, 256, (2, 3, 8, 12, 3), dtype=torch.uint8)
-    wide_integers = pictures.numpy().astype(np.int64)
+    as_int64 = pictures.numpy().astype(np.int64)
     total = (
-        wide_integers[..., ::2, ::2, :]
-        + wide_integers[..., 1::2, ::2, :]
-        + wide_integers[..., ::2, 1::2, :]
-        + wide_integers[..., 1::2, 1::2, :]
+        as_int64[..., ::2, ::2, :]
+        + as_int64[..., 1::2, ::2, :]
+        + as_int64[..., ::2, 1::2, :]
+        + as_int64[..., 1::2, 1::2, :]
     )
     assert np.array_equal(shrink(pictures).numpy(), (total + 2) // 4)
     assert shrink(torch.full((2, 2, 3), 255, dtype=torch.uint8)).tolist() == [[[255] * 3]]
@@ -119,6 +119,7 @@ def test_bytes_become_numbers_from_minus_one_to_one() -> None:
 
 
 def test_a_quaternions_matrix_is_written_row_by_row() -> None:
-    quarter = np.array([[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])  # about z, from x to y
+    # A quarter turn about z, which turns x to y.
+    quaternion = np.array([[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])
     expected = [[0, -1, 0, 1, 0, 0, 0, 0, 1]]
-    np.testing.assert_allclose(rotation(quarter), expected, atol=1e-12)
+    np.testing.assert_allclose(rotation(quaternion), expected, atol=1e-12)

@@ -24,7 +24,8 @@ from training.shards import (
 
 def episode(steps: int, *, first_label: float = 0.0, driver: Driver = Driver.CLEAN,
             outcome: Outcome = Outcome.SUCCESS) -> Episode:  # fmt: skip
-    """A fake episode with a frame at every third step; the label's first number is the step."""
+    """Returns a fake episode with a frame at every third step. The first number of a label is the
+    step plus ``first_label``."""
     frame_step = np.arange(0, steps, 3, dtype=np.int32)
     label = np.zeros((steps, 7), np.float32)
     label[:, 0] = first_label + np.arange(steps)
@@ -55,21 +56,22 @@ def test_targets_after_a_push_do_not_count(tmp_path: Path) -> None:
     pushed = episode(20)
     pushed.source[5:7] = Source.PUSH
     _, valid = targets(read(write(tmp_path, 0, [pushed])))
-    # From step 0, the pushed step 5 still has a valid label; from step 6, only its own step does.
+    # Frames are at steps 0, 3, 6 and so on; steps 5 and 6 are pushed. The targets of a frame count
+    # up to and including the first pushed step.
     assert valid.sum(axis=1).tolist()[:4] == [6, 3, 1, 8]
     assert valid[0].tolist() == [True] * 6 + [False] * 2
 
 
 def test_targets_continue_after_noise_and_end_when_the_student_drifts(tmp_path: Path) -> None:
-    noisy, straying, gripping, agreeing = (episode(9) for _ in range(4))
+    noisy, drifting, gripping, agreeing = (episode(9) for _ in range(4))
     noisy.executed[:, 1] += 0.4
     noisy.source[:] = Source.NOISE
-    for driven in (straying, gripping, agreeing):
-        driven.source[:] = Source.STUDENT
-    straying.executed[:, 1] += 0.2
+    for by_student in (drifting, gripping, agreeing):
+        by_student.source[:] = Source.STUDENT
+    drifting.executed[:, 1] += 0.2
     gripping.executed[2, 6] += 2.0
     agreeing.executed[:, 1] += 0.01
-    _, valid = targets(read(write(tmp_path, 0, [noisy, straying, gripping, agreeing])))
+    _, valid = targets(read(write(tmp_path, 0, [noisy, drifting, gripping, agreeing])))
     assert valid[::3].sum(axis=1).tolist() == [8, 3, 3, 8]
 
 
@@ -103,9 +105,10 @@ def test_a_writer_continues_after_existing_shards(tmp_path: Path) -> None:
 
 
 def test_a_writer_raises_errors_of_the_disk(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "here", frames_per_shard=1)
-    (tmp_path / "here").rmdir()
-    (tmp_path / "here").write_text("a file in the folder's place")
+    folder = tmp_path / "shards"
+    writer = Writer(folder, frames_per_shard=1)
+    folder.rmdir()
+    folder.write_text("a file in the folder's place")
     writer.add(episode(3))
     with pytest.raises(OSError):
         writer.close()

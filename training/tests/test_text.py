@@ -1,4 +1,5 @@
-"""Hashing of instructions. The product has its own implementation, so these values are fixed."""
+"""Hashing of instructions. The hashes are fixed, because the backend that serves students computes
+them with an implementation of its own."""
 
 from training.text import bucket, features, fnv1a, words
 

@@ -1,4 +1,4 @@
-"""Samples, their augmentation, and a run that resumes after an interruption."""
+"""Samples, their augmentation, and resumption of an interrupted run."""
 
 import argparse
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from training import augment
-from training.augment import PictureChange, Wordings, changed
+from training.augment import PictureChange, Wordings, apply_changes
 from training.observations import instruction_rows, scaled
 from training.shards import Driver, Episode, Outcome, write
 from training.store import Library
@@ -26,9 +26,9 @@ def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
     rng = np.random.default_rng(0)
     for number in range(first, shards):
         episodes = []
-        for at in range(3):
+        for index in range(3):
             label = rng.uniform(-1, 1, (12, 7)).astype(np.float32)
-            frames = np.full((4, 2, 128, 128, 3), 10 * number + at, np.uint8)
+            frames = np.full((4, 2, 128, 128, 3), 10 * number + index, np.uint8)
             state = rng.normal(size=(4, 14)).astype(np.float32)
             steps = np.arange(0, 12, 3, dtype=np.int32)
             episodes.append(
@@ -38,7 +38,7 @@ def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
         write(folder, number, episodes)
 
 
-def arguments(folder: Path, **given: object) -> argparse.Namespace:
+def arguments(folder: Path, **changed: object) -> argparse.Namespace:
     defaults: dict[str, object] = {
         "data": [folder / "data"], "run": folder / "run", "seconds": 0.5, "watch": False,
         "stop_after": None,
@@ -46,14 +46,14 @@ def arguments(folder: Path, **given: object) -> argparse.Namespace:
         "weight_decay": 1e-3, "wordings": 3, "suite_weights": [1.0] * 4, "capacity": 200,
         "processes": 1, "compile": False, "seed": 0, "device": "cpu",
     }  # fmt: skip
-    return argparse.Namespace(**(defaults | given))
+    return argparse.Namespace(**(defaults | changed))
 
 
 def test_a_library_separates_held_out_episodes_and_loads_new_shards(tmp_path: Path) -> None:
     fill(tmp_path, 2)
     library = Library([tmp_path], 100, 100, [1.0] * 4, CPU)
-    # The first episode of shard 0 is held out. In shard 1 it would be the eighth, but the shard
-    # has only three episodes.
+    # The first episode of shard 0 is held out. Of shard 1, the eighth episode would be held out,
+    # but the shard has only three.
     assert library.refresh() == 24
     assert library.held_out.count == 4 and library.training.count == 20
     assert library.refresh() == 0
@@ -90,7 +90,7 @@ def test_a_shift_repeats_the_edge() -> None:
     shift = torch.tensor([[[0, 3], [-2, -4]]])
     shift_only = PictureChange(shift, torch.ones(1, 2, 1, 1, 3), torch.zeros(1, 2, 1, 1, 1),
                                torch.zeros(1, 2, 1, 1, 1))  # fmt: skip
-    left, right = changed(picture.contiguous(), shift_only)
+    left, right = apply_changes(picture.contiguous(), shift_only)
     columns = (left[0, 0, 5] + 1) * 127.5
     assert columns.round().tolist() == [*range(3, 128), 127, 127, 127]
     assert ((right[0, 2, 9] + 1) * 127.5).round().tolist() == [0] * 4 + [*range(124)]
@@ -98,25 +98,25 @@ def test_a_shift_repeats_the_edge() -> None:
 
 def test_unchanged_pictures_equal_the_input_at_inference() -> None:
     pictures = torch.randint(0, 256, (2, 2, 128, 128, 3), dtype=torch.uint8)
-    none = PictureChange(torch.zeros(2, 2, 2, dtype=torch.int64), torch.ones(2, 2, 1, 1, 3),
-                         torch.zeros(2, 2, 1, 1, 1), torch.zeros(2, 2, 1, 1, 1))  # fmt: skip
-    for camera, view in enumerate(changed(pictures, none)):
+    no_change = PictureChange(torch.zeros(2, 2, 2, dtype=torch.int64), torch.ones(2, 2, 1, 1, 3),
+                              torch.zeros(2, 2, 1, 1, 1), torch.zeros(2, 2, 1, 1, 1))  # fmt: skip
+    for camera, view in enumerate(apply_changes(pictures, no_change)):
         torch.testing.assert_close(view, scaled(pictures[:, camera]))
 
 
 def test_instructions_in_training_have_the_features_of_their_words() -> None:
     wordings = Wordings(3, 0, CPU)
     rows, present = wordings.canonical(torch.tensor([0, 27]))
-    for at, task in enumerate((0, 27)):
+    for index, task in enumerate((0, 27)):
         expected, expected_present = instruction_rows([canonical(TASK_NAMES[task])])
-        found = np.bincount(rows[at][present[at] > 0], minlength=BUCKETS)
-        words = np.bincount(expected[0][expected_present[0] > 0], minlength=BUCKETS)
-        assert np.array_equal(found, words)
+        counts = np.bincount(rows[index][present[index] > 0], minlength=BUCKETS)
+        expected_counts = np.bincount(expected[0][expected_present[0] > 0], minlength=BUCKETS)
+        assert np.array_equal(counts, expected_counts)
 
 
 def test_dropping_a_word_drops_its_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(augment, "CANONICAL_SHARE", 0.0)
-    monkeypatch.setattr(augment, "MOST_PAIRS_LOST", 0.0)
+    monkeypatch.setattr(augment, "MAX_PAIRS_DROPPED", 0.0)
     torch.manual_seed(1)
     _, present = Wordings(3, 0, CPU).draw(torch.zeros(64, dtype=torch.int64))
     words = (present.shape[1] + 1) // 2

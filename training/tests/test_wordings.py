@@ -1,4 +1,4 @@
-"""Wordings are many and distinct, and exclude those of the evaluation."""
+"""Wordings are many and distinct, and exclude the wordings of the evaluation."""
 
 import re
 
@@ -21,7 +21,7 @@ def test_there_are_forty_tasks_in_the_benchmarks_order() -> None:
     assert TASK_NAMES == tuple(f"{suite}/{at}" for suite in suites for at in range(10))
 
 
-def test_wordings_of_a_task_differ_and_begin_with_the_canonical_one(
+def test_wordings_of_a_task_differ_and_begin_with_the_benchmarks_instruction(
     drawn: dict[str, list[str]],
 ) -> None:
     for task, texts in drawn.items():
@@ -56,8 +56,8 @@ def test_every_slot_can_be_filled() -> None:
 
 
 def test_more_wordings_than_the_grammar_has_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = {kind: ("turn on the stove",) for kind in FRAMES}
-    monkeypatch.setattr(wordings, "TASKS", {"libero_goal/7": ("turn on the stove", one)})
+    grammar = {kind: ("turn on the stove",) for kind in FRAMES}
+    monkeypatch.setattr(wordings, "TASKS", {"libero_goal/7": ("turn on the stove", grammar)})
     monkeypatch.setattr(wordings, "FRAMES", {kind: (f"{{{kind}}}",) for kind in FRAMES})
     with pytest.raises(ValueError, match="ask for fewer"):
         draw("libero_goal/7", 5, seed=0)

@@ -33,31 +33,31 @@ TERMINAL_WIDTH = 80
 def main(arguments: list[str] | None = None) -> int:
     """Runs a command and returns its exit code: 2 for an invalid command line,
     1 for a failure."""
-    given = _parser().parse_args(arguments)
+    flags = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    if given.command == "list":
-        print("\n\n".join(_described(entry) for entry in entries().values()))
+    if flags.command == "list":
+        print("\n\n".join(_format_entry(entry) for entry in entries().values()))
         return 0
-    if given.command == "check":
-        return _check(given)
+    if flags.command == "check":
+        return _check(flags)
     options = Options(
-        checkpoint=given.checkpoint,
-        revision=given.revision,
-        suite=given.suite,
-        device=given.device,
-        max_batch=given.max_batch,
-        execute=given.execute,
-        image_keys=given.image_keys,
-        evaluation=given.evaluation,
+        checkpoint=flags.checkpoint,
+        revision=flags.revision,
+        suite=flags.suite,
+        device=flags.device,
+        max_batch=flags.max_batch,
+        execute=flags.execute,
+        image_keys=flags.image_keys,
+        evaluation=flags.evaluation,
     )
     try:
-        options_of_server = server_options(given)
-        require_servable(**options_of_server)
+        serve_options = server_options(flags)
+        require_servable(**serve_options)
         # Upstream packages print while they load, but the first line of stdout must be
         # the address.
         with contextlib.redirect_stdout(sys.stderr):
-            policy = load(given.policy, options)
-        serve(policy, **options_of_server)
+            policy = load(flags.policy, options)
+        serve(policy, **serve_options)
     except (NoCheckpoint, UnusableOption, UnguardedAddress) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -101,8 +101,8 @@ def _parser() -> argparse.ArgumentParser:
         "--evaluation",
         choices=EVALUATIONS,
         default=EVALUATIONS[0],
-        help=f"evaluation protocol, for {', '.join(WITH_STUDY)}: that of its authors (upstream) or"
-        " of LIBERO-CTRL (study) (default: upstream)",
+        help=f"evaluation protocol, for {', '.join(WITH_STUDY)}: the protocol of the policy's"
+        " authors (upstream) or of LIBERO-CTRL (study) (default: upstream)",
     )
     add_server_flags(server)
     server.add_argument(
@@ -138,11 +138,11 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _check(given: argparse.Namespace) -> int:
+def _check(flags: argparse.Namespace) -> int:
     """Prints a verdict per point. Returns 1 if a point failed."""
     try:
         target = Target(
-            given.url, given.policy, given.suite, given.ca, read_tokens(given.token_file)
+            flags.url, flags.policy, flags.suite, flags.ca, read_tokens(flags.token_file)
         )
         findings = check_server(target, lambda finding: print(finding, flush=True))
     except (CannotCheck, AccessError) as error:
@@ -170,13 +170,13 @@ def _image_keys(text: str) -> dict[str, str]:
     return keys
 
 
-def _described(entry: Entry) -> str:
+def _format_entry(entry: Entry) -> str:
     if isinstance(entry.checkpoint, str):
         weights = [entry.checkpoint]
     else:
         weights = [f"{suite}: {name}" for suite, name in entry.checkpoint.items()]
     lines = [f"weights: {line}" for line in weights]
-    lines += [f"also downloads: {name} ({what})" for name, what in entry.downloads.items()]
+    lines += [f"also downloads: {name} ({text})" for name, text in entry.downloads.items()]
     lines.append(f"install: {entry.install}")
     wrapped = [
         textwrap.fill(

@@ -1,5 +1,5 @@
 """Access control of a server: the certificate, the tokens, and the rule that an address reachable
-from other machines needs both. Files and messages are those of the gateway's server."""
+from other machines needs both. Token files and messages are the same as of the gateway's server."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import grpc
 
 ROLES = ("worker", "operator", "viewer")
 #: Roles that may query a policy.
-ASKING_ROLES = ("worker", "operator")
+QUERYING_ROLES = ("worker", "operator")
 #: Shortest and longest token, bytes; largest number of tokens in a file, and largest file, bytes.
 MIN_TOKEN_BYTES, MAX_TOKEN_BYTES = 16, 256
 MAX_TOKENS = 256
@@ -83,7 +83,7 @@ class Tokens:
             words = line.split()
             if not words or words[0].startswith("#"):
                 continue
-            problem = _problem(words)
+            problem = _line_problem(words)
             if problem:
                 raise AccessError(
                     f"failed to read line {number} of {place}: {problem}; write one `ROLE TOKEN`"
@@ -96,34 +96,40 @@ class Tokens:
             raise AccessError(f"failed to read {place}: it holds more than {MAX_TOKENS} tokens")
         return cls(tuple(entries))
 
-    def role_of(self, shown: str) -> str | None:
-        """Returns the role of a token. Compares tokens in constant time."""
-        digest = _digest(shown)
-        found = None
+    def role_of(self, presented: str) -> str | None:
+        """Returns the role of the token that a caller presented, or None. Compares tokens in
+        constant time."""
+        digest = _digest(presented)
+        matched_role = None
         for role, token in self.entries:
             if hmac.compare_digest(digest, _digest(token)):
-                found = role
-        return found
+                matched_role = role
+        return matched_role
 
     def for_role(self, *roles: str) -> str | None:
-        """Returns the first token of one of these roles, in the order of the roles."""
-        return next((token for role in roles for has, token in self.entries if has == role), None)
-
-
-def _require_private(what: str, path: str | Path, found: os.stat_result) -> None:
-    """Refuses a file of secrets that other users can read or write, as the gateway
-    does. The group may have access only if the file belongs to another user."""
-    if not hasattr(os, "geteuid"):
-        return  # Windows has no such permission bits.
-    others = 0o077 if found.st_uid == os.geteuid() else 0o007
-    if stat.S_ISREG(found.st_mode) and found.st_mode & others:
-        raise AccessError(
-            f"failed to read {what} {path}: its permissions, {found.st_mode & 0o777:04o}, let other"
-            f" users access it; restrict them with `chmod 600 {path}`"
+        """Returns a token of the first of these roles that has one: the first such token in the
+        file."""
+        return next(
+            (token for wanted_role in roles for role, token in self.entries if role == wanted_role),
+            None,
         )
 
 
-def _problem(words: list[str]) -> str | None:
+def _require_private(kind: str, path: str | Path, status: os.stat_result) -> None:
+    """Refuses a file of secrets that other users can read or write; the gateway has the same rule.
+    The group may have access only if the file belongs to another user."""
+    if not hasattr(os, "geteuid"):
+        return  # Windows has no such permission bits.
+    refused_bits = 0o077 if status.st_uid == os.geteuid() else 0o007
+    if stat.S_ISREG(status.st_mode) and status.st_mode & refused_bits:
+        raise AccessError(
+            f"failed to read {kind} {path}: its permissions, {status.st_mode & 0o777:04o}, let"
+            f" other users access it; restrict them with `chmod 600 {path}`"
+        )
+
+
+def _line_problem(words: list[str]) -> str | None:
+    """Returns the reason why the words of a line are not a role and a token; None if they are."""
     if len(words) != 2:
         return "it is not two words"
     role, token = words
@@ -171,11 +177,11 @@ def is_loopback(host: str) -> bool:
     """Returns True if only this machine can reach the host."""
     host = host.strip("[]")
     try:
-        found = {info[4][0] for info in socket.getaddrinfo(host or "0.0.0.0", None)}
+        resolved = {info[4][0] for info in socket.getaddrinfo(host or "0.0.0.0", None)}
     except OSError:
         # Listening on the host fails later, with a better message.
         return False
-    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in found]
+    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in resolved]
     mapped = [getattr(address, "ipv4_mapped", None) or address for address in addresses]
     return all(address.is_loopback for address in mapped)
 
@@ -189,13 +195,13 @@ def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None
         return
     if is_loopback(listen.rpartition(":")[0]):
         return
-    missing = "every client would be admitted, in the clear"
+    risk = "every client would be admitted, in the clear"
     if encrypted:
-        missing = "every client would be admitted without a token"
+        risk = "every client would be admitted without a token"
     elif tokens:
-        missing = "tokens would be sent in the clear"
+        risk = "tokens would be sent in the clear"
     raise UnguardedAddress(
-        f"failed to listen on {listen}: other machines can reach that, and {missing}; give"
+        f"failed to listen on {listen}: other machines can reach that, and {risk}; give"
         " --tls-cert, --tls-key and --token-file, or --insecure if only trusted people reach this"
         " network (in Python: tls, token_file, insecure)"
     )
@@ -212,27 +218,28 @@ class TokenGate(grpc.ServerInterceptor):
     def intercept_service(self, continuation, handler_call_details):
         if handler_call_details.method.startswith(HEALTH_PATH):
             return continuation(handler_call_details)
-        shown = dict(handler_call_details.invocation_metadata or ()).get("authorization", "")
-        if not isinstance(shown, str) or not shown.startswith("Bearer "):
+        header = dict(handler_call_details.invocation_metadata or ()).get("authorization", "")
+        if not isinstance(header, str) or not header.startswith("Bearer "):
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
                 "let the caller in without a token: name a --token-file (it is sent over https://"
                 " and to this machine only)",
             )
-        role = self._tokens.role_of(shown[len("Bearer ") :])
+        role = self._tokens.role_of(header[len("Bearer ") :])
         if role is None:
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
                 "let the caller in: this server does not know the token",
             )
-        if role not in ASKING_ROLES:
+        if role not in QUERYING_ROLES:
             return self._refusal(
                 grpc.StatusCode.PERMISSION_DENIED,
-                f"do this with the token of a {role}: it takes that of {' or '.join(ASKING_ROLES)}",
+                f"do this with the token of a {role}: it takes that of"
+                f" {' or '.join(QUERYING_ROLES)}",
             )
         return continuation(handler_call_details)
 
-    def _refusal(self, code: grpc.StatusCode, why: str) -> grpc.RpcMethodHandler:
+    def _refusal(self, code: grpc.StatusCode, reason: str) -> grpc.RpcMethodHandler:
         def refuse(_request, context):
             peer = context.peer().rpartition(":")[0]
             if self._should_log(peer, code):
@@ -240,9 +247,9 @@ class TokenGate(grpc.ServerInterceptor):
                     "a request from %s was refused: failed to %s (further refusals of this kind to"
                     " this machine are not logged for ten minutes)",
                     peer,
-                    why,
+                    reason,
                 )
-            context.abort(code, why)
+            context.abort(code, reason)
 
         return grpc.unary_unary_rpc_method_handler(refuse)
 

@@ -52,7 +52,8 @@ class Entry:
         return not isinstance(self.checkpoint, str)
 
     def lists(self, checkpoint: str | None) -> bool:
-        """Returns True if the command line's checkpoint is one of the catalogue's."""
+        """Returns True if the command line's checkpoint is one of this entry's; None, which selects
+        the entry's checkpoint, is, too."""
         if isinstance(self.checkpoint, str):
             return checkpoint in (None, self.checkpoint)
         return checkpoint is None or checkpoint in self.checkpoint.values()

@@ -43,10 +43,10 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
         require_methods(policy_class)
     except (UnusableDescription, UnusableParameter) as error:
         sys.exit(f"error: {error}")
-    given = parser.parse_args(arguments)
+    flags = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     try:
-        options = server_options(given)
+        options = server_options(flags)
         require_servable(**options)
     except UnguardedAddress as error:
         parser.error(str(error))
@@ -54,10 +54,10 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
         sys.exit(f"error: {error}")
     # Models print while they load, but the first line of stdout must be the address.
     with contextlib.redirect_stdout(sys.stderr):
-        policy = policy_class(**{name: getattr(given, name) for name in parameters})
+        policy = policy_class(**{name: getattr(flags, name) for name in parameters})
     try:
-        if "execute" not in parameters and given.execute is not None:
-            set_execute(policy, given.execute)
+        if "execute" not in parameters and flags.execute is not None:
+            set_execute(policy, flags.execute)
         serve(policy, **options)
     except UnusableExecute as error:
         parser.error(str(error))
@@ -114,17 +114,17 @@ def add_server_flags(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def server_options(given: argparse.Namespace) -> dict[str, Any]:
+def server_options(flags: argparse.Namespace) -> dict[str, Any]:
     """Returns the flags as arguments of `serve`. Raises UnguardedAddress if a
     certificate is given without its key, or a key without its certificate."""
-    pair = (given.tls_cert, given.tls_key)
+    pair = (flags.tls_cert, flags.tls_key)
     if any(pair) and not all(pair):
         raise UnguardedAddress("--tls-cert and --tls-key belong together: give both")
     return {
-        "listen": given.listen,
+        "listen": flags.listen,
         "tls": pair if all(pair) else None,
-        "token_file": given.token_file,
-        "insecure": given.insecure,
+        "token_file": flags.token_file,
+        "insecure": flags.insecure,
     }
 
 
@@ -178,13 +178,15 @@ def _add_flag(
         )
     required = parameter.default is parameter.empty
     default = None if required else parameter.default
-    shown = "" if required or default is None else f"default: {default}".replace("%", "%%")
+    default_help = "" if required or default is None else f"default: {default}".replace("%", "%%")
     options: dict[str, Any] = {"dest": parameter.name, "required": required, "default": default}
     if kind is bool:
-        # Some versions of Python add the default to this action's help themselves.
-        group.add_argument(flag, action=argparse.BooleanOptionalAction, help=shown, **options)
+        # In some versions of Python, this action appends the default to the help itself, which
+        # then shows the default twice.
+        action = argparse.BooleanOptionalAction
+        group.add_argument(flag, action=action, help=default_help, **options)
     else:
-        help_ = shown or ("required" if required else "default: none")
+        help_ = default_help or ("required" if required else "default: none")
         group.add_argument(flag, type=kind, metavar=kind.__name__.upper(), help=help_, **options)
 
 

@@ -74,11 +74,11 @@ class Gripper(enum.Enum):
     and 1 are thresholded at one half, and become -1 or 1.
     """
 
-    #: LIBERO's own. Values in between are kept.
+    #: LIBERO's own convention. Values between -1 and 1 are kept.
     MINUS_ONE_OPENS = "-1 open, 1 closed"
-    #: The opposite: the sign is changed in conversion.
+    #: The opposite of LIBERO's convention: the conversion changes the sign.
     ONE_OPENS = "-1 closed, 1 open"
-    #: As in RLDS data: the convention of OpenVLA, Octo and related policies.
+    #: The convention of RLDS data, and so of OpenVLA, Octo and related policies.
     RLDS = "0 closed, 1 open"
     #: The opposite of RLDS.
     ZERO_OPENS = "0 open, 1 closed"
@@ -115,6 +115,7 @@ class Description:
     #: Id of the weights as their publisher writes it, and their digest.
     checkpoint: str = ""
     checkpoint_digest: str = ""
+    #: Number of parameters of the network; 0 if unknown.
     parameters: int = 0
     #: The policy keeps state in `episode.memory` between the queries of an episode.
     stateful: bool = False
@@ -153,11 +154,11 @@ class Description:
                 f"policy {self.name!r}: execute is {execute} and horizon {self.horizon};"
                 " 1 <= execute <= horizon must hold"
             )
-        for what in ("name", "checkpoint", "checkpoint_digest"):
-            size = len(getattr(self, what).encode())
+        for attribute in ("name", "checkpoint", "checkpoint_digest"):
+            size = len(getattr(self, attribute).encode())
             if size > MAX_TEXT_BYTES:
                 raise ValueError(
-                    f"policy {self.name[:64]!r}: {what} has {size} bytes, and results hold"
+                    f"policy {self.name[:64]!r}: {attribute} has {size} bytes, and results hold"
                     f" at most {MAX_TEXT_BYTES}"
                 )
         if len(set(self.state)) != len(self.state):

@@ -1,5 +1,5 @@
 """A policy's input: an episode at its start, then one observation per query.
-This module checks that a message holds everything that was requested."""
+This module checks that a message holds everything that the policy's description requests."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class Episode:
 class UnderWay:
     """Actions that the robot executes while the answer to a query is computed."""
 
-    #: Commands of the control steps from this observation on, float32 [n, 7], with the
-    #: description's gripper convention. The first `delay` commands are executed in any case; the
-    #: others are the rest of the last answer, which the new answer replaces.
+    #: Commands of the control steps from this observation on, float32 [n, 7], in the description's
+    #: gripper convention. The first `delay` commands are executed in any case; the new answer
+    #: replaces the commands after them.
     actions: np.ndarray
     #: Control steps until the answer takes effect; the first `delay` actions of the answer are
     #: dropped.
@@ -120,13 +120,13 @@ def read_observation(
         # Copied because arrays over a message's bytes are read-only.
         images[camera.name] = np.frombuffer(frame.rgb, dtype=np.uint8).reshape(shape).copy()
     state = {}
-    for wanted in description.state:
-        reading = readings.get(wanted.value)
+    for requested in description.state:
+        reading = readings.get(requested.value)
         if reading is None:
-            raise UnusableObservation(f"it has no reading {wanted.name}")
-        if len(reading.values) != wanted.size:
+            raise UnusableObservation(f"it has no reading {requested.name}")
+        if len(reading.values) != requested.size:
             raise UnusableObservation(
-                f"reading {wanted.name} has {len(reading.values)} numbers, not {wanted.size}"
+                f"reading {requested.name} has {len(reading.values)} numbers, not {requested.size}"
             )
-        state[wanted] = np.array(reading.values, dtype=np.float64)
+        state[requested] = np.array(reading.values, dtype=np.float64)
     return Observation(episode, query_index, images, state)

@@ -37,7 +37,8 @@ class InferenceThread:
         """Makes the queued calls in this thread until `close`, and calls `sweep` at intervals."""
         sweep_at = time.monotonic() + every_secs
         while True:
-            # Checked before each call, because a busy queue is never idle.
+            # Compares the time before each call, because `get` never times out while calls keep
+            # arriving.
             remaining_secs = sweep_at - time.monotonic()
             if remaining_secs <= 0:
                 sweep()

@@ -159,9 +159,9 @@ def _answer_synthetic(policy: Policy) -> None:
     """Makes a policy answer a synthetic observation and, if it takes batches, a
     full batch of them. The episodes are ended afterwards.
 
-    A policy that accepts no episode of any suite is not warmed up, with a
-    warning: it may know only tasks other than those of `fake`. Propagates
-    exceptions of its methods; raises UnusableActions.
+    A policy that refuses an episode of every suite is not warmed up, and a warning is logged: it
+    may accept only tasks that `fake.TASKS` lacks. Propagates exceptions of the policy's methods;
+    raises UnusableActions.
     """
     description = policy.description
     sizes = sorted({1, description.max_batch})

@@ -24,7 +24,7 @@ from .proto import policy_pb2_grpc as pb_grpc
 from .service import PolicyService
 from .sessions import SessionTable
 
-#: Largest number of waiting requests; more are refused.
+#: Largest number of requests that are waiting or being answered; further requests are refused.
 MAX_CONCURRENT_RPCS = 256
 #: Time that open requests have to finish after the stop signal.
 SHUTDOWN_GRACE_SECS = 10.0
@@ -143,7 +143,8 @@ def serve(
 
     server = Server(policy, description, listen, credentials, tokens)
     for number in (signal.SIGTERM, signal.SIGINT):
-        # Open requests need this thread to finish.
+        # Another thread stops the server, because `stop` waits for the open requests, and this
+        # thread answers them.
         signal.signal(number, lambda *_: threading.Thread(target=server.stop).start())
     over = "" if credentials is None else " over TLS"
     print(f"listening on {server.address}{over}", flush=True)
@@ -156,8 +157,11 @@ def require_servable(
     token_file: str | Path | None,
     insecure: bool,
 ) -> tuple[grpc.ServerCredentials | None, Tokens | None]:
-    """Returns the server's credentials and tokens, so that errors show before
-    weights are loaded. Raises UnguardedAddress, AccessError, CannotListen."""
+    """Checks the arguments of `serve`, so that their errors show before weights are loaded.
+
+    Returns the server's credentials and tokens. Raises UnguardedAddress, AccessError,
+    CannotListen.
+    """
     _require_address(listen)
     tokens = read_tokens(token_file)
     credentials = None if tls is None else server_credentials(*tls)

@@ -73,7 +73,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         if not request.session:
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a session needs a name")
         episode = Episode(request.session, request.suite, request.instruction, request.seed)
-        problem = self._in_turn(context, self._begin, episode)
+        problem = self._call_in_inference_thread(context, self._begin, episode)
         if problem is not None:
             context.abort(grpc.StatusCode.INTERNAL, problem)
         return pb.ResetResponse()
@@ -114,7 +114,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         session = self._sessions.close(request.session)
         if session is not None:
             # Not awaited, because queries of other episodes may be queued before it.
-            self._inference.submit(self._forget, session)
+            self._inference.submit(self._end_episode, session)
         return pb.EndResponse()
 
     def _require_policy(self, name, context):
@@ -129,7 +129,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         """Returns one response or QueryError per request, in the order of the requests."""
         results = [self._read(request) for request in requests]
         if any(isinstance(result, Observation) for result in results):
-            return self._in_turn(context, self._answer, results)
+            return self._call_in_inference_thread(context, self._answer, results)
         return results
 
     def _read(self, request) -> Observation | pb.InferResponse | QueryError:
@@ -158,9 +158,9 @@ class PolicyService(pb_grpc.PolicyServicer):
             text = f"prepare raised {one_line(error)}"
             return QueryError(grpc.StatusCode.INTERNAL, text)
 
-    def _in_turn(self, context, call: Callable, *arguments: Any) -> Any:
-        """Returns the result of a call in the inference thread. If the caller
-        stops waiting before its turn, the call is never made."""
+    def _call_in_inference_thread(self, context, call: Callable, *arguments: Any) -> Any:
+        """Returns the result of a call in the inference thread. If the gRPC caller stops waiting
+        while the call is still queued, the call is never made."""
         answer = self._inference.submit(call, *arguments)
         if not context.add_callback(answer.cancel):
             answer.cancel()
@@ -174,32 +174,33 @@ class PolicyService(pb_grpc.PolicyServicer):
     # The following methods run in the inference thread.
 
     def close_idle(self) -> None:
-        """Forgets episodes that have been idle for too long."""
+        """Ends episodes that have been idle for too long."""
         for session in self._sessions.close_idle():
             log.info(
                 "session %r is removed: it was idle, and its caller did not end it",
                 session.episode.session,
             )
-            self._forget(session)
+            self._end_episode(session)
 
     def _begin(self, episode: Episode) -> str | None:
-        """Starts an episode, again if it is open. Returns an error text, or None."""
-        before = self._sessions.close(episode.session)
-        if before is not None:
-            self._forget(before)
+        """Starts an episode, and first ends an open episode with the same session name. Returns an
+        error text, or None."""
+        replaced = self._sessions.close(episode.session)
+        if replaced is not None:
+            self._end_episode(replaced)
         try:
             self._policy.reset(episode)
         except Exception as error:
             log.exception("reset of session %r failed", episode.session)
             return f"reset raised {one_line(error)}"
         for removed in self._sessions.open(Session(episode)):
-            self._forget(removed)
+            self._end_episode(removed)
         return None
 
-    def _forget(self, session: Session) -> None:
+    def _end_episode(self, session: Session) -> None:
         """Tells the policy that an episode is over, and releases its memory."""
         episode = session.episode
-        if session.executed >= GRIPPER_CHECK_ACTIONS and not session.opened:
+        if session.executed >= GRIPPER_CHECK_ACTIONS and not session.gripper_opened:
             self._warn_of_gripper(session)
         try:
             self._policy.end(episode)
@@ -240,7 +241,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         self, observation: Observation
     ) -> pb.InferResponse | QueryError | None:
         """Returns the earlier answer to a retry, an error, or None if the policy must answer.
-        `_read` has checked the same, but the session may have changed while the query waited."""
+        `_read` made the same checks, but the session may have changed while the query waited."""
         name, query = observation.episode.session, observation.query_index
         where = f"session {name!r}, query {query}"
         session = self._sessions.get(name)
@@ -307,7 +308,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         if session is not None:
             executed = actions[: self._description.execute]
             session.executed += len(executed)
-            session.opened |= bool((executed[:, -1] < 0).any())
+            session.gripper_opened |= bool((executed[:, -1] < 0).any())
             session.last = query, response
             session.next_query = query + 1
         return response

@@ -1,5 +1,5 @@
-"""The open episodes: a bounded table, which removes episodes that no caller ended and returns
-them to its caller."""
+"""The table of open episodes. It is bounded in number and idle time, because callers may fail to
+end an episode; a removed episode is returned, so that the service can end it."""
 
 from __future__ import annotations
 
@@ -27,9 +27,11 @@ class Session:
     #: The last query and its answer, in one attribute because threads that handle a retry read it
     #: while another thread writes it.
     last: tuple[int, pb.InferResponse] | None = None
-    #: Number of executed actions in all answers; and True if one of them opened the gripper.
+    #: Number of executed actions in all answers; and True if one of these actions opened the
+    #: gripper.
     executed: int = 0
-    opened: bool = False
+    gripper_opened: bool = False
+    #: Time of the last use, s, by the table's clock.
     used_at: float = 0.0
 
     def answered(self, query_index: int) -> pb.InferResponse | None:

@@ -22,7 +22,7 @@ import { ACTION_WIDTH, act, CAMERA, HORIZON, type Inputs } from "./wander.js";
 
 const NAME = "wander";
 const PROTOCOL_VERSION = 1;
-/** Most open episodes; beyond it, the oldest episode is removed. */
+/** Largest number of open episodes. Beyond it, the episode started first is removed. */
 const MAX_SESSIONS = 1024;
 
 interface Session {
@@ -131,7 +131,7 @@ function requirePolicy(name: string): void {
   }
 }
 
-/** Converts a function that returns the answer or throws to a gRPC method. */
+/** Returns a gRPC method that sends the result of `answer`, or its exception as a status. */
 function answering<Request, Response>(answer: (request: Request) => Response) {
   return (call: ServerUnaryCall<Request, Response>, send: sendUnaryData<Response>): void => {
     try {

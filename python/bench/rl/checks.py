@@ -1,8 +1,8 @@
 """Checks that a comparison is fair: the same motion in both simulators, and the name of the
 original's OpenGL renderer.
 
-usage: checks.py record TASK FILE    records the scripted expert's actions (rollout_libero)
-       checks.py replay TASK FILE    replays them with the `libero` that is imported; prints JSON
+usage: checks.py record TASK FILE    records the scripted expert's actions in rollout_libero
+       checks.py replay TASK FILE    replays these actions in the installed `libero`; prints JSON
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ from stand_ins import prepare
 MAX_STEPS = 300
 #: Largest difference of a reading (rad or m) before the robot first touches anything.
 TOLERANCE = 1e-9
-#: Largest difference between the steps in which the goal is reached.
+#: Largest difference between the steps at which the two simulators reach the goal.
 SUCCESS_STEPS = 2
+#: Index of the initial state.
 _STATE = 0
 NO_OP = [0.0] * 6 + [-1.0]
+#: Number of steps after a reset in which objects settle.
 SETTLING = 10
 READINGS = ("robot0_joint_pos", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 
@@ -31,13 +33,13 @@ def main() -> None:
     prepare()
     work, task, file = sys.argv[1:]
     if work == "record":
-        np.save(file, recorded(task))
+        np.save(file, record_actions(task))
         print(json.dumps({"steps": len(np.load(file))}))
     else:
-        print(json.dumps(replayed(task, np.load(file))))
+        print(json.dumps(replay(task, np.load(file))))
 
 
-def recorded(task: str) -> np.ndarray:
+def record_actions(task: str) -> np.ndarray:
     """Returns the scripted expert's actions until shortly after success, [steps, 7]."""
     import rollout_libero
 
@@ -61,8 +63,9 @@ def recorded(task: str) -> np.ndarray:
     return np.asarray(actions)
 
 
-def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
-    """Returns the robot's readings per step, the step of success and of the first contact."""
+def replay(task: str, actions: np.ndarray) -> dict[str, Any]:
+    """Executes actions. Returns the robot's readings per step, the steps of success and of the
+    robot's first contact, and the renderer."""
     from rollouts import task_files
 
     from libero.libero.envs import OffScreenRenderEnv
@@ -95,7 +98,7 @@ def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
 
 
 def touches(env: Any) -> bool | None:
-    """Returns true if the robot touches something else; None in the shim, without contacts."""
+    """Returns True if the robot touches another body; None without robosuite, as in the shim."""
     try:
         from robosuite.utils import binding_utils  # noqa: F401
     except ImportError:

@@ -5,9 +5,9 @@ simulator in turn, and prints a table in Markdown. Needs no network and no build
 
 `FOLDERS` are entries of PYTHONPATH, separated by colons: of robosuite 1.4.0 and rlinf-libero or
 hf-libero, and of the wheels of this project. RLinf and the packages that both simulators need may
-be in either or in the environment. The original uses `LIBERO_CONFIG_PATH`, and rollout_libero
-uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are written after every run, so that an
-interrupted comparison has results.
+be in either `FOLDERS`, or installed in Python's environment. The original uses LIBERO_CONFIG_PATH,
+and rollout_libero uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are written after every run, so
+that an interrupted comparison keeps the results of its complete runs.
 
 Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
 a chunk. S, the shim with every frame read. S+, the shim with only the last frames of chunks read:
@@ -43,33 +43,33 @@ MAX_ENVIRONMENTS = {"rlinf": 50, "simplevla": 16}
 
 def main() -> int:
     """Runs the command line."""
-    given = arguments()
-    given.out.mkdir(parents=True, exist_ok=True)
-    end = time.monotonic() + 60 * given.minutes
+    flags = arguments()
+    flags.out.mkdir(parents=True, exist_ok=True)
+    end = time.monotonic() + 60 * flags.minutes
     results: dict[str, Any] = {"machine": report.machine(), "command": sys.argv[1:], "runs": []}
-    results["checks"] = fairness(given) if given.checks else {}
-    report.write(results, given.out)
+    results["checks"] = fairness(flags) if flags.checks else {}
+    report.write(results, flags.out)
     longest: dict[Any, float] = {}
-    for number, size, framework, task in itertools.product(
-        range(1, given.rounds + 1), given.environments, given.frameworks, given.tasks
+    for round_number, size, framework, task in itertools.product(
+        range(1, flags.rounds + 1), flags.environments, flags.frameworks, flags.tasks
     ):
         count = min(size, MAX_ENVIRONMENTS[framework])
-        if count != size and count in given.environments:
+        if count != size and count in flags.environments:
             continue
         scenario = {"framework": framework, "task": task, "environments": count}
-        arms = [arm for arm in ARMS[framework] if arm in given.arms]
+        arms = [arm for arm in ARMS[framework] if arm in flags.arms]
         keys = {arm: (framework, task, count, arm) for arm in arms}
         # A round has all of its arms or none, so that all are measured under the same conditions.
         if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
-            print(f"{scenario}, round {number}: skipped for lack of time", flush=True)
+            print(f"{scenario}, round {round_number}: skipped for lack of time", flush=True)
             continue
         for arm, key in keys.items():
-            begun = time.monotonic()
-            measured = measure(given, framework, arm, task, count, end - begun)
-            longest[key] = max(longest.get(key, 0.0), time.monotonic() - begun)
-            results["runs"].append({**scenario, "arm": arm, "round": number, **measured})
-            print(f"{key}, round {number}: {json.dumps(measured)}", flush=True)
-            report.write(results, given.out)
+            start = time.monotonic()
+            measured = measure(flags, framework, arm, task, count, end - start)
+            longest[key] = max(longest.get(key, 0.0), time.monotonic() - start)
+            results["runs"].append({**scenario, "arm": arm, "round": round_number, **measured})
+            print(f"{key}, round {round_number}: {json.dumps(measured)}", flush=True)
+            report.write(results, flags.out)
     print(report.markdown(results))
     fair = all(task["same_motion"] and task["same_success"] for task in results["checks"].values())
     return 0 if fair else 1
@@ -104,77 +104,78 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--shared-reset",
         action="store_true",
-        help="reset once per process; each policy continues after the previous one, and the reset's"
-        " time counts in each",
+        help="reset once per process: each policy continues the rollout of the previous policy, and"
+        " the time of the reset counts for every policy",
     )
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--minutes", type=float, default=24 * 60.0, help="longest duration")
+    parser.add_argument("--minutes", type=float, default=24 * 60.0, help="largest duration")
     parser.add_argument("--no-checks", dest="checks", action="store_false")
     parser.add_argument("--gl", default="egl", help="MUJOCO_GL of the original")
     return parser.parse_args()
 
 
-def fairness(given: argparse.Namespace) -> dict[str, Any]:
+def fairness(flags: argparse.Namespace) -> dict[str, Any]:
     """Returns the verdict of the checks for each task."""
-    found = {}
-    for task in given.tasks:
-        file = given.out / f"actions-{task.replace('/', '-')}.npy"
-        shim, original = environment(given, "S"), environment(given, "O")
-        call([given.shim_python, HERE / "checks.py", "record", task, file], shim, 300)
-        ours = call([given.shim_python, HERE / "checks.py", "replay", task, file], shim, 300)
+    verdicts = {}
+    for task in flags.tasks:
+        file = flags.out / f"actions-{task.replace('/', '-')}.npy"
+        shim, original = environment(flags, "S"), environment(flags, "O")
+        call([flags.shim_python, HERE / "checks.py", "record", task, file], shim, 300)
+        ours = call([flags.shim_python, HERE / "checks.py", "replay", task, file], shim, 300)
         theirs = call(
-            [given.original_python, HERE / "checks.py", "replay", task, file], original, 300
+            [flags.original_python, HERE / "checks.py", "replay", task, file], original, 300
         )
-        found[task] = checks.verdict(theirs, ours)
-        print(f"checks of {task}: {json.dumps(found[task])}", flush=True)
-    return found
+        verdicts[task] = checks.verdict(theirs, ours)
+        print(f"checks of {task}: {json.dumps(verdicts[task])}", flush=True)
+    return verdicts
 
 
 def measure(
-    given: argparse.Namespace, framework: str, arm: str, task: str, count: int, limit_secs: float
+    flags: argparse.Namespace, framework: str, arm: str, task: str, count: int, limit_secs: float
 ) -> dict[str, Any]:
-    """Runs one arm, at most for `limit_secs`; returns its measures, or its error."""
-    python = given.original_python if arm.startswith("O") else given.shim_python
+    """Runs one arm for at most `limit_secs`. Returns the measurements of `measure.py`, or an
+    error."""
+    python = flags.original_python if arm.startswith("O") else flags.shim_python
     command = [python, HERE / "measure.py", framework, arm, task]
-    command += ["--environments", count, "--chunk", given.chunk, "--steps", given.steps]
-    command += ["--policies", *given.policies]
-    command += ["--shared-reset"] if given.shared_reset else []
-    variables = environment(given, arm)
+    command += ["--environments", count, "--chunk", flags.chunk, "--steps", flags.steps]
+    command += ["--policies", *flags.policies]
+    command += ["--shared-reset"] if flags.shared_reset else []
+    variables = environment(flags, arm)
     if arm == "O'":
-        variables[LAST_OF_CHUNK] = f"{SETTLING[framework]}:{given.chunk}"
+        variables[LAST_OF_CHUNK] = f"{SETTLING[framework]}:{flags.chunk}"
     try:
         return call(command, variables, limit_secs)
     except RuntimeError as error:
         return {"error": str(error)}
 
 
-def environment(given: argparse.Namespace, arm: str) -> dict[str, str]:
+def environment(flags: argparse.Namespace, arm: str) -> dict[str, str]:
     """Returns the environment variables of an arm."""
     original = arm.startswith("O")
     variables = {
         **os.environ,
-        "PYTHONPATH": given.original if original else given.shim,
+        "PYTHONPATH": flags.original if original else flags.shim,
         "PYTHONWARNINGS": "ignore",
         # One thread for each environment, as users of the original set it.
         "OMP_NUM_THREADS": "1",
         "LP_NUM_THREADS": "1",
-        "MUJOCO_GL": given.gl,
-        "PYOPENGL_PLATFORM": given.gl,
+        "MUJOCO_GL": flags.gl,
+        "PYOPENGL_PLATFORM": flags.gl,
     }
     if not original:
         # The shim must not write into the original's settings.
-        variables["LIBERO_CONFIG_PATH"] = str(given.out / "shim-settings")
+        variables["LIBERO_CONFIG_PATH"] = str(flags.out / "shim-settings")
     variables.pop("RLINF_EXT_MODULE", None)
     return variables
 
 
-def call(command: list[Any], variables: dict[str, str], limit: float) -> Any:
+def call(command: list[Any], variables: dict[str, str], limit_secs: float) -> Any:
     """Runs a program in a new session; returns the JSON of its last line.
 
     Raises:
-        RuntimeError: with the end of its messages if it fails or exceeds the limit, s.
+        RuntimeError: with the end of the program's messages, if it fails or exceeds the limit.
     """
-    started = subprocess.Popen(
+    process = subprocess.Popen(
         [str(word) for word in command],
         env=variables,
         stdout=subprocess.PIPE,
@@ -183,13 +184,13 @@ def call(command: list[Any], variables: dict[str, str], limit: float) -> Any:
         start_new_session=True,
     )
     try:
-        out, err = started.communicate(timeout=max(limit, 1.0))
+        out, err = process.communicate(timeout=max(limit_secs, 1.0))
     except subprocess.TimeoutExpired:
-        os.killpg(started.pid, signal.SIGKILL)
-        _, err = started.communicate()
-        raise RuntimeError(f"stopped after {limit:.0f} s: {err[-1500:]}") from None
-    if started.returncode:
-        raise RuntimeError(f"status {started.returncode}: {out[-500:]}{err[-2500:]}")
+        os.killpg(process.pid, signal.SIGKILL)
+        _, err = process.communicate()
+        raise RuntimeError(f"stopped after {limit_secs:.0f} s: {err[-1500:]}") from None
+    if process.returncode:
+        raise RuntimeError(f"status {process.returncode}: {out[-500:]}{err[-2500:]}")
     return json.loads(out.splitlines()[-1])
 
 

@@ -38,23 +38,24 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--policies", nargs="+", default=["none"])
     parser.add_argument("--shared-reset", action="store_true")
-    given = parser.parse_args()
-    print(json.dumps(measured(given)))
+    flags = parser.parse_args()
+    print(json.dumps(measure(flags)))
 
 
-def measured(given: argparse.Namespace) -> dict[str, Any]:
-    """Returns the measures of one process and all its policies."""
+def measure(flags: argparse.Namespace) -> dict[str, Any]:
+    """Runs rollouts with each policy. Returns the measurements of this process and of each
+    policy."""
     from policies import Policy
 
-    policies = [Policy(name) for name in given.policies]
+    policies = [Policy(name) for name in flags.policies]
     # PyTorch and the accelerator's context belong to the policy, so they are loaded before the
     # environments' memory is measured.
     importlib.import_module("torch")
     memory, on_card = pss_mb(), _card_mb()
     begun = time.perf_counter()
-    rollouts = _construct(given)
+    rollouts = _construct(flags)
     constructed = time.perf_counter() - begun
-    actions = _actions(given)
+    actions = _actions(flags)
     results: dict[str, Any] = {}
     resets: list[float] = []
     try:
@@ -64,7 +65,7 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
         rollouts.chunk(actions[0])
         warm = time.perf_counter() - warm
         for policy in policies:
-            if not resets or not given.shared_reset:
+            if not resets or not flags.shared_reset:
                 begun = time.perf_counter()
                 rollouts.reset()
                 resets.append(time.perf_counter() - begun)
@@ -72,39 +73,42 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
                 **_run(rollouts, policy, actions),
                 "reset_s": resets[-1],
             }
-        memory_each = (pss_mb() - memory) / given.environments
+        memory_each = (pss_mb() - memory) / flags.environments
         card = None if on_card is None else (_card_mb() or 0.0) - on_card
     finally:
         rollouts.close()
     for result in results.values():
         lasted = result.pop("lasted_s")
-        result["steps_per_second"] = given.environments * len(actions) * given.chunk / lasted
-        result["trajectories_per_second"] = given.environments / (result["reset_s"] + lasted)
+        result["steps_per_second"] = flags.environments * len(actions) * flags.chunk / lasted
+        result["trajectories_per_second"] = flags.environments / (result["reset_s"] + lasted)
     return {
         "loop": rollouts.loop,
         "construct_s": constructed,
         "first_s": warm,
         "pss_mb": memory_each,
         "card_mb": card,
-        "cpu_s": sum(resource.getrusage(who).ru_utime for who in _USERS),
+        "cpu_s": sum(resource.getrusage(who).ru_utime for who in _CPU_USERS),
         "policies": results,
     }
 
 
-_USERS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+#: Processes whose CPU time is counted.
+_CPU_USERS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
 
 
-def _construct(given: argparse.Namespace) -> Any:
+def _construct(flags: argparse.Namespace) -> Any:
     from rollouts import RLinf, Rows, SimpleVLA
 
-    if given.framework == "rlinf":
-        return RLinf(given.task, given.environments, given.steps, together=given.arm == "V")
-    if given.arm == "V":
-        return Rows(given.task, given.environments)
-    return SimpleVLA(given.task, given.environments, every_frame=given.arm == "S")
+    if flags.framework == "rlinf":
+        return RLinf(flags.task, flags.environments, flags.steps, together=flags.arm == "V")
+    if flags.arm == "V":
+        return Rows(flags.task, flags.environments)
+    return SimpleVLA(flags.task, flags.environments, every_frame=flags.arm == "S")
 
 
 def _run(rollouts: Any, policy: Any, actions: np.ndarray) -> dict[str, float]:
+    """Executes chunks of actions, each after an answer of the policy. Returns durations; for the
+    policy `busy`, also the rate of its matrix products."""
     answered_and_simulated, simulated = [], []
     with policy:
         products, start = policy.products(), time.perf_counter()
@@ -129,19 +133,19 @@ def _run(rollouts: Any, policy: Any, actions: np.ndarray) -> dict[str, float]:
     return result
 
 
-def _actions(given: argparse.Namespace) -> np.ndarray:
+def _actions(flags: argparse.Namespace) -> np.ndarray:
     """Returns a smooth motion in the air, [chunks, environments, steps of a chunk, 7]."""
-    chunks = max(1, given.steps // given.chunk)
-    phase = np.linspace(0, 3, chunks * given.chunk)[:, None] + np.arange(7)
-    amplitudes = np.linspace(0.2, 0.4, given.environments)[:, None, None]
+    chunks = max(1, flags.steps // flags.chunk)
+    phase = np.linspace(0, 3, chunks * flags.chunk)[:, None] + np.arange(7)
+    amplitudes = np.linspace(0.2, 0.4, flags.environments)[:, None, None]
     moves = amplitudes * np.sin(phase)
-    return moves.reshape(given.environments, chunks, given.chunk, 7).swapaxes(0, 1)
+    return moves.reshape(flags.environments, chunks, flags.chunk, 7).swapaxes(0, 1)
 
 
 def pss_mb() -> float:
-    """Returns the memory of this process and its children, shared pages counted once, MB."""
+    """Returns the memory of this process and its descendants, shared pages counted once, MB."""
     total = 0
-    for process in _tree(os.getpid()):
+    for process in _with_descendants(os.getpid()):
         try:
             lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
         except OSError:
@@ -150,18 +154,19 @@ def pss_mb() -> float:
     return total / 1024
 
 
-def _tree(root: int) -> list[int]:
-    parents: dict[int, list[int]] = {}
+def _with_descendants(root: int) -> list[int]:
+    """Returns the ids of a process and of all its descendants."""
+    children: dict[int, list[int]] = {}
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = status.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        parents.setdefault(int(fields[1]), []).append(int(status.parent.name))
-    found = [root]
-    for process in found:
-        found += parents.get(process, [])
-    return found
+        children.setdefault(int(fields[1]), []).append(int(status.parent.name))
+    processes = [root]
+    for process in processes:
+        processes += children.get(process, [])
+    return processes
 
 
 def _card_mb() -> float | None:

@@ -1,5 +1,5 @@
-"""Prints the memory of a further row of a `TrainingEnvironment`, MB of PSS: the growth of this
-process from some rows to more.
+"""Prints the memory that a further row of a `TrainingEnvironment` takes, MB of PSS: the growth of
+this process, divided by the number of added rows.
 
 usage: memory.py [TASK] [--rows N N]
 """
@@ -22,15 +22,15 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("task", nargs="?", default="libero_goal/8")
     parser.add_argument("--rows", nargs="+", type=int, default=[16, 48])
-    given = parser.parse_args()
+    flags = parser.parse_args()
     # A first row, which is not counted, loads the libraries and the scene, and allocates each
     # thread's buffers.
-    kept_alive = [_rows(given.task, 1)]
+    kept_alive = [_rows(flags.task, 1)]
     before = pss_mb()
-    for count in given.rows:
-        kept_alive.append(_rows(given.task, count))
+    for count in flags.rows:
+        kept_alive.append(_rows(flags.task, count))
         now = pss_mb()
-        print(f"{given.task}, {count} rows: {(now - before) / count:.2f} MB each")
+        print(f"{flags.task}, {count} rows: {(now - before) / count:.2f} MB each")
         before = now
 
 

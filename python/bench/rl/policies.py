@@ -1,4 +1,5 @@
-"""Simulated policies: they only occupy time or the accelerator, since the actions are given."""
+"""Simulated policies, which only take time or occupy the accelerator. The benchmark supplies the
+actions."""
 
 from __future__ import annotations
 
@@ -13,9 +14,9 @@ _SIDE = 8192
 class Policy:
     """A policy by name: `none`, `sleep:MS`, `card:MS`, `busy`.
 
-    `none` answers at once and `sleep:MS` after that time; `card:MS` multiplies matrices on the
-    accelerator for that time. With `busy`, another process multiplies matrices without a pause,
-    as a policy does that answers another worker's environments.
+    `none` answers at once, and `sleep:MS` after MS milliseconds; `card:MS` multiplies matrices on
+    the accelerator for MS milliseconds. With `busy`, another process multiplies matrices without a
+    pause, like a policy that answers another worker's environments.
     """
 
     def __init__(self, name: str) -> None:

@@ -9,7 +9,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-_COLUMNS = (
+#: Columns of a table of policies: key of the result, title, decimal digits.
+_POLICY_COLUMNS = (
     ("steps_per_second", "steps/s", 0),
     ("trajectories_per_second", "trajectories/s", 2),
     ("reset_s", "reset, s", 2),
@@ -17,7 +18,8 @@ _COLUMNS = (
     ("chunk_ms_p95", "chunk p95, ms", 0),
     ("products_per_second", "products/s", 1),
 )
-_PROCESS = (
+#: Columns of a table of processes: key of the result, title, decimal digits.
+_PROCESS_COLUMNS = (
     ("construct_s", "construction, s", 1),
     ("pss_mb", "PSS per environment, MB", 0),
     ("card_mb", "card, MB", 0),
@@ -27,8 +29,8 @@ _PROCESS = (
 
 def machine() -> str:
     """Returns the processor, the number of cores and the accelerator."""
-    about = Path("/proc/cpuinfo").read_text().splitlines()
-    models = [line.partition(": ")[2] for line in about if line.startswith("model name")]
+    cpu_lines = Path("/proc/cpuinfo").read_text().splitlines()
+    models = [line.partition(": ")[2] for line in cpu_lines if line.startswith("model name")]
     name = models[0] if models else "unknown processor"
     words = [f"{len(os.sched_getaffinity(0))} × {name}"]
     try:
@@ -62,21 +64,24 @@ def markdown(results: dict[str, Any]) -> str:
         groups.setdefault(key, []).append(run)
     for (framework, task, count), runs in groups.items():
         lines += ["", f"### {framework}, {task}, {count} environments", ""]
-        lines += _policies(runs) + [""] + _processes(runs)
+        lines += _policy_table(runs) + [""] + _process_table(runs)
     return "\n".join(lines) + "\n"
 
 
-def _policies(runs: list[dict[str, Any]]) -> list[str]:
+def _policy_table(runs: list[dict[str, Any]]) -> list[str]:
     succeeded = [run for run in runs if "error" not in run]
     names = list(dict.fromkeys(name for run in succeeded for name in run["policies"]))
-    lines = _head(["policy", "arm", *(title for _, title, _ in _COLUMNS), "ratio to O", "to O'"])
+    titles = [title for _, title, _ in _POLICY_COLUMNS]
+    lines = _head(["policy", "arm", *titles, "ratio to O", "to O'"])
     for name in names:
         speeds: dict[str, float] = {}
         for arm, arm_runs in _by_arm(succeeded).items():
             rows = [run["policies"][name] for run in arm_runs]
             speed = statistics.median(row["steps_per_second"] for row in rows)
             speeds[arm] = speed
-            cells = [_cell([row.get(key) for row in rows], digits) for key, _, digits in _COLUMNS]
+            cells = [
+                _cell([row.get(key) for row in rows], digits) for key, _, digits in _POLICY_COLUMNS
+            ]
             ratios = [
                 f"{speed / speeds[base]:.2f}" if base in speeds else "–" for base in ("O", "O'")
             ]
@@ -84,10 +89,12 @@ def _policies(runs: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _processes(runs: list[dict[str, Any]]) -> list[str]:
-    lines = _head(["arm", "rounds", *(title for _, title, _ in _PROCESS)])
+def _process_table(runs: list[dict[str, Any]]) -> list[str]:
+    lines = _head(["arm", "rounds", *(title for _, title, _ in _PROCESS_COLUMNS)])
     for arm, arm_runs in _by_arm([run for run in runs if "error" not in run]).items():
-        cells = [_cell([run.get(key) for run in arm_runs], digits) for key, _, digits in _PROCESS]
+        cells = [
+            _cell([run.get(key) for run in arm_runs], digits) for key, _, digits in _PROCESS_COLUMNS
+        ]
         lines.append("| " + " | ".join([arm, str(len(arm_runs)), *cells]) + " |")
     loops = sorted({run["loop"] for run in runs if "loop" in run})
     lines += ["", f"Run by {', '.join(loops)}."] if loops else []
@@ -114,7 +121,7 @@ def _cell(values: list[float | None], digits: int) -> str:
     present = [value for value in values if value is not None]
     if not present:
         return "–"
-    middle = f"{statistics.median(present):,.{digits}f}"
+    median = f"{statistics.median(present):,.{digits}f}"
     if len(present) == 1:
-        return middle
-    return f"{middle} ({min(present):,.{digits}f}–{max(present):,.{digits}f})"
+        return median
+    return f"{median} ({min(present):,.{digits}f}–{max(present):,.{digits}f})"

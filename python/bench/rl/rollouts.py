@@ -1,5 +1,5 @@
-"""Rollouts in frameworks: RLinf's `LiberoEnv`, SimpleVLA-RL's loop with a process for each
-environment, and that loop's rollouts in one process, by `TrainingEnvironment`."""
+"""Rollouts in frameworks: RLinf's `LiberoEnv`; SimpleVLA-RL's loop, with a process for each
+environment; and the rollouts of that loop as rows of a `TrainingEnvironment` in one process."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ class Rollouts(Protocol):
     loop: str
 
     def reset(self) -> None:
-        """Starts a rollout in each environment, settling included."""
+        """Starts a rollout in each environment, and executes its settling steps."""
 
     def chunk(self, actions: np.ndarray) -> None:
-        """Executes actions, [environments, steps, 7], up to the policy's next observation."""
+        """Executes a chunk of actions, [environments, steps, 7], and receives the observation after
+        the last step."""
 
     def close(self) -> None:
         """Ends all processes."""
@@ -94,11 +95,12 @@ class RLinf:
 
 
 class SimpleVLA:
-    """Processes of SimpleVLA-RL: a new one, forked, for each rollout.
+    """Processes of SimpleVLA-RL: a new process is forked for each rollout.
 
-    They send the observation at the end of each chunk through a queue. They run the framework's own
-    `env_worker` if `ROLLOUT_FRAMEWORKS` names a folder with a checkout `SimpleVLA-RL`, otherwise
-    `_roll_out`, the same loop. With `every_frame` all frames are read, not only the sent ones.
+    The processes send the observation at the end of each chunk through a queue. They run the
+    framework's own `env_worker` if `ROLLOUT_FRAMEWORKS` names a folder with a checkout
+    `SimpleVLA-RL`, otherwise `_roll_out`, the same loop. With `every_frame`, the frames of every
+    step are read, not only those that are sent.
     """
 
     def __init__(self, task: str, count: int, *, every_frame: bool) -> None:
@@ -226,6 +228,8 @@ def _roll_out(
 
 
 def _read_frames_of(environment: Any, method: str) -> None:
+    """Changes a method of an environment class so that it reads all frames of the observation that
+    it returns."""
     call = getattr(environment, method)
 
     @functools.wraps(call)
@@ -238,13 +242,13 @@ def _read_frames_of(environment: Any, method: str) -> None:
 
 
 def task_files(task: str) -> tuple[str, np.ndarray]:
-    """Returns the path of a task's BDDL file, and the task's initial states, read without
-    PyTorch, which LIBERO uses."""
+    """Returns the path of a task's BDDL file, and the task's initial states. LIBERO would read the
+    states with PyTorch, which this function does not need."""
     from libero.libero import benchmark, get_libero_path
 
     suite, number = task.split("/")
-    one = benchmark.get_benchmark_dict()[suite]().get_task(int(number))
-    bddl = Path(get_libero_path("bddl_files"), one.problem_folder, one.bddl_file)
-    states = Path(get_libero_path("init_states"), one.problem_folder, one.init_states_file)
+    entry = benchmark.get_benchmark_dict()[suite]().get_task(int(number))
+    bddl = Path(get_libero_path("bddl_files"), entry.problem_folder, entry.bddl_file)
+    states = Path(get_libero_path("init_states"), entry.problem_folder, entry.init_states_file)
     with zipfile.ZipFile(states) as archive, archive.open("archive/data.pkl") as member:
         return str(bddl), np.asarray(pickle.load(member))

@@ -1,6 +1,6 @@
 """Prepares a process, and those that it spawns, to import RLinf's and LIBERO's unmodified files:
-replaces packages that these files import and do not call here, and lets the original render only
-at the end of each chunk if the environment asks for it.
+replaces packages that these files import and do not call here, and, if the environment variable
+`LAST_OF_CHUNK` is set, makes the original render only at the end of each chunk.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _REPLACED = (
     "tqdm",
     "transformers",
 )
-#: Environment variable, "SETTLING:CHUNK", with which the original renders only the last step of
-#: each chunk.
+#: Environment variable that makes the original render only the last step of each chunk. Its value
+#: is "SETTLING:CHUNK": the numbers of settling steps and of steps in a chunk.
 LAST_OF_CHUNK = "ROLLOUT_BENCH_LAST_OF_CHUNK"
 
 
@@ -78,8 +78,8 @@ def prepare() -> None:
 
 
 def _render_last_of_chunk(settling: int, chunk: int) -> None:
-    """Lets the original skip rendering except in the last settling step and the last step of each
-    chunk. Other steps repeat the previous picture, so that observations keep their size.
+    """Makes the original render only in the last settling step and the last step of each chunk.
+    Observations of the other steps hold the last rendered picture, so that they keep their size.
     """
     from robosuite.utils import binding_utils
 
@@ -92,25 +92,25 @@ def _render_last_of_chunk(settling: int, chunk: int) -> None:
     set_init_state = env_wrapper.ControlEnv.set_init_state
 
     @functools.wraps(render)
-    def rendered(self: Any, *arguments: Any, **named: Any) -> Any:
+    def render_or_repeat(self: Any, *arguments: Any, **named: Any) -> Any:
         key = (arguments, tuple(sorted(named.items())))
         if is_rendered or key not in last_pictures:
             last_pictures[key] = render(self, *arguments, **named)
         return last_pictures[key]
 
     @functools.wraps(step)
-    def stepped(self: Any, action: np.ndarray) -> Any:
+    def counted_step(self: Any, action: np.ndarray) -> Any:
         nonlocal count, is_rendered
         count += 1
         is_rendered = count >= settling and (count - settling) % chunk == 0
         return step(self, action)
 
     @functools.wraps(set_init_state)
-    def started(self: Any, state: np.ndarray) -> Any:
+    def set_init_state_and_count(self: Any, state: np.ndarray) -> Any:
         nonlocal count, is_rendered
         count, is_rendered = 0, False
         return set_init_state(self, state)
 
-    binding_utils.MjSim.render = rendered
-    env_wrapper.ControlEnv.step = stepped
-    env_wrapper.ControlEnv.set_init_state = started
+    binding_utils.MjSim.render = render_or_repeat
+    env_wrapper.ControlEnv.step = counted_step
+    env_wrapper.ControlEnv.set_init_state = set_init_state_and_count

@@ -26,7 +26,7 @@ from stand_ins import prepare
 
 #: Control steps of a recording after its success.
 AFTER_SUCCESS = 5
-#: Rows of a table.
+#: Suites, each a row of the table.
 _SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
 
 
@@ -38,21 +38,22 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--each", type=int, default=5)
     parser.add_argument("--tasks", nargs="+")
-    given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    if given.work == "record":
-        for task in given.tasks or [f"{suite}/{at}" for suite in _SUITES for at in range(10)]:
-            record(task, given.each, given.folder)
-    elif given.work == "replay":
-        for file in sorted(given.folder.glob("*.recorded.npz")):
+    flags = parser.parse_args()
+    flags.folder.mkdir(parents=True, exist_ok=True)
+    if flags.work == "record":
+        for task in flags.tasks or [f"{suite}/{at}" for suite in _SUITES for at in range(10)]:
+            record(task, flags.each, flags.folder)
+    elif flags.work == "replay":
+        for file in sorted(flags.folder.glob("*.recorded.npz")):
             replay(file)
     else:
-        print("\n".join(table(given.folder)))
+        print("\n".join(table(flags.folder)))
 
 
 def record(task: str, each: int, folder: Path) -> None:
-    """Writes the trajectories of a task: actions [rows, steps, 7], readings [rows, steps, …], and
-    success [rows, steps]. A row's own steps end `AFTER_SUCCESS` steps after its success."""
+    """Writes the trajectories of a task: actions [rows, steps, 7], readings [rows, steps, …],
+    success [rows, steps], and ends [rows]: the number of steps of each row, which ends
+    `AFTER_SUCCESS` steps after its success."""
     from rollout_libero._library import native
     from rollout_libero.tasks import Task
     from rollout_libero.training import LOADS, Start, TrainingEnvironment
@@ -95,15 +96,15 @@ def record(task: str, each: int, folder: Path) -> None:
 
 
 def replay(recorded: Path) -> None:
-    """Executes a task's recorded actions in the original; writes its readings, its success, and the
-    first step after which the robot touches something."""
+    """Executes a task's recorded actions in the original. Writes the robot's readings, the success
+    of each step, and the first step after which the robot touches something."""
     from libero.libero.envs.env_wrapper import ControlEnv
 
     file = recorded.with_name(recorded.name.replace(".recorded.", ".replayed."))
     if file.exists():
         return
     _collide_as_recorded()
-    given = np.load(recorded)
+    recording = np.load(recorded)
     task = recorded.name.partition(".")[0].replace("-", "/")
     bddl, states = task_files(task)
     env = ControlEnv(
@@ -113,17 +114,17 @@ def replay(recorded: Path) -> None:
         has_offscreen_renderer=False,
         ignore_done=True,
     )
-    readings = np.full_like(given["readings"], np.nan)
-    success = np.zeros_like(given["success"])
+    readings = np.full_like(recording["readings"], np.nan)
+    success = np.zeros_like(recording["success"])
     contacts = []
-    for row, end in enumerate(given["ends"]):
+    for row, end in enumerate(recording["ends"]):
         env.seed(0)
         env.reset()
         env.set_init_state(states[row])
         for _ in range(SETTLING):
             env.step(NO_OP)
         contact = 0
-        for step, action in enumerate(given["actions"][row, :end]):
+        for step, action in enumerate(recording["actions"][row, :end]):
             observation, *_ = env.step(action)
             readings[row, step] = np.concatenate([observation[name] for name in READINGS])
             success[row, step] = env.check_success()
@@ -144,35 +145,36 @@ def table(folder: Path) -> list[str]:
         "| --- |" + " --- |" * 7,
     ]
     different = []
-    everything = []
+    trajectories = []
     for suite in _SUITES:
-        all_of_suite = []
+        suite_trajectories = []
         for recorded in sorted(folder.glob(f"{suite}-*.recorded.npz")):
             replayed = recorded.with_name(recorded.name.replace(".recorded.", ".replayed."))
             if not replayed.exists():
                 continue
             here, there = np.load(recorded), np.load(replayed)
             for row, end in enumerate(here["ends"]):
-                one = compared(here, there, row, int(end))
-                all_of_suite.append(one)
-                if not one["within"]:
+                trajectory = compare_row(here, there, row, int(end))
+                suite_trajectories.append(trajectory)
+                if not trajectory["within"]:
                     task = recorded.name.partition(".")[0]
-                    different.append(f"{task}, state {row}: {one}")
-        if all_of_suite:
-            rows.append(_row(suite, all_of_suite))
-        everything += all_of_suite
-    rows.append(_row("all", everything))
+                    different.append(f"{task}, state {row}: {trajectory}")
+        if suite_trajectories:
+            rows.append(_table_row(suite, suite_trajectories))
+        trajectories += suite_trajectories
+    rows.append(_table_row("all", trajectories))
     return [*rows, "", *different]
 
 
-def compared(here: Any, there: Any, row: int, end: int) -> dict[str, Any]:
-    """Compares a trajectory here and in the original (`there`). Steps count from 1; 0 is never."""
+def compare_row(here: Any, there: Any, row: int, end: int) -> dict[str, Any]:
+    """Compares one trajectory in rollout_libero (`here`) and in the original (`there`). Steps count
+    from 1; step 0 means never."""
 
-    def first(holds: Any) -> int:
+    def first_step(holds: Any) -> int:
         return int(np.argmax(holds)) + 1 if np.any(holds) else 0
 
     differences = np.abs(here["readings"][row, :end] - there["readings"][row, :end]).max(axis=1)
-    ours, theirs = (first(side["success"][row, :end]) for side in (here, there))
+    ours, theirs = (first_step(side["success"][row, :end]) for side in (here, there))
     contact = int(there["contacts"][row])
     before = differences[: contact - 1] if contact else differences
     return {
@@ -180,12 +182,12 @@ def compared(here: Any, there: Any, row: int, end: int) -> dict[str, Any]:
         "there": theirs,
         "within": (not ours) == (not theirs) and abs(ours - theirs) <= SUCCESS_STEPS,
         "contact": contact,
-        "differs": first(differences > TOLERANCE),
+        "differs": first_step(differences > TOLERANCE),
         "before": float(before.max(initial=0.0)),
     }
 
 
-def _row(name: str, trajectories: list[dict[str, Any]]) -> str:
+def _table_row(name: str, trajectories: list[dict[str, Any]]) -> str:
     def spread(key: str) -> str:
         steps = [each[key] for each in trajectories if each[key]]
         never = len(trajectories) - len(steps)
@@ -197,9 +199,9 @@ def _row(name: str, trajectories: list[dict[str, Any]]) -> str:
         name,
         str(len(trajectories)),
         f"{solved[0]}, {solved[1]}",
-        str(sum(one["here"] == one["there"] for one in trajectories)),
-        str(sum(one["within"] for one in trajectories)),
-        f"{max(one['before'] for one in trajectories):.1e}",
+        str(sum(each["here"] == each["there"] for each in trajectories)),
+        str(sum(each["within"] for each in trajectories)),
+        f"{max(each['before'] for each in trajectories):.1e}",
         spread("differs"),
         spread("contact"),
     ]

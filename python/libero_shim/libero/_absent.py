@@ -4,7 +4,7 @@ from __future__ import annotations
 
 _USE = "install the original LIBERO in another environment for it"
 
-#: Modules of the original that are left out, and the remedy.
+#: Modules of the original that are left out, each with its remedy.
 _MODULES = {
     "libero.configs": _USE,
     "libero.lifelong": f"it trains policies; {_USE}",
@@ -54,6 +54,6 @@ class AbsentModules:
             raise ImportError(f"{name} is not part of rollout-libero-shim: {remedy}", name=name)
 
 
-def absent_attribute(what: str, name: str, remedy: str) -> AttributeError:
+def absent_attribute(owner: str, name: str, remedy: str) -> AttributeError:
     """Returns the error for an attribute that the original's object has, but not this package's."""
-    return AttributeError(f"{what} has no `{name}` in rollout-libero-shim: {remedy}")
+    return AttributeError(f"{owner} has no `{name}` in rollout-libero-shim: {remedy}")

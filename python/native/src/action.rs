@@ -18,8 +18,8 @@ pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 pub(crate) fn actions(given: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<[f64; WIDTH]>> {
     if given.shape() != shape {
         return Err(invalid(format_args!(
-            "read actions of shape {:?}: expected {shape:?}, whose last are three of translation, \
-             three of rotation and the gripper, each in -1..1",
+            "read actions of shape {:?}: expected {shape:?}; the last axis holds three numbers of \
+             translation, three of rotation and the gripper, each in -1..1",
             given.shape()
         )));
     }

@@ -63,14 +63,14 @@ struct Task<'a> {
     start: Option<Start>,
     actions: &'a [[f64; WIDTH]],
     limit: usize,
-    /// Per step: true if the expert drives and the action is added to the expert's; `None`
-    /// if the expert is not queried.
+    /// Per step: true if the sum of the expert's action and the action in `actions` is executed;
+    /// false if the action in `actions` is executed alone. `None` if the expert is not queried.
     expert: Option<&'a [bool]>,
-    done: Done<'a>,
+    outputs: Outputs<'a>,
 }
 
 /// Output buffers for one environment's work.
-struct Done<'a> {
+struct Outputs<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
     /// Per step: true if the goal holds after it. Empty if the first success ends the task.
@@ -85,8 +85,8 @@ struct Done<'a> {
 
 #[pymethods]
 impl Batch {
-    /// Creates a batch of environments, which remain usable individually, with a number of
-    /// threads.
+    /// Creates a batch of environments that step on `threads` threads. The environments remain
+    /// usable individually.
     #[new]
     fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
         if simulations.is_empty() || threads == 0 {
@@ -111,7 +111,8 @@ impl Batch {
         })
     }
 
-    /// Restores each environment from a snapshot. If one of them fails, none is changed.
+    /// Restores each environment from a snapshot. If one cannot be restored, no environment
+    /// changes.
     fn restore(&self, py: Python<'_>, snapshots: Vec<Py<Snapshot>>) -> PyResult<()> {
         if snapshots.len() != self.states.len() {
             return Err(invalid(format_args!(
@@ -122,9 +123,9 @@ impl Batch {
         }
         let snapshots: Vec<&Snapshot> = snapshots.iter().map(Py::get).collect();
         py.detach(|| {
-            let held = self.states.iter().map(Guarded::hold);
-            let mut held = held.collect::<PyResult<Vec<_>>>()?;
-            let states = held
+            let guards = self.states.iter().map(Guarded::hold);
+            let mut guards = guards.collect::<PyResult<Vec<_>>>()?;
+            let states = guards
                 .iter_mut()
                 .map(|guard| Option::as_mut(guard).ok_or_else(|| closed("close was called")));
             let states = states.collect::<PyResult<Vec<_>>>()?;
@@ -138,20 +139,20 @@ impl Batch {
         })
     }
 
-    /// Starts a rollout in each environment for which `starts` has a manifest row, JSON;
-    /// all others execute their actions: at most `limits`, and none after a success.
-    /// `actions` is [environments, steps, 7]; `render` selects the steps that are rendered
-    /// and read: `last`, `all` or `none`. Returns `steps` executed and `success` of each
-    /// environment, the readings by name, and the frames by camera, with row 0 at the top,
+    /// Starts a rollout in each environment for which `starts` has a manifest row, JSON; every
+    /// other environment executes its actions: at most as many as `limits` has for it, and none
+    /// after a success. `actions` is [environments, steps, 7]; `render` selects the steps that
+    /// are rendered and read: `last`, `all` or `none`. Returns `steps` executed and `success` of
+    /// each environment, the readings by name, and the frames by camera, with row 0 at the top,
     /// and column 0 at the right if `mirrored`. With `expert`, [environments, steps], the
-    /// scripted expert is queried at every step and its actions are returned as
-    /// `expert_action`; at steps where `expert` is true, the expert drives and the action is
-    /// added to its own. With `past_success`, steps continue after a success, and
-    /// `successes`, [environments, steps], tells whether the goal holds after each step.
+    /// scripted expert is queried at every step and its actions are returned as `expert_action`;
+    /// at steps where `expert` is true, the sum of the expert's action and the given action is
+    /// executed. With `past_success`, steps continue after a success, and `successes`,
+    /// [environments, steps], has true for each step after which the goal holds.
     ///
     /// Invalid arguments raise before any environment moves. A failing environment does not
-    /// stop the others: `errors` has its exception, and `steps` counts the steps that it
-    /// completed.
+    /// stop the other environments: `errors` has its exception, and `steps` counts the steps
+    /// that it completed.
     #[expect(clippy::too_many_arguments, reason = "keyword arguments in Python")]
     #[pyo3(signature = (
         actions, limits, starts, cameras, *,
@@ -173,7 +174,7 @@ impl Batch {
     ) -> PyResult<Bound<'py, PyDict>> {
         let count = self.states.len();
         let chunk = actions_per_chunk(&actions, count)?;
-        let all = action::actions(&actions, &[count, chunk, WIDTH])?;
+        let all_actions = action::actions(&actions, &[count, chunk, WIDTH])?;
         let expert = expert
             .map(|drives| expert_drives(&drives, [count, chunk], absolute))
             .transpose()?;
@@ -204,7 +205,7 @@ impl Batch {
             .iter()
             .map(|row| row.as_deref().map(Start::read).transpose());
         let starts = starts.collect::<PyResult<Vec<_>>>()?;
-        let shown = match render {
+        let observed_steps = match render {
             Render::All => chunk.max(1),
             Render::Last | Render::None => 1,
         };
@@ -214,20 +215,22 @@ impl Batch {
         let mut successes = vec![false; count * success_steps];
         let expert_steps = if expert.is_some() { chunk } else { 0 };
         let mut expert_actions = vec![[f64::NAN; WIDTH]; count * expert_steps];
-        let mut readings = vec![[0.0; READING_WIDTH]; count * shown];
-        let drawn: &[Camera] = match render {
+        let mut readings = vec![[0.0; READING_WIDTH]; count * observed_steps];
+        let rendered: &[Camera] = match render {
             Render::None => &[],
             Render::Last | Render::All => &cameras,
         };
-        let mut frames: Vec<Vec<u8>> = drawn
+        let mut frames: Vec<Vec<u8>> = rendered
             .iter()
-            .map(|camera| vec![0; count * shown * bytes(camera.size)])
+            .map(|camera| vec![0; count * observed_steps * picture_bytes(camera.size)])
             .collect();
 
-        let mut rows: Vec<_> = frames
+        let mut frame_rows: Vec<_> = frames
             .iter_mut()
-            .zip(drawn)
-            .map(|(frames, camera)| frames.chunks_exact_mut(shown * bytes(camera.size)))
+            .zip(rendered)
+            .map(|(frames, camera)| {
+                frames.chunks_exact_mut(observed_steps * picture_bytes(camera.size))
+            })
             .collect();
         let mut tasks = Vec::with_capacity(count);
         let mut success_rows = successes.chunks_exact_mut(success_steps.max(1));
@@ -235,7 +238,7 @@ impl Batch {
         let outputs = steps
             .iter_mut()
             .zip(&mut success)
-            .zip(readings.chunks_exact_mut(shown));
+            .zip(readings.chunks_exact_mut(observed_steps));
         for (((state, start), ((steps, success), readings)), (at, limit)) in self
             .states
             .iter()
@@ -246,30 +249,30 @@ impl Batch {
             tasks.push(Task {
                 state,
                 start,
-                actions: &all[at * chunk..][..chunk],
+                actions: &all_actions[at * chunk..][..chunk],
                 limit,
                 expert: expert.as_ref().map(|drives| &drives[at * chunk..][..chunk]),
-                done: Done {
+                outputs: Outputs {
                     steps,
                     success,
                     successes: success_rows.next().unwrap_or_default(),
                     expert_actions: expert_rows.next().unwrap_or_default(),
                     readings,
-                    frames: rows
+                    frames: frame_rows
                         .iter_mut()
                         .map(|rows| rows.next().expect("frames of each environment"))
                         .collect(),
                 },
             });
         }
-        let of = action_frame(absolute);
+        let frame = action_frame(absolute);
         let threads = self.threads;
         let view = View {
-            cameras: drawn,
+            cameras: rendered,
             render,
             mirrored,
         };
-        let errors = py.detach(|| run(tasks, threads, |task| task.run(view, of)));
+        let errors = py.detach(|| run(tasks, threads, |task| task.run(view, frame)));
 
         let result = PyDict::new(py);
         let errors = errors.into_iter();
@@ -287,70 +290,68 @@ impl Batch {
             let labels = expert_actions.into_flattened();
             result.set_item("expert_action", shaped(py, labels, &[count, chunk, WIDTH])?)?;
         }
-        let lead = match render {
-            Render::All => vec![count, shown],
+        let leading_axes = match render {
+            Render::All => vec![count, observed_steps],
             Render::Last | Render::None => vec![count],
         };
-        let with = |tail: &[usize]| [&lead[..], tail].concat();
+        let shape = |trailing_axes: &[usize]| [&leading_axes[..], trailing_axes].concat();
         let packed = readings.into_iter().flatten().collect();
-        let packed = shaped(py, packed, &with(&[READING_WIDTH]))?;
-        let mut from = 0;
+        let packed = shaped(py, packed, &shape(&[READING_WIDTH]))?;
+        let mut start = 0;
         for (name, width) in READINGS {
-            let columns = pyo3::types::PySlice::new(py, from as isize, (from + width) as isize, 1);
-            let place = (py.Ellipsis(), columns);
-            result.set_item(name, packed.get_item(place)?)?;
-            from += width;
+            let columns =
+                pyo3::types::PySlice::new(py, start as isize, (start + width) as isize, 1);
+            result.set_item(name, packed.get_item((py.Ellipsis(), columns))?)?;
+            start += width;
         }
-        for (camera, frames) in drawn.iter().zip(frames) {
+        for (camera, frames) in rendered.iter().zip(frames) {
             let [width, height] = camera.size.map(|side| side as usize);
-            result.set_item(
-                &camera.name,
-                shaped(py, frames, &with(&[height, width, 3]))?,
-            )?;
+            let frames = shaped(py, frames, &shape(&[height, width, 3]))?;
+            result.set_item(&camera.name, frames)?;
         }
         Ok(result)
     }
 }
 
 impl Task<'_> {
-    fn run(self, view: View<'_>, of: ActionFrame) -> PyResult<()> {
+    fn run(self, view: View<'_>, frame: ActionFrame) -> PyResult<()> {
         let Self {
             state,
             start,
             actions,
             limit,
             expert,
-            mut done,
+            mut outputs,
         } = self;
         let mut guard = state.hold()?;
         let state = guard.as_mut().ok_or_else(|| closed("close was called"))?;
         if let Some(start) = start {
             state.begin(&start)?;
-            return done.show(state, 0, view);
+            return outputs.observe(state, 0, view);
         }
         for (step, action) in actions.iter().take(limit).enumerate() {
             let mut action = *action;
             if let Some(drives) = expert {
                 let expert_action = state.expert_action()?;
-                done.expert_actions[step] = expert_action;
-                if !drives[step] || is_push(&action) {
-                    state.expert_is_interrupted();
+                outputs.expert_actions[step] = expert_action;
+                if !drives[step] || exceeds_expert(&action) {
+                    state.interrupt_expert();
                 }
                 if drives[step] {
-                    action = added_to_expert(expert_action, action);
+                    action = add_to_expert(expert_action, action);
                 }
             }
-            *done.success = state.step(&action, of)?;
-            *done.steps += 1;
-            let continues = match done.successes.get_mut(step) {
+            *outputs.success = state.step(&action, frame)?;
+            *outputs.steps += 1;
+            let continues = match outputs.successes.get_mut(step) {
                 Some(success) => {
-                    *success = *done.success;
+                    *success = *outputs.success;
                     true
                 }
-                None => !*done.success,
+                None => !*outputs.success,
             };
             if view.render == Render::All {
-                done.show(state, step, view)?;
+                outputs.observe(state, step, view)?;
             }
             if !continues {
                 break;
@@ -358,22 +359,23 @@ impl Task<'_> {
         }
         match view.render {
             Render::All => Ok(()),
-            Render::Last | Render::None => done.show(state, 0, view),
+            Render::Last | Render::None => outputs.observe(state, 0, view),
         }
     }
 }
 
-impl Done<'_> {
-    /// Writes the readings and frames of the current state.
-    fn show(&mut self, state: &mut State, step: usize, view: View<'_>) -> PyResult<()> {
+impl Outputs<'_> {
+    /// Writes the readings and frames of the current state, as those of a rendered step.
+    fn observe(&mut self, state: &mut State, step: usize, view: View<'_>) -> PyResult<()> {
         self.readings[step] = reading(&state.environment.robot_state());
-        for (camera, rows) in view.cameras.iter().zip(&mut self.frames) {
+        for (camera, pictures) in view.cameras.iter().zip(&mut self.frames) {
             let frame = state.frame(&camera.name, camera.size)?;
-            let picture = &mut rows[step * bytes(camera.size)..][..bytes(camera.size)];
-            let row = camera.size[0] as usize * 3;
+            let size = picture_bytes(camera.size);
+            let picture = &mut pictures[step * size..][..size];
+            let row_bytes = camera.size[0] as usize * 3;
             for (to, from) in picture
-                .chunks_exact_mut(row)
-                .zip(frame.rgb.chunks_exact(row).rev())
+                .chunks_exact_mut(row_bytes)
+                .zip(frame.rgb.chunks_exact(row_bytes).rev())
             {
                 match view.mirrored {
                     true => mirror(from, to),
@@ -389,12 +391,13 @@ impl Done<'_> {
 fn mirror(from: &[u8], to: &mut [u8]) {
     const PIXEL_BYTES: usize = 3;
     let (pixels, _) = from.as_chunks::<PIXEL_BYTES>();
-    let (places, _) = to.as_chunks_mut::<PIXEL_BYTES>();
-    for (place, pixel) in places.iter_mut().zip(pixels.iter().rev()) {
-        *place = *pixel;
+    let (targets, _) = to.as_chunks_mut::<PIXEL_BYTES>();
+    for (target, pixel) in targets.iter_mut().zip(pixels.iter().rev()) {
+        *target = *pixel;
     }
 }
 
+/// Returns all [`READINGS`], one after another.
 fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
     let parts: [&[f64]; 7] = [
         &robot.eef_pos,
@@ -409,8 +412,8 @@ fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
     std::array::from_fn(|_| *numbers.next().expect("parts hold READING_WIDTH numbers"))
 }
 
-/// Adds `added` to the arm components of the expert's action, clamped to the valid range.
-fn added_to_expert(expert: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
+/// Adds `added` to the arm components of the expert's action, and clamps the sums to -1..1.
+fn add_to_expert(expert: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
     const GRIPPER: usize = WIDTH - 1;
     std::array::from_fn(|at| match at {
         GRIPPER => expert[at],
@@ -418,12 +421,13 @@ fn added_to_expert(expert: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
     })
 }
 
-/// Returns true if an added translation exceeds the largest that the expert can command.
-fn is_push(added: &[f64; WIDTH]) -> bool {
+/// Returns true if a component of the added translation is larger than any that the expert can
+/// command.
+fn exceeds_expert(added: &[f64; WIDTH]) -> bool {
     added[..3].iter().any(|value| value.abs() > 1.0)
 }
 
-/// Marks the steps at which the expert drives, row by row.
+/// Returns, row by row, true for each step at which the expert's action is executed.
 fn expert_drives(
     drives: &PyReadonlyArrayDyn<'_, bool>,
     shape: [usize; 2],
@@ -443,33 +447,38 @@ fn expert_drives(
     Ok(drives.as_array().iter().copied().collect())
 }
 
-fn bytes([width, height]: [u32; 2]) -> usize {
+fn picture_bytes([width, height]: [u32; 2]) -> usize {
     width as usize * height as usize * 3
 }
 
-/// Actions of one environment in a chunk of this shape.
+/// Returns the number of actions of one environment in a chunk.
+///
+/// # Errors
+/// If the shape is not [environments, steps, [`WIDTH`]].
 fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usize> {
     match *actions.shape() {
-        [given, chunk, WIDTH] if given == environments => Ok(chunk),
+        [rows, chunk, WIDTH] if rows == environments => Ok(chunk),
         ref shape => Err(invalid(format_args!(
-            "read actions of shape {shape:?}: expected [{environments}, steps, {WIDTH}], whose last \
-             are three of translation, three of rotation and the gripper, each in -1..1"
+            "read actions of shape {shape:?}: expected [{environments}, steps, {WIDTH}]; the last \
+             axis holds three numbers of translation, three of rotation and the gripper, each in \
+             -1..1"
         ))),
     }
 }
 
-/// Runs tasks on `threads` threads, including the calling one; each takes the next pending
-/// task. Returns the error of each task, in the order of tasks, when all have ended.
+/// Runs tasks on `threads` threads, including the calling thread; each thread repeatedly takes
+/// the next pending task. Returns the error of each task, in the order of the tasks, when all
+/// tasks have ended.
 fn run<'a>(
     tasks: Vec<Task<'a>>,
     threads: usize,
     execute: impl Fn(Task<'a>) -> PyResult<()> + Sync,
 ) -> Vec<Option<PyErr>> {
     let errors = Mutex::new(Vec::from_iter(tasks.iter().map(|_| None)));
-    let left = Mutex::new(tasks.into_iter().enumerate());
+    let pending = Mutex::new(tasks.into_iter().enumerate());
     let work = || {
         loop {
-            let next = left.lock().expect("no panic under the lock").next();
+            let next = pending.lock().expect("no panic under the lock").next();
             let Some((at, task)) = next else { break };
             if let Err(error) = execute(task) {
                 errors.lock().expect("no panic under the lock")[at] = Some(error);

@@ -35,8 +35,8 @@ create_exception!(
     "A file of a scene is missing or wrong, or cannot be fetched."
 );
 
-/// Returns the message of an exception: errors here are infinitives, as command lines print them
-/// behind the same words.
+/// Returns the message of an exception: `failed to`, followed by the text of an error, which is an
+/// infinitive. Command lines print the simulator's errors in the same way.
 pub(crate) fn failed_to(infinitive: impl Display) -> String {
     format!("failed to {infinitive}")
 }
@@ -47,43 +47,43 @@ pub(crate) fn invalid(infinitive: impl Display) -> PyErr {
 }
 
 /// Returns the message of an error with all its causes.
-fn words(error: &dyn Error) -> String {
-    let mut words = failed_to(error);
+fn message_of(error: &dyn Error) -> String {
+    let mut message = failed_to(error);
     let mut cause = error.source();
     while let Some(error) = cause {
-        words.push_str(": ");
-        words.push_str(&error.to_string());
+        message.push_str(": ");
+        message.push_str(&error.to_string());
         cause = error.source();
     }
-    words
+    message
 }
 
 /// Converts an error of the simulator.
 pub(crate) fn simulation(error: SimError) -> PyErr {
-    let words = words(&error);
+    let message = message_of(&error);
     match error {
         SimError::Scene(error) => scene(error),
         SimError::StateWidth { .. }
         | SimError::NoSuchState { .. }
         | SimError::Missing { .. }
         | SimError::DistortedPose
-        | SimError::Camera(_) => PyValueError::new_err(words),
-        SimError::OutOfMemory(_) => PyMemoryError::new_err(words),
-        _ => SimulationError::new_err(words),
+        | SimError::Camera(_) => PyValueError::new_err(message),
+        SimError::OutOfMemory(_) => PyMemoryError::new_err(message),
+        _ => SimulationError::new_err(message),
     }
 }
 
 /// Converts an error in a scene's files.
 pub(crate) fn scene(error: SceneError) -> PyErr {
-    FilesError::new_err(words(&error))
+    FilesError::new_err(message_of(&error))
 }
 
 /// Converts an error in fetching assets.
 pub(crate) fn assets(error: AssetsError) -> PyErr {
-    FilesError::new_err(words(&error))
+    FilesError::new_err(message_of(&error))
 }
 
 /// Converts an error about a value that the protocol does not know.
 pub(crate) fn value(error: impl Error) -> PyErr {
-    PyValueError::new_err(words(&error))
+    PyValueError::new_err(message_of(&error))
 }

@@ -99,7 +99,8 @@ fn fetch(
     })
 }
 
-/// Shows the latest report. Returns true if the fetch has ended.
+/// Waits up to [`SIGNAL_INTERVAL`] for reports, and shows the latest. Returns true if the fetch
+/// has ended.
 fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
     match reports.recv_timeout(SIGNAL_INTERVAL) {
         Ok(first) => bar.show(reports.try_iter().last().unwrap_or(first)),
@@ -109,6 +110,7 @@ fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
     false
 }
 
+/// Waits until the fetch has ended, for at most [`INTERRUPT_WAIT`].
 fn wait(fetch: &JoinHandle<Result<Fetched, AssetsError>>) {
     let until = Instant::now() + INTERRUPT_WAIT;
     while !fetch.is_finished() && Instant::now() < until {

@@ -36,7 +36,7 @@ impl<T> Guarded<T> {
     pub(crate) fn try_read<R>(&self, read: impl FnOnce(&mut T) -> Option<R>) -> Option<R> {
         self.0.readers.fetch_add(1, Ordering::SeqCst);
         let result = match self.0.value.try_lock() {
-            Ok(mut held) => held.as_mut().and_then(read),
+            Ok(mut guard) => guard.as_mut().and_then(read),
             Err(_) => None,
         };
         self.0.readers.fetch_sub(1, Ordering::SeqCst);
@@ -51,8 +51,8 @@ impl<T> Guarded<T> {
         match self.0.value.try_lock() {
             Ok(guard) => Ok(guard),
             Err(TryLockError::WouldBlock) if self.0.readers.load(Ordering::SeqCst) > 0 => {
-                let held = self.0.value.lock();
-                held.map_err(|_| closed("it failed in an earlier call"))
+                let guard = self.0.value.lock();
+                guard.map_err(|_| closed("it failed in an earlier call"))
             }
             Err(TryLockError::WouldBlock) => Err(BusyError::new_err(failed_to(
                 "use this environment: another thread is computing with it; give each thread an \

@@ -13,7 +13,7 @@ use crate::state::{State, pairs, picture_size, shaped, with_drawer};
 /// Camera views at the time of an observation, rendered on demand.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Look {
-    pub(crate) look: sim::CapturedView,
+    pub(crate) captured: sim::CapturedView,
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) renderer: Renderer,
     /// State of the observed environment, which renders the views unless it is busy or closed.
@@ -74,15 +74,15 @@ impl Look {
 }
 
 impl Look {
-    /// Renders with the observed environment or, if that is busy or closed, with a new one, so
-    /// that deferred rendering never fails for these reasons.
+    /// Renders with the observed environment or, if that is busy or closed, with a new
+    /// environment, so that deferred rendering never fails for these reasons.
     fn draw<T: Send>(
         &self,
         py: Python<'_>,
         draw: impl Fn(&mut Environment, &sim::Drawer) -> Result<T, SimError> + Sync,
     ) -> PyResult<T> {
         let render = |environment: &mut Environment| {
-            environment.with_captured(&self.look, |environment| {
+            environment.with_captured(&self.captured, |environment| {
                 with_drawer(self.renderer, |drawer| draw(environment, drawer))
             })
         };

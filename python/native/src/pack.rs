@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
-/// Packs by name or path, folder of the sources, and whether further files than LIBERO's are used.
+/// Packs by name or path, folder of the sources, and true if files that LIBERO lacks are used, too.
 type Packs = HashMap<(String, PathBuf, bool), AssetPack>;
 
 static PACKS: Mutex<Option<Packs>> = Mutex::new(None);
@@ -26,8 +26,9 @@ pub(crate) fn opened(assets: &str, sources: &Sources) -> Result<AssetPack, Scene
     Ok(pack)
 }
 
-/// As [`opened`], for the scene of a task. If it needs models or textures that LIBERO does not have,
-/// the further files of a folder with LIBERO's are used as well.
+/// Returns the asset pack for the scene of a task, as [`opened`] does. If the scene needs models or
+/// textures that LIBERO lacks and the pack is a folder with LIBERO's files, the pack has all files
+/// of that folder.
 pub(crate) fn opened_for(
     task: &TaskFiles,
     assets: &str,

@@ -1,4 +1,4 @@
-//! LIBERO-Plus: its variants, the changes that the path of a BDDL file tells, and the corruption of
+//! LIBERO-Plus: its variants, the changes that the path of a BDDL file names, and the corruption of
 //! pictures.
 
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ impl PlusVariant {
         entry(&variant).map(Self)
     }
 
-    /// Name of the variant, and of the path of its BDDL file.
+    /// Name of the variant, which is also the stem of its BDDL file's path.
     #[getter]
     fn name(&self) -> String {
         self.0.variant.to_string()
@@ -96,14 +96,14 @@ impl PlusVariant {
     }
 }
 
-/// Returns LIBERO's problem class whose code a class of LIBERO-Plus uses; `None` for a name of
-/// neither.
+/// Returns LIBERO's problem class whose code a class of LIBERO-Plus uses. For a class of LIBERO,
+/// returns that class; for any other name, `None`.
 #[pyfunction]
 pub(crate) fn plus_problem_parent(problem: &str) -> Option<&'static str> {
     ProblemClass::parse(problem).ok().map(|class| class.parent)
 }
 
-/// A BDDL file and the changes that its path tells.
+/// A BDDL file and the changes that its path names.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct PlusPath(BddlPath);
 
@@ -197,7 +197,7 @@ impl PlusPath {
         self.0.robot.and_then(start_posture)
     }
 
-    /// Returns the pose of `agentview` in a scene; `None` if its arena does not write one.
+    /// Returns the pose of `agentview` in a scene; `None` if the scene's arena sets no pose.
     pub(crate) fn camera(&self, scene: &crate::scene::Scene) -> Option<CameraPose> {
         written_camera(&scene.problem.name).map(|nominal| self.0.view.apply(nominal))
     }

@@ -37,7 +37,8 @@ type Instances = Vec<(String, &'static str)>;
 
 #[pymethods]
 impl Scene {
-    /// Compiles the scene of a BDDL file, or maps it if this machine has compiled it before.
+    /// Compiles the scene of a BDDL file, or maps the stored scene into memory if this machine has
+    /// compiled it before.
     /// `init_file` provides the initial states of rollouts.
     #[new]
     #[pyo3(signature = (bddl_file, *, assets, sources, init_file = None))]
@@ -124,7 +125,7 @@ impl Scene {
             bddl: bddl_file.clone(),
             init: init_file.clone().unwrap_or_default(),
         };
-        let given = opened(assets, &sources).map_err(error::scene)?;
+        let named_pack = opened(assets, &sources).map_err(error::scene)?;
         let pack = opened_for(&files, assets, &sources).map_err(error::scene)?;
         let problem = files.problem().map_err(error::scene)?;
         let (compiled, ready) = if init_file.is_some() {
@@ -142,8 +143,8 @@ impl Scene {
             ready,
             problem,
             bddl_file,
-            pack: given.name().to_owned(),
-            pack_differences: given.differences().to_vec(),
+            pack: named_pack.name().to_owned(),
+            pack_differences: named_pack.differences().to_vec(),
         })
     }
 

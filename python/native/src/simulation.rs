@@ -30,7 +30,8 @@ pub(crate) struct Simulation {
 
 #[pymethods]
 impl Simulation {
-    /// `change` sets the arm's posture and the view of `agentview` at resets.
+    /// Creates an environment. `change` sets the arm's posture and the view of `agentview` at
+    /// resets.
     #[new]
     #[pyo3(signature = (scene, *, renderer = "software", change = None))]
     fn new(
@@ -79,7 +80,8 @@ impl Simulation {
     /// NumPy's legacy generator, and observes once. `joint_sampler_rounds` is the number of
     /// times that the original has loaded its model so far: once in the constructor, and
     /// once per hard reset. Returns the generator's state after the reset and the number of
-    /// rounds, which is larger than given if placements were repeated for lack of room.
+    /// rounds, which is larger than the given number if placements were drawn again for lack of
+    /// room.
     #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
     fn reset<'py>(
         &self,
@@ -124,7 +126,7 @@ impl Simulation {
         self.state.with(py, |state| state.begin(&start))
     }
 
-    /// Time, qpos, qvel.
+    /// Returns the state: time, qpos, qvel.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let state = self.state.with(py, |state| Ok(state.environment.state()))?;
         Ok(PyArray1::from_vec(py, state))
@@ -189,8 +191,8 @@ impl Simulation {
     #[pyo3(signature = (action, *, absolute = false))]
     fn step(&self, py: Python<'_>, action: Numbers<'_>, absolute: bool) -> PyResult<bool> {
         let action = actions(&action, &[WIDTH])?[0];
-        let of = action_frame(absolute);
-        self.state.with(py, |state| state.step(&action, of))
+        let frame = action_frame(absolute);
+        self.state.with(py, |state| state.step(&action, frame))
     }
 
     /// Returns true if the goal holds.
@@ -286,7 +288,7 @@ impl Simulation {
     fn look(&self, py: Python<'_>) -> PyResult<Look> {
         self.state.with(py, |state| {
             Ok(Look {
-                look: state.environment.capture(),
+                captured: state.environment.capture(),
                 compiled: Arc::clone(state.environment.compiled()),
                 renderer: self.renderer,
                 state: self.state.clone(),
@@ -294,7 +296,8 @@ impl Simulation {
         })
     }
 
-    /// Returns the model's extent, m, and the near and far plane of cameras, in extents.
+    /// Returns the model's extent, m, and the distances of the cameras' near and far planes, as
+    /// multiples of the extent.
     fn planes(&self, py: Python<'_>) -> PyResult<[f64; 3]> {
         self.state
             .with(py, |state| Ok(state.environment.model().planes()))
@@ -397,6 +400,7 @@ impl Simulation {
     }
 }
 
+/// A position, and an orientation as a quaternion or a rotation matrix.
 type Pose<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
 
 fn numbers(given: &Numbers<'_>) -> Vec<f64> {

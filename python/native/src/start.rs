@@ -76,7 +76,7 @@ impl Start {
 
     /// Starts the rollout in an environment of its scene and runs the settling steps.
     /// Perturbations use the matched realisation. Returns the conditions that change actions
-    /// and frames; `None` without any.
+    /// and frames; `None` if the start has no perturbation.
     ///
     /// # Errors
     /// If the task has no such initial state, objects cannot be placed, or the physics
@@ -88,9 +88,9 @@ impl Start {
     ) -> PyResult<Option<Conditions>> {
         match self {
             Self::Row(row) => {
-                let ready = complete(ready)?;
-                let begun = Conditions::begin(ready, environment, row, Realisation::Matched);
-                let conditions = begun.map_err(simulation)?;
+                let ready = require_initial_states(ready)?;
+                let conditions = Conditions::begin(ready, environment, row, Realisation::Matched);
+                let conditions = conditions.map_err(simulation)?;
                 conditions.settle(environment).map_err(simulation)?;
                 Ok(Some(conditions))
             }
@@ -100,10 +100,11 @@ impl Start {
                 reset.map_err(simulation)?;
                 let conditions = match &placement.perturbed {
                     Some(row) => {
-                        let (state, ready) = (environment.state(), complete(ready)?);
-                        let how = Realisation::Matched;
-                        let begun = Conditions::begin_at(state, ready, environment, row, how);
-                        Some(begun.map_err(simulation)?)
+                        let (state, ready) = (environment.state(), require_initial_states(ready)?);
+                        let matched = Realisation::Matched;
+                        let conditions =
+                            Conditions::begin_at(state, ready, environment, row, matched);
+                        Some(conditions.map_err(simulation)?)
                     }
                     None => None,
                 };
@@ -173,6 +174,6 @@ fn not_a_row(error: serde_json::Error) -> PyErr {
     ))
 }
 
-fn complete(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {
+fn require_initial_states(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {
     ready.ok_or_else(|| invalid("begin at an initial state: give Scene its init_file"))
 }

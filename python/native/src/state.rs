@@ -19,18 +19,18 @@ use crate::start::Start;
 const LARGEST_SIDE: u32 = 4096;
 
 thread_local! {
-    /// OpenGL drawers of this thread; a context belongs to the thread that opened it.
+    /// OpenGL drawers of this thread; an OpenGL context belongs to the thread that opened it.
     static OPENGL: RefCell<Vec<(Renderer, Drawer)>> = const { RefCell::new(Vec::new()) };
 }
 
 /// State of an environment, used by one thread at a time.
 pub(crate) struct State {
     pub(crate) environment: Environment,
-    /// Pose of `agentview` after a hard reset; `None` for that of the scene.
+    /// Pose of `agentview` after a hard reset; `None` keeps the scene's pose.
     pub(crate) camera: Option<CameraPose>,
     /// Conditions of the current rollout, if one was started.
     pub(crate) conditions: Option<Conditions>,
-    /// Scripted expert. A rollout that uses it queries it at every step.
+    /// Scripted expert. A rollout that uses the expert queries it at every step.
     pub(crate) expert: Expert,
     pub(crate) ready: Option<Arc<ReadyScene>>,
     pub(crate) renderer: Renderer,
@@ -86,31 +86,31 @@ impl State {
     /// Returns the action of the scripted expert in the current state. The expert is
     /// stateful and should be queried at every control step of a rollout.
     pub(crate) fn expert_action(&mut self) -> PyResult<[f64; WIDTH]> {
-        let seen = self.environment.privileged().map_err(simulation)?;
+        let observation = self.environment.privileged().map_err(simulation)?;
         let action = self
             .expert
-            .act(&seen)
+            .act(&observation)
             .map_err(|problem| invalid(format_args!("query the expert: {problem}")))?;
         Ok(action.map(f64::from))
     }
 
-    /// Notifies the expert that the robot did not execute its last action.
-    pub(crate) fn expert_is_interrupted(&mut self) {
+    /// Notifies the expert that the robot did not execute the expert's last action.
+    pub(crate) fn interrupt_expert(&mut self) {
         self.expert.interrupt();
     }
 
     /// Executes one control step as a campaign does. Returns true if the goal holds after it.
-    pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
+    pub(crate) fn step(&mut self, action: &[f64; WIDTH], frame: ActionFrame) -> PyResult<bool> {
         let environment = &mut self.environment;
-        let stepped = match &mut self.conditions {
-            Some(conditions) => conditions.step(environment, action, of),
-            None => environment.step_in(action, of),
+        let success = match &mut self.conditions {
+            Some(conditions) => conditions.step(environment, action, frame),
+            None => environment.step_in(action, frame),
         };
-        stepped.map_err(simulation)
+        success.map_err(simulation)
     }
 }
 
-/// Calls `draw` with a drawer of this thread.
+/// Calls `draw` with this thread's drawer for a renderer, which is opened at the first use.
 pub(crate) fn with_drawer<T>(
     renderer: Renderer,
     draw: impl FnOnce(&Drawer) -> Result<T, sim::SimError>,
@@ -118,16 +118,16 @@ pub(crate) fn with_drawer<T>(
     if renderer == Renderer::Software {
         return draw(&Drawer::Software).map_err(simulation);
     }
-    OPENGL.with_borrow_mut(|opened| {
-        let at = match opened.iter().position(|(opened, _)| *opened == renderer) {
+    OPENGL.with_borrow_mut(|drawers| {
+        let at = match drawers.iter().position(|(opened, _)| *opened == renderer) {
             Some(at) => at,
             None => {
                 let drawer = Drawer::open(renderer).map_err(simulation)?;
-                opened.push((renderer, drawer));
-                opened.len() - 1
+                drawers.push((renderer, drawer));
+                drawers.len() - 1
             }
         };
-        draw(&opened[at].1).map_err(simulation)
+        draw(&drawers[at].1).map_err(simulation)
     })
 }
 

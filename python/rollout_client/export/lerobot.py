@@ -1,8 +1,8 @@
 """LeRobot dataset, format v2.1, with an episode for each committed rollout.
 
-It lacks the data that a campaign does not keep: joints, the gripper's state,
-the end-effector's orientation, and pictures as the policy got them. Films are
-those of the campaign, with both cameras side by side and compressed.
+The dataset lacks the data that a campaign does not keep: joints, the gripper's state, the
+end-effector's orientation, and the pictures that the policy received. Its videos are the campaign's
+films, which show both cameras side by side and are compressed.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ ACTION = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
 def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = False) -> int:
     """Writes an archive's rollouts that have actions into a new folder; returns their number.
 
-    films: only rollouts that were filmed, with their films. Raises ArchiveError if
-    there are none, and SettingsError if the folder is not new or pyarrow is missing.
+    films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there
+    is no such rollout, and SettingsError if the folder is not new or pyarrow is missing.
     """
     import_package("pyarrow")
     target = Path(folder)
@@ -53,9 +53,9 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
         if len(rollout.actions) > 0 and (rollout.film or not films):
             writer.add(rollout)
     if writer.episodes == 0:
-        what = "a film and recorded actions" if films else "recorded actions"
+        required = "a film and recorded actions" if films else "recorded actions"
         raise ArchiveError(
-            f"failed to export campaign {archive.name}: no rollout has {what}; create campaigns"
+            f"failed to export campaign {archive.name}: no rollout has {required}; create campaigns"
             " with --record transitions to keep actions"
         )
     writer.finish(archive)
@@ -81,17 +81,17 @@ class _DatasetWriter:
 
         index, length = self.episodes, len(rollout.actions)
         task = self.tasks.setdefault(rollout.instruction, len(self.tasks))
-        at = np.arange(length)
+        steps = np.arange(length)
         columns: dict[str, np.ndarray[Any, Any]] = {
             # Position of the end-effector when the action was chosen.
             "observation.state": rollout.path[:length],
             "action": rollout.actions,
-            "next.done": at == length - 1,
-            "next.success": (at == length - 1) & rollout.success,
-            "timestamp": (at / FPS).astype(np.float32),
-            "frame_index": at,
+            "next.done": steps == length - 1,
+            "next.success": (steps == length - 1) & rollout.success,
+            "timestamp": (steps / FPS).astype(np.float32),
+            "frame_index": steps,
             "episode_index": np.full(length, index),
-            "index": self.frames + at,
+            "index": self.frames + steps,
             "task_index": np.full(length, task),
         }
         arrays = {

@@ -14,9 +14,9 @@ from .rates import points
 def export(archive: Archive, folder: str | os.PathLike[str]) -> int:
     """Writes a run into a TensorBoard folder and returns its number of points.
 
-    Tags are `success_rate/LEVEL/CONDITION`; a step is the number of results of
-    that condition so far, at the time of the commit. The text `specification`
-    is the campaign's. Raises SettingsError if tensorboard is missing.
+    Tags are `success_rate/LEVEL/CONDITION`; a point's step is the number of results of that
+    condition so far, and its time is that of the latest commit. The text `specification` is the
+    campaign's specification. Raises SettingsError if tensorboard is missing.
     """
     import_package("tensorboard")
     from tensorboard.compat.proto.event_pb2 import Event

@@ -13,8 +13,8 @@ COLUMNS = ["rollout_id", "replicate", "task", "axis", "level", "success", "steps
 
 
 def export(archive: Archive, folder: str | os.PathLike[str], *, project: str = "rollout") -> int:
-    """Writes a run into a folder, without the network: `wandb sync` uploads it.
-    Returns its number of points. Raises SettingsError if wandb is missing."""
+    """Writes a run into a folder without using the network; `wandb sync` uploads the run.
+    Returns the run's number of points. Raises SettingsError if wandb is missing."""
     wandb = import_package("wandb")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The real programs: a separate coordinator, and a small campaign run by a worker."""
+"""Real programs for the tests: coordinators, a gateway, and a worker that runs a campaign."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ pytest.importorskip("pandas", reason="pip install grpcio protobuf pandas")
 
 from rollout_client import Client
 
-#: Longest wait for a program to listen, and for the small campaign, s.
+#: Longest wait for a program to listen, and for a campaign to finish, s.
 START_SECS, CAMPAIGN_SECS = 60, 600
 
 #: Environment variables of the user, which tests must not see.
@@ -34,7 +34,7 @@ def unset_variables():
 
 @pytest.fixture(scope="session")
 def programs():
-    """The programs' folder."""
+    """The folder of the programs coordinator, worker and policy-gateway."""
     folder = os.environ.get("ROLLOUT_PROGRAMS")
     if not folder:
         pytest.skip("ROLLOUT_PROGRAMS names no folder with coordinator, worker and policy-gateway")
@@ -75,7 +75,7 @@ class Server:
 
 @pytest.fixture(scope="session")
 def serve(programs, tmp_path_factory):
-    """Starts `coordinator serve` with further flags, and stops it at the end."""
+    """Starts coordinators with the flags of `coordinator serve`, and stops them at the end."""
     with contextlib.ExitStack() as stack:
 
         def start(*flags, listen="127.0.0.1:0"):
@@ -102,11 +102,11 @@ def connect(programs):
     """Creates clients that do not wait for an unreachable coordinator."""
     with contextlib.ExitStack() as stack:
 
-        def connected(url, **settings):
+        def create(url, **settings):
             settings = {"retry_secs": 0, "program": programs / "coordinator", **settings}
             return stack.enter_context(Client(url, **settings))
 
-        yield connected
+        yield create
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def specification(name, endpoint="http://127.0.0.1:1", **fields):
 
 @pytest.fixture(scope="session")
 def run(programs):
-    """Runs a coordinator's campaign to its end with a worker."""
+    """Starts a worker that runs a coordinator's campaign, and waits for the campaign's end."""
 
     def run_all(server, campaign):
         flags = ("--connect", f"http://{server.address}", "--slots", "2", "--assets", "primitives")
@@ -165,8 +165,9 @@ def measured(serve, connect, gateway, run):
 
 @pytest.fixture(scope="session")
 def certificates(tmp_path_factory):
-    """A folder with an authority `ca.pem`, another one `other.pem`, and the first one's certificate
-    for localhost, `cert.pem` and `key.pem`, made as in docs/OPERATING.md."""
+    """A folder with the certificates of two authorities, `ca.pem` and `other.pem`, and with
+    `cert.pem`, a certificate for localhost that `ca.pem` signed, and its key, `key.pem`. The
+    commands are those of docs/OPERATING.md."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     folder = tmp_path_factory.mktemp("certificates")
@@ -198,8 +199,8 @@ def openssl(folder, command):
 
 @pytest.fixture
 def listening():
-    """Starts a server that is not a coordinator: it sends `greeting` to every
-    client and closes. Returns its port."""
+    """Starts servers that are not coordinators: each sends `greeting` to every client and closes
+    the connection. Returns the server's port."""
     with contextlib.ExitStack() as stack:
 
         def start(greeting):
@@ -223,7 +224,7 @@ def listening():
 
 
 def in_a_process(code, *arguments, **options):
-    """Runs the code in a new Python with this process's packages."""
+    """Starts a new Python process that runs the code and finds this process's packages."""
     return subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)],
         stdout=subprocess.PIPE,

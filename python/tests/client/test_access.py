@@ -53,8 +53,9 @@ def guarded(serve, certificates, tmp_path_factory):
 def test_an_operator_and_the_program_use_a_coordinator_with_tls_and_tokens(
     guarded, certificates, connect, tmp_path
 ):
-    # Of a file with several roles, the client uses the operator's line.
-    tokens = token_file(tmp_path, "# mine", *(f"{r} {t}" for r, t in sorted(TOKENS.items())[::-1]))
+    # In a file with several roles, the client uses the operator's line.
+    lines = [f"{role} {token}" for role, token in sorted(TOKENS.items(), reverse=True)]
+    tokens = token_file(tmp_path, "# mine", *lines)
     client = connect(guarded, ca=certificates / "ca.pem", token_file=tokens)
     campaign = client.create(specification("guarded"))
     assert campaign.report().success["missing"].sum() == 8
@@ -128,6 +129,7 @@ def test_a_token_is_never_sent_in_the_clear_to_another_machine(tmp_path):
 
 
 def unreachable(client):
+    """Returns the error of a client whose coordinator cannot be reached."""
     with pytest.raises(UnreachableError) as failed:
         client.campaigns()
     assert failed.value.found in str(failed.value)
@@ -154,8 +156,8 @@ def test_servers_of_other_kinds_are_named(connect, gateway, listening):
     assert unreachable(connect(f"https://127.0.0.1:{ssh}")).found == "an SSH server is there"
     mail = listening(b"220 mail ESMTP\r\n")
     assert "220 mail ESMTP" in unreachable(connect(f"http://127.0.0.1:{mail}")).found
-    mute = listening(b"")
-    error = unreachable(connect(f"http://127.0.0.1:{mute}"))
+    silent = listening(b"")
+    error = unreachable(connect(f"http://127.0.0.1:{silent}"))
     assert "closes the connection or sends nothing" in error.found
     proxy = listening(b"HTTP/1.1 502 Bad Gateway\r\n\r\n")
     assert "a proxy there" in unreachable(connect(f"http://127.0.0.1:{proxy}")).found
@@ -184,8 +186,8 @@ def test_untrusted_certificates_are_diagnosed(guarded, certificates, connect):
     error = unreachable(connect(guarded, ca=other))
     assert error.found == f"its certificate was not signed by the authority in {other}"
     assert "authority that is not known here" in unreachable(connect(guarded)).found
-    by_number = guarded.replace("localhost", "127.0.0.1")
-    error = unreachable(connect(by_number, ca=certificates / "ca.pem"))
+    url_with_number = guarded.replace("localhost", "127.0.0.1")
+    error = unreachable(connect(url_with_number, ca=certificates / "ca.pem"))
     assert error.found == "its certificate is not for `127.0.0.1`"
 
 

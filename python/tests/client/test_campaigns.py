@@ -62,7 +62,7 @@ def test_the_status_has_the_stop_rule(client):
     assert (status.stopped_after, status.saved, status.is_finished) == (None, None, False)
 
 
-def test_the_same_specification_is_the_same_campaign_and_another_is_refused(client):
+def test_an_equal_specification_is_the_same_campaign_and_a_different_one_is_refused(client):
     spec = specification("first")
     assert client.create(spec).name == client.create(spec).name == "first"
     with pytest.raises(RefusedError, match="they differ in `configs`"):
@@ -164,7 +164,7 @@ def test_ctrl_c_ends_following_and_leaves_the_campaign_running(client):
     assert "Traceback" not in errors
 
 
-def test_a_missing_campaign_is_named_and_a_renamed_one_with_its_new_name(client):
+def test_errors_name_a_missing_campaign_and_the_new_name_of_a_renamed_campaign(client):
     with pytest.raises(NoSuchCampaignError, match="`nope`.*has no such campaign"):
         client.campaign("nope")
     campaign = client.create(specification("first"))

@@ -26,8 +26,8 @@ from .conftest import specification
 
 @pytest.fixture(scope="session")
 def archive(serve, connect, gateway, programs, run, tmp_path_factory):
-    """The archive of a campaign that a worker has run, with its actions, and
-    the campaign."""
+    """The archive of a campaign that a worker has run and recorded with actions, and the
+    campaign."""
     server = serve()
     client = connect(f"http://{server.address}")
     fields = {"record": "transitions", "configs": [0]}
@@ -72,7 +72,7 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
     with pytest.raises(ArchiveError, match="no such file"):
         Archive(tmp_path / "nowhere.tar.gz")
 
-    def altered(change):
+    def alter(change):
         with tarfile.open(file) as tar, tarfile.open(bad, "w:gz") as out:
             for member in tar:
                 content = change(member, tar.extractfile(member).read())
@@ -86,16 +86,16 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
             else content
         )
 
-    altered(lambda member, content: content[:-1] + b"?" if "report" in member.name else content)
+    alter(lambda member, content: content[:-1] + b"?" if "report" in member.name else content)
     with pytest.raises(
         ArchiveError, match=r"report\.json .*SHA-256 is not the one in archive\.json"
     ):
         Archive(bad)
-    altered(with_list(format=2))
+    alter(with_list(format=2))
     with pytest.raises(ArchiveError, match="install a release at least as new"):
         Archive(bad)
     outside = [{"name": "../outside", "bytes": 0, "sha256": ""}]
-    altered(with_list(members=outside))
+    alter(with_list(members=outside))
     with pytest.raises(ArchiveError, match="its members do not begin with"):
         Archive(bad)
     bad.write_bytes(whole + gzip.compress(bytes(2 << 20)))
@@ -103,9 +103,9 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
         Archive(bad)
 
 
-def rewritten(file, to, films=(), sql="", wrong_size_of=None):
-    """Writes an archive with added films and a changed database. Its list of members is correct,
-    except for the size of the member `wrong_size_of`."""
+def rewrite(file, to, films=(), sql="", wrong_size_of=None):
+    """Writes a copy of an archive with added films and a changed database. The copy's list of
+    members is correct, except for the size of the member `wrong_size_of`."""
     with tarfile.open(file) as tar:
         members = {member.name: tar.extractfile(member).read() for member in tar}
     contents = json.loads(members.pop("archive.json"))
@@ -143,15 +143,15 @@ def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
             SELECT attempt_id, 'video', '{path}', 7, 0 FROM result
     """
     for path in (secret, "coordinator.sqlite", "artifacts/kept/../../../secret", "secret"):
-        rewritten(file, bad, sql=filmed.format(path=path))
+        rewrite(file, bad, sql=filmed.format(path=path))
         with Archive(bad) as opened:
             with pytest.raises(ArchiveError, match="which is not in the archive"):
                 export(opened, tmp_path / "dataset", films=True)
         exported = [path for path in tmp_path.glob("dataset/**/*") if path.is_file()]
         assert all(b"hunter2" not in path.read_bytes() for path in exported)
-    # A film with a name too long for a tar header is a member like any other.
+    # A film with a name too long for a tar header is read like any other member.
     film = f"artifacts/kept/{'f' * 120}.mp4"
-    rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
+    rewrite(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
     with Archive(bad) as opened:
         assert {rollout.film.read_bytes() for rollout in opened.rollouts()} == {b"a film"}
 
@@ -162,7 +162,7 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
     bad = tmp_path / "bad.tar.gz"
     film = "artifacts/kept/film.mp4"
     for page in ("artifacts/kept/page.html", "artifacts/kept/../film.mp4", "artifacts/film.mp4"):
-        rewritten(file, bad, films={page: b"<p>"})
+        rewrite(file, bad, films={page: b"<p>"})
         with pytest.raises(ArchiveError, match="no film of this campaign"):
             Archive(bad)
     tracemalloc.start()
@@ -178,10 +178,10 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
         assert tracemalloc.get_traced_memory()[1] < expanded_bytes / 4
     finally:
         tracemalloc.stop()
-    rewritten(file, bad, films={film: bytes(expanded_bytes)})
+    rewrite(file, bad, films={film: bytes(expanded_bytes)})
     with pytest.raises(ArchiveError, match="it claims 192 MiB of members"):
         Archive(bad)
-    rewritten(file, bad, films={film: bytes(expanded_bytes)}, wrong_size_of=film)
+    rewrite(file, bad, films={film: bytes(expanded_bytes)}, wrong_size_of=film)
     with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
         Archive(bad)
     # If the authorizer permitted views, this view would count without end.
@@ -191,7 +191,7 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
             WITH RECURSIVE n(job_id) AS (SELECT 1 UNION ALL SELECT job_id + 1 FROM n)
             SELECT job_id, x'' AS path, x'' AS actions FROM n WHERE job_id < 0;
     """
-    rewritten(file, bad, sql=endless)
+    rewrite(file, bad, sql=endless)
     with Archive(bad) as opened, pytest.raises(ArchiveError, match="archive the campaign again"):
         list(opened.rollouts())
     assert not (tmp_path / "outside").exists()
@@ -267,7 +267,7 @@ def test_tensorboard_reads_the_success_rates_over_time(archive, tmp_path):
 def test_a_run_of_wandb_is_written_without_the_network(archive, tmp_path, monkeypatch):
     pytest.importorskip("wandb", reason="pip install wandb")
     file, _ = archive
-    # Run as a program, because wandb writes its remaining data at exit.
+    # The export runs as a program, because wandb writes its remaining data at exit.
     command = [
         sys.executable,
         "-m",

@@ -12,32 +12,32 @@ TASK = "libero_goal/0"
 @pytest.fixture
 def make():
     """Creates environments, and closes them after the test."""
-    made = []
+    created = []
 
     def make(task=TASK, **options):
         small = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
         environment = rollout_libero.Environment(task, **{**small, **options})
-        made.append(environment)
+        created.append(environment)
         return environment
 
     yield make
-    for environment in made:
+    for environment in created:
         environment.close()
 
 
 @pytest.fixture
 def make_vector():
     """Creates vector environments, and closes them after the test."""
-    made = []
+    created = []
 
     def make(tasks=TASK, num_envs=3, **options):
         small = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
         environments = rollout_libero.VectorEnvironment(tasks, num_envs, **{**small, **options})
-        made.append(environments)
+        created.append(environments)
         return environments
 
     yield make
-    for environments in made:
+    for environments in created:
         environments.close()
 
 

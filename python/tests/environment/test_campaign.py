@@ -1,4 +1,4 @@
-"""A rollout of ``Environment`` equals a campaign's, step for step, under each axis."""
+"""A rollout of ``Environment`` equals a campaign's rollout, step for step, under each axis."""
 
 import json
 import os
@@ -25,8 +25,8 @@ def worker():
     return Path(folder) / "worker"
 
 
-def beyond_the_range():
-    """Returns actions with many values outside -1..1, as policies may answer."""
+def actions_beyond_range():
+    """Returns actions with many values outside -1..1, which policies may also answer."""
     return np.random.default_rng(0).uniform(-2.5, 2.5, (STEPS, 7))
 
 
@@ -34,7 +34,7 @@ def beyond_the_range():
 def test_a_rollout_is_bit_identical_to_a_campaigns(make, worker, tmp_path, axis):
     task = TASK.removeprefix("libero_").replace("/", "/t")
     rollout = f"{task}/clean/i03" if axis is None else f"{task}/{axis}/L3/c02"
-    actions = beyond_the_range()
+    actions = actions_beyond_range()
     np.save(tmp_path / "actions.npy", actions)
     subprocess.run(
         [worker, "rollout", "--id", rollout, "--actions", tmp_path / "actions.npy",

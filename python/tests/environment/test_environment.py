@@ -19,10 +19,10 @@ def actions(count, seed=0):
     return np.random.default_rng(seed).uniform(-0.6, 0.6, (count, 7))
 
 
-def assert_same(one, other):
-    assert one.keys() == other.keys()
-    for name, values in one.items():
-        np.testing.assert_array_equal(values, other[name], err_msg=name)
+def assert_same(first, second):
+    assert first.keys() == second.keys()
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name], err_msg=name)
 
 
 def test_gymnasiums_environment_checker_passes(make):
@@ -35,8 +35,8 @@ def test_equal_seeds_and_actions_give_equal_bits(make):
         environment = make(init_states="random")
         environment.reset(seed=7)
         runs.append([environment.step(action)[0] for action in actions(5)])
-    for one, other in zip(*runs, strict=True):
-        assert_same(one, other)
+    for first, second in zip(*runs, strict=True):
+        assert_same(first, second)
 
 
 def test_a_chunk_equals_its_single_steps(make):
@@ -52,20 +52,20 @@ def test_a_chunk_equals_its_single_steps(make):
             actions(4), render
         )
         assert (reward, terminated, truncated, info["steps"]) == (0.0, False, False, 4)
-    for at, (observation, *_) in enumerate(steps):
-        assert_same({name: values[at] for name, values in results["all"].items()}, observation)
+    for step, (observation, *_) in enumerate(steps):
+        assert_same({name: values[step] for name, values in results["all"].items()}, observation)
     assert_same(results["last"], steps[-1][0])
     cameras = {"agentview", "robot0_eye_in_hand"}
     assert cameras <= results["last"].keys() and not cameras & results["none"].keys()
 
 
 def test_a_snapshot_restores_the_same_bits_in_this_and_another_environment(make):
-    one, other = make(), make()
-    one.reset(seed=3)
-    one.step_chunk(actions(3))
-    snapshot = one.snapshot()
+    first, second = make(), make()
+    first.reset(seed=3)
+    first.step_chunk(actions(3))
+    snapshot = first.snapshot()
     ends = []
-    for environment in (one, one, other):
+    for environment in (first, first, second):
         environment.restore(snapshot)
         ends.append(environment.step_chunk(actions(5, seed=1), "all")[0])
     assert_same(ends[0], ends[1])
@@ -73,10 +73,10 @@ def test_a_snapshot_restores_the_same_bits_in_this_and_another_environment(make)
 
 
 def test_a_snapshot_of_another_scene_is_refused(make):
-    one, other = make(), make("libero_object/0")
-    one.reset()
+    first, second = make(), make("libero_object/0")
+    first.reset()
     with pytest.raises(ValueError, match="of another scene"):
-        other.restore(one.snapshot())
+        second.restore(first.snapshot())
 
 
 def test_success_ends_a_rollout_and_the_rest_of_its_chunk(make):
@@ -130,7 +130,8 @@ def test_a_seed_selects_the_initial_state_and_later_resets_continue_from_it(make
     environment = make(cameras=[])
     assert [environment.reset(seed=seed)[1]["init_state"] for seed in (0, 7, 7, 53)] == [0, 7, 7, 3]
     assert [environment.reset()[1]["init_state"] for _ in range(2)] == [4, 5]
-    # A given state takes precedence over the seed's, and later resets still start at the seed's.
+    # The option `init_state` takes precedence over the seed, and changes only this reset: the next
+    # reset uses the seed's state.
     assert environment.reset(seed=9, options={"init_state": 2})[1]["init_state"] == 2
     assert environment.reset()[1]["init_state"] == 9
     listed_states = make(cameras=[], init_states=[4, 2])
@@ -196,7 +197,7 @@ def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
     with pytest.raises(ValueError, match="control='relative'"):
         environments.set_perturbation(1, "actuation/L1/c00")
     environments.reset()
-    # A snapshot with perturbed actuation must not allow poses either.
+    # Poses are also refused after the restoration of a snapshot with perturbed actuation.
     distorted = make(cameras=[], perturbation="actuation/L1/c00")
     distorted.reset()
     environment.restore(distorted.snapshot())
@@ -207,7 +208,8 @@ def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
 
 
 def axis_angle(matrix):
-    """Axis times angle of a rotation near half a turn, from the eigenvector with eigenvalue 1."""
+    """Returns axis times angle of a rotation by almost half a turn. The axis is the eigenvector
+    with eigenvalue 1."""
     values, vectors = np.linalg.eig(matrix)
     axis = np.real(vectors[:, np.argmin(np.abs(values - 1.0))])
     return axis * np.arccos((np.trace(matrix) - 1.0) / 2.0)
@@ -276,8 +278,8 @@ def test_another_mujoco_in_the_process_is_not_called():
         "environment.reset()\n"
         "print(mujoco.mj_versionString(), native.mujoco_version())\n"
     )
-    other, ours = printed.split()
-    assert ours == "3.3.7" != other
+    other_version, own_version = printed.split()
+    assert own_version == "3.3.7" != other_version
 
 
 def test_every_task_has_a_name_an_instruction_and_a_budget():

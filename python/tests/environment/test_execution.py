@@ -1,4 +1,5 @@
-"""Rollouts of environments under an execution model equal a campaign's of the same policy."""
+"""Under an execution model, rollouts of environments equal a campaign's rollouts of the same
+policy."""
 
 import os
 import subprocess
@@ -14,8 +15,8 @@ from .conftest import TASK
 
 HORIZON, EXECUTE = 10, 6
 POLICIES = Path(__file__).parents[3] / "policies" / "src"
-#: Answers with actions that depend on every bit of the hand's position: one step that differs
-#: makes all later ones differ.
+#: Answers with actions that depend on every bit of the hand's position. If one step differs, all
+#: later steps differ.
 ANSWER = f"""
 import numpy as np
 
@@ -48,7 +49,7 @@ answer = namespace["answer"]
 
 @pytest.fixture(scope="module")
 def endpoint():
-    """Address of a server of the policy above."""
+    """Address of a server of the policy in SERVER."""
     environment = {**os.environ, "PYTHONPATH": str(POLICIES)}
     server = subprocess.Popen(
         [sys.executable, "-u", "-c", SERVER], stdout=subprocess.PIPE, text=True, env=environment
@@ -156,8 +157,8 @@ def test_a_schedule_works_without_an_environment():
     schedule.answer(chunk)
     with pytest.raises(ValueError, match="none is due"):
         schedule.answer(chunk)
-    other = schedule.copy()
+    duplicate = schedule.copy()
     executed = schedule.until_due()
     assert executed[:2, :6].tolist() == np.zeros((2, 6)).tolist()
     np.testing.assert_array_equal(executed[2:], chunk[2:4])
-    np.testing.assert_array_equal([other.advance() for _ in range(4)], executed)
+    np.testing.assert_array_equal([duplicate.advance() for _ in range(4)], executed)

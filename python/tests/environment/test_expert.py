@@ -6,12 +6,12 @@ import pytest
 TASK = "libero_object/0"
 
 
-def test_the_expert_solves_scenes_that_no_released_state_has(make_vector):
+def test_the_expert_solves_sampled_scenes(make_vector):
     environments = make_vector(TASK, 1, init_states="sampled", cameras=[])
     environments.reset(seed=1)
     whole = environments.max_steps[0]
-    nothing, drives = np.zeros((1, whole, 7)), np.ones((1, whole), bool)
-    *_, terminated, _, infos = environments.step_chunk(nothing, "none", expert=drives)
+    no_actions, drives = np.zeros((1, whole, 7)), np.ones((1, whole), bool)
+    *_, terminated, _, infos = environments.step_chunk(no_actions, "none", expert=drives)
     assert terminated.all() and 50 < infos["taken"][0] < whole
 
 
@@ -19,17 +19,18 @@ def test_labels_are_the_experts_actions_whether_it_drives_or_not(make_vector):
     environments = make_vector(TASK, 2, init_states=[0], cameras=[])
     environments.reset()
     drives = np.array([[True] * 5, [False] * 5])
-    given = np.zeros((2, 5, 7))
-    *_, infos = environments.step_chunk(given, "none", expert=drives)
+    no_actions = np.zeros((2, 5, 7))
+    *_, infos = environments.step_chunk(no_actions, "none", expert=drives)
     labels = infos["expert_action"]
-    # Both start in the same state; then one follows the expert and the other stands still.
+    # Both environments start in the same state. Then the first follows the expert, and the second
+    # stands still.
     np.testing.assert_array_equal(labels[0, 0], labels[1, 0])
     assert np.abs(labels[0] - labels[1]).max() > 0.0
     assert np.abs(labels).max() <= 1.0
-    given = np.repeat(labels[:1], 2, axis=0)
+    actions = np.repeat(labels[:1], 2, axis=0)
     environments.reset(seed=0)
-    *_, infos = environments.step_chunk(given, "none", expert=np.zeros((2, 5), bool))
-    np.testing.assert_allclose(infos["expert_action"], given, atol=1e-12)
+    *_, infos = environments.step_chunk(actions, "none", expert=np.zeros((2, 5), bool))
+    np.testing.assert_allclose(infos["expert_action"], actions, atol=1e-12)
 
 
 def test_noise_is_added_to_the_experts_actions(make_vector):
@@ -66,12 +67,12 @@ def test_sampled_scenes_may_be_perturbed(make_vector):
 def test_a_snapshot_includes_the_experts_state(make_vector):
     environments = make_vector(TASK, 1, init_states=[0], cameras=[])
     environments.reset()
-    drives, nothing = np.ones((1, 60), bool), np.zeros((1, 60, 7))
-    environments.step_chunk(nothing, "none", expert=drives)
+    drives, no_actions = np.ones((1, 60), bool), np.zeros((1, 60, 7))
+    environments.step_chunk(no_actions, "none", expert=drives)
     snapshot = environments.snapshot()
     labels = []
     for _ in range(2):
-        *_, infos = environments.step_chunk(nothing[:, :20], "none", expert=drives[:, :20])
+        *_, infos = environments.step_chunk(no_actions[:, :20], "none", expert=drives[:, :20])
         labels.append(infos["expert_action"])
         environments.restore(snapshot)
     np.testing.assert_array_equal(*labels)
@@ -79,7 +80,7 @@ def test_a_snapshot_includes_the_experts_state(make_vector):
     other = make_vector(TASK, 1, init_states=[3], cameras=[])
     other.reset()
     other.restore(snapshot)
-    *_, infos = other.step_chunk(nothing[:, :20], "none", expert=drives[:, :20])
+    *_, infos = other.step_chunk(no_actions[:, :20], "none", expert=drives[:, :20])
     np.testing.assert_array_equal(infos["expert_action"], labels[0])
 
 

@@ -24,7 +24,7 @@ def test_actions_of_a_wrong_shape_or_with_nan_are_refused(make, make_vector):
         environment.step([np.nan] * 7)
     with pytest.raises(ValueError, match=r"expected \(3, 7\)"):
         environments.step(np.zeros((2, 7)))
-    with pytest.raises(ValueError, match="last are three of translation"):
+    with pytest.raises(ValueError, match="last axis holds three numbers"):
         environments.step_chunk(np.zeros((3, 2, 6)))
     with pytest.raises(ValueError, match="`last`, `all` or `none`"):
         environment.step_chunk(np.zeros((1, 7)), "first")
@@ -41,7 +41,7 @@ def test_a_closed_environment_raises_closed_error(make):
             use()
 
 
-def test_messages_begin_with_what_failed(make, make_vector):
+def test_messages_begin_with_failed_to_and_a_verb(make, make_vector):
     environment = make()
 
     def closed():

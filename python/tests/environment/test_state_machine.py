@@ -17,7 +17,7 @@ from rollout_libero._library import native
 from .conftest import diverge, open_the_drawer
 
 TASKS = ("libero_goal/0", "libero_object/1", "libero_goal/0")
-# Per environment: its rank among the environments of its task, and the number of these.
+# For each environment: its rank among the environments of the same task, and their number.
 RANKS, STRIDES = (0, 0, 1), (2, 1, 2)
 STATES, SETTLE, BUDGET = 50, 1, 4
 ROUNDS, MOST_ROUNDS = 50, 300
@@ -63,7 +63,8 @@ class ModelEnvironment:
         self.steps, self.begun, self.over = 0, True, False
 
     def step(self, actions):
-        """Returns steps taken, success, truncation, failure."""
+        """Returns the number of executed steps, and whether the rollout succeeded, was truncated,
+        and failed."""
         for taken, action in enumerate(actions):
             if self.steps == BUDGET:
                 return taken, False, True, False
@@ -108,15 +109,16 @@ class Machine:
             env.simulation.close()
 
     def compare(self, observation, infos, failed=()):
-        for at, env in enumerate(self.model):
-            assert infos["steps"][at] == env.steps, at
-            assert infos["init_state"][at] == env.init_state, at
-            assert infos["instruction"][at] == env.instruction, at
-            if at in failed:
+        for index, env in enumerate(self.model):
+            assert infos["steps"][index] == env.steps, index
+            assert infos["init_state"][index] == env.init_state, index
+            assert infos["instruction"][index] == env.instruction, index
+            if index in failed:
                 continue
             readings = env.simulation.readings()
             for name in READINGS:
-                np.testing.assert_array_equal(observation[name][at], readings[name], err_msg=name)
+                observed = observation[name][index]
+                np.testing.assert_array_equal(observed, readings[name], err_msg=name)
 
     # Operations.
 
@@ -125,15 +127,17 @@ class Machine:
         if init_state is not None:
             options["init_state"] = init_state
         observation, infos = self.real.reset(seed=seed, options=options)
-        for at, env in enumerate(self.model):
-            if mask is not None and not mask[at]:
+        for index, env in enumerate(self.model):
+            if mask is not None and not mask[index]:
                 continue
-            own_seed = seed[at] if isinstance(seed, list) else None if seed is None else seed + at
-            if own_seed is not None:
-                env.generator = seeding.np_random(own_seed)[0]
-                env.turn = own_seed if isinstance(seed, list) else seed + env.rank
+            env_seed = None
+            if seed is not None:
+                env_seed = seed[index] if isinstance(seed, list) else seed + index
+            if env_seed is not None:
+                env.generator = seeding.np_random(env_seed)[0]
+                env.turn = env_seed if isinstance(seed, list) else seed + env.rank
             env.begin(init_state)
-        failed = [at for at, env in enumerate(self.model) if env.over]
+        failed = [index for index, env in enumerate(self.model) if env.over]
         self.compare(observation, infos, failed)
 
     def reset_all(self):
@@ -176,9 +180,9 @@ class Machine:
             self.real.set_perturbation(self.rng.randrange(len(TASKS)), "camera/L9/c00")
 
     def perturb(self):
-        at, chosen = self.rng.randrange(len(TASKS)), self.rng.choice(PERTURBATIONS)
-        self.real.set_perturbation(at, chosen)
-        self.model[at].perturbation = chosen
+        index, chosen = self.rng.randrange(len(TASKS)), self.rng.choice(PERTURBATIONS)
+        self.real.set_perturbation(index, chosen)
+        self.model[index].perturbation = chosen
 
     def take_snapshot(self):
         state = [(env.simulation.snapshot(), replace(env)) for env in self.model]
@@ -195,13 +199,13 @@ class Machine:
                 setattr(env, name, getattr(earlier, name))
 
     def succeed_next(self):
-        at = self.rng.choice([0, 2])
-        for simulation in (self.real.simulations[at], self.model[at].simulation):
+        index = self.rng.choice([0, 2])
+        for simulation in (self.real.simulations[index], self.model[index].simulation):
             open_the_drawer(simulation)
 
     def fail_next(self):
-        at = self.rng.randrange(len(TASKS))
-        for simulation in (self.real.simulations[at], self.model[at].simulation):
+        index = self.rng.randrange(len(TASKS))
+        for simulation in (self.real.simulations[index], self.model[index].simulation):
             diverge(simulation)
 
     def step(self):
@@ -216,10 +220,10 @@ class Machine:
             self.outcomes.add("reset needed")
             return
         expected = []
-        for env, given, ended in zip(self.model, actions, over, strict=True):
+        for env, env_actions, ended in zip(self.model, actions, over, strict=True):
             if ended:
                 env.begin()
-            expected.append((0, False, False, False) if ended else env.step(given))
+            expected.append((0, False, False, False) if ended else env.step(env_actions))
         taken, success, truncated, failed = map(list, zip(*expected, strict=True))
         last = [env.simulation.readings() for env in self.model]
         restarted = [False] * count
@@ -228,7 +232,7 @@ class Machine:
             for env, begins in zip(self.model, restarted, strict=True):
                 if begins:
                     env.begin()
-        failing = [at for at in range(count) if failed[at]]
+        failing = [index for index in range(count) if failed[index]]
         if failing:
             with pytest.raises(rollout_libero.SimulationError) as raised:
                 self.real.step_chunk(actions)
@@ -244,9 +248,10 @@ class Machine:
         self.compare(observation, infos, failing)
         if any(restarted):
             assert infos["_final_obs"].tolist() == restarted
-            for at in np.flatnonzero(restarted):
+            for index in np.flatnonzero(restarted):
                 for name in READINGS:
-                    np.testing.assert_array_equal(infos["final_obs"][at][name], last[at][name])
+                    final = infos["final_obs"][index][name]
+                    np.testing.assert_array_equal(final, last[index][name])
         for name, flags in (("begins", over), ("succeeds", success), ("truncated", truncated),
                            ("fails", failed), ("at once", restarted)):
             if any(flags):

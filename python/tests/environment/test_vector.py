@@ -16,13 +16,13 @@ def actions(environments, seed=0):
     return np.random.default_rng(seed).uniform(-0.6, 0.6, (environments.num_envs, 7))
 
 
-def assert_same(one, other):
-    assert one.keys() == other.keys()
-    for name, values in one.items():
-        np.testing.assert_array_equal(values, other[name], err_msg=name)
+def assert_same(first, second):
+    assert first.keys() == second.keys()
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name], err_msg=name)
 
 
-def test_environments_equal_single_ones_on_any_number_of_threads(make, make_vector):
+def test_environments_equal_single_environments_on_any_number_of_threads(make, make_vector):
     tasks = ["libero_goal/0", "libero_object/1"]
     runs = []
     for threads in (1, 3):
@@ -47,7 +47,7 @@ def test_environments_of_a_task_get_different_initial_states(make_vector):
     assert states == [[0, 1, 2, 3], [4, 5, 6, 7]]
     assert environments.reset(seed=11)[1]["init_state"].tolist() == [11, 12, 13, 14]
     assert environments.reset()[1]["init_state"].tolist() == [15, 16, 17, 18]
-    # An individual seed selects as in a single environment.
+    # A seed in a list selects the same initial state as in a single environment.
     assert environments.reset(seed=[3, 3, 9, None])[1]["init_state"].tolist() == [3, 3, 9, 22]
     # Each task has its own sequence of states.
     tasks = ["libero_goal/0", "libero_object/1", "libero_goal/0"]
@@ -145,7 +145,7 @@ def test_a_failing_environment_keeps_the_results_of_the_others(make_vector, mode
     np.testing.assert_array_equal(observation["joint_pos"][1], expected["joint_pos"][0])
 
 
-def test_a_refused_snapshot_restores_none(make_vector):
+def test_a_refused_snapshot_changes_no_environment(make_vector):
     environments = make_vector(num_envs=2, cameras=[])
     environments.reset(seed=0)
     snapshot = environments.snapshot()

@@ -1,5 +1,8 @@
-"""Configures the original as for the recording of the reference. Scripts that run with
-the original and with the shim import it; with the shim it changes nothing."""
+"""Configures the original as it was configured when the reference was recorded.
+
+Scripts that run with the original and with the shim import this module. With the shim, the module
+changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,8 @@ import numpy as np
 
 
 def _disable_native_ccd() -> None:
-    """Disables `nativeccd`, so that MuJoCo 3.3.7 detects collisions as the benchmark's 2.3.7."""
+    """Disables `nativeccd`, so that MuJoCo 3.3.7 detects collisions as the benchmark's MuJoCo
+    2.3.7 does."""
     import mujoco
     from robosuite.utils import binding_utils
 

@@ -1,7 +1,7 @@
-"""An episode of a PyPI client of LIBERO: `client_episodes.py CLIENT ACTIONS OUT`.
+"""Plays an episode with a PyPI client of LIBERO: `client_episodes.py CLIENT ACTIONS OUT`.
 
-Runs with the shim and with the original. `CLIENT_PACKAGES` names a folder of
-packages that is searched after this Python's own.
+The script runs with the shim and with the original. `CLIENT_PACKAGES` names a folder of packages,
+which Python searches after its own packages.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-# Makes scripts and helpers of this folder importable, however pytest imports the tests.
+# The tests can import scripts and helpers of this folder, however pytest imports the tests.
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-# Set before anything imports the shim, so that the user's own configuration is ignored.
+# This is set before any import of the shim, so that the user's own configuration is ignored.
 os.environ["LIBERO_CONFIG_PATH"] = tempfile.mkdtemp(prefix="libero-config-")
 
 pytest.importorskip("libero._absent", reason="rollout-libero-shim is not installed")

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).resolve().parent
-#: Longest duration of a script.
+#: Longest duration of a script, minutes.
 MINUTES = 20
 
 
@@ -30,7 +30,8 @@ def original_python() -> str:
 
 
 def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
-    """Returns the object that a script pickled into the file of its last argument."""
+    """Runs a script, and returns the object that the script pickled into the file named by its last
+    argument."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.pickle"
         done = subprocess.run(
@@ -74,5 +75,5 @@ def run_original(script: str, *arguments: str, **variables: str) -> Any:
 
 
 def run_shim(script: str, *arguments: str, **variables: str) -> Any:
-    """Runs a script with the shim, also in a separate process."""
+    """Runs a script with the shim, in a separate process."""
     return run(sys.executable, script, *arguments, **variables)

@@ -1,4 +1,5 @@
-"""The shim's references, in a folder beside the checkout; tests skip if it is missing."""
+"""The shim's references, in the folder `shared` beside the checkout. Tests that need the folder are
+skipped without it."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ SHARED = Path(__file__).resolve().parents[4] / "shared"
 
 @functools.cache
 def fetched_assets() -> Path | None:
-    """Returns LIBERO's assets, or None without a network."""
+    """Returns the folder of LIBERO's assets, or None if the assets cannot be fetched."""
     try:
         return rollout_libero.fetch_assets()
     except FileNotFoundError as error:

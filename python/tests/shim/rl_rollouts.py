@@ -1,7 +1,7 @@
-"""Rollouts of a reinforcement-learning framework with its own unmodified files:
+"""Rolls out with the unmodified files of a reinforcement-learning framework:
 `rl_rollouts.py FRAMEWORK OUT`.
 
-`FRAMEWORK_SOURCES` names the folder of its checkout if the package index has none.
+For a framework that is in no package index, `FRAMEWORK_SOURCES` names the folder of a checkout.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 SUITE, SIZE = "libero_spatial", 64
 Rollouts = dict[str, Any]
 SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
-#: Packages for policies and training that these files import but do not call here.
+#: Packages for policies and training that the frameworks' files import but do not call here.
 _REPLACED = (
     *("codetiming", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
@@ -36,7 +36,8 @@ _REPLACED = (
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Replaces the packages of ``_REPLACED`` that are not installed. Python tries it last."""
+    """Replaces the packages of ``_REPLACED`` that are not installed. Python asks this finder
+    last."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
         if name.partition(".")[0] in _REPLACED:
@@ -71,7 +72,7 @@ class _PlainFolders(importlib.abc.MetaPathFinder):
         return None
 
 
-# Spawned processes import this file, too.
+# Spawned processes import this file too, so they get the same finders.
 sys.meta_path.insert(0, _PlainFolders())
 sys.meta_path.append(_StandIns())
 
@@ -112,7 +113,7 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
     env = module.LiberoEnv(cfg, 2, 0, 1, None)
     rng = np.random.default_rng(2)
     outputs: list[Any] = []
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for _ in range(2):
         env.is_start = True
         observation, _ = env.reset()
@@ -124,10 +125,10 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
             outputs.append([observed, *results[1:], infos[-1].get("episode")])
             outputs.append(len(results[0]))
         env.update_reset_state_ids()
-    took = time.perf_counter() - begun
+    seconds = time.perf_counter() - start
     env.env.close()
     tasks = [str(task) for task in env.task_descriptions]
-    return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": took}
+    return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": seconds}
 
 
 def rlinf_of_130() -> Rollouts:
@@ -157,8 +158,9 @@ def rlinf_evaluated_together() -> Rollouts:
 
 
 def rlinf_plus(together: bool = False) -> Rollouts:
-    """Runs `rlinf` with variants of LIBERO-Plus, which share a generator with their corruptions."""
-    # Before RLinf's modules are imported; its processes inherit it.
+    """Runs `rlinf` with variants of LIBERO-Plus. Their placements and corruptions draw from the
+    same generator."""
+    # RLinf reads this variable when its modules are imported; its processes inherit the variable.
     os.environ["LIBERO_TYPE"] = "plus"
     from liberoplus.liberoplus import benchmark
 
@@ -192,7 +194,7 @@ def _task(i: int) -> tuple[str, Any]:
 
 
 class _Construct:
-    """Constructs an environment, in any process."""
+    """A constructor of an environment that can be sent to any process."""
 
     def __init__(self, i: int) -> None:
         self.arguments = {
@@ -217,33 +219,34 @@ def simplevla_rl() -> Rollouts:
     config = SimpleNamespace(model_family="openvla", num_steps_wait=10)
     arguments = (SUITE, 2, 5, config, actions, answers, False, 0, 24)
     process = context.Process(target=rollout.env_worker, args=arguments, daemon=True)
-    begun = time.perf_counter()
+    start = time.perf_counter()
     process.start()
     outputs = [answers.get(timeout=120)]
     rng = np.random.default_rng(4)
     while outputs[-1]["active"]:
         actions.put(rng.uniform(-1, 1, (8, 7)))
         outputs.append(answers.get(timeout=120))
-    took = time.perf_counter() - begun
+    seconds = time.perf_counter() - start
     actions.put(None)
     assert answers.get(timeout=60) == {"type": "terminate"}
     process.join(timeout=60)
-    return {"outputs": outputs, "tasks": [outputs[0]["task_description"]], "seconds": took}
+    return {"outputs": outputs, "tasks": [outputs[0]["task_description"]], "seconds": seconds}
 
 
 def _roll_out_vector(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Steps two environments, and resets one of them again; its results replace earlier ones."""
+    """Steps two environments, then resets and steps the second again. The results of the second
+    environment replace its earlier results."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
     envs.reset()
     outputs = [envs.set_init_state(states)]
-    begun = time.perf_counter()
+    start = time.perf_counter()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
     for action in moves:
         observations, rewards, dones, infos = envs.step(action.tolist())
     assert isinstance(observations, np.ndarray) and observations.dtype == object
-    took = time.perf_counter() - begun
+    seconds = time.perf_counter() - start
     if reconfigured:
         envs.reconfigure_env_fns([{**_Construct(5).arguments, "seed": 9}], id=[1])
     envs.reset(id=[1])
@@ -253,7 +256,7 @@ def _roll_out_vector(venv: Any, kind: str, reconfigured: bool = False) -> Rollou
     observations[[1]] = renewed
     outputs += [observations, rewards, dones, [dict(info) for info in infos]]
     envs.close()
-    return {"outputs": outputs, "tasks": [], "seconds": took}
+    return {"outputs": outputs, "tasks": [], "seconds": seconds}
 
 
 def verl_vla() -> Rollouts:
@@ -287,7 +290,7 @@ def ript_vla() -> Rollouts:
         return utils.LiberoWrapper(1, suite, meta, names, SIZE, SIZE, device="cpu")
 
     outputs: list[Any] = []
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for count in (1, 2):
         envs = utils.LiberoVectorWrapper(construct, count)
         assert envs.action_space.shape == (count, 7)
@@ -298,8 +301,8 @@ def ript_vla() -> Rollouts:
         pictures = envs.render()
         assert [picture.shape for picture in pictures] == [(SIZE, SIZE, 3)] * count
         envs._env.close()
-    took = time.perf_counter() - begun
-    return {"outputs": as_arrays(outputs), "tasks": [], "seconds": took}
+    seconds = time.perf_counter() - start
+    return {"outputs": as_arrays(outputs), "tasks": [], "seconds": seconds}
 
 
 def rlinf_recorded() -> Rollouts:
@@ -314,15 +317,15 @@ def as_arrays(value: Any) -> Any:
     if hasattr(value, "detach"):
         return value.detach().cpu().numpy()
     if isinstance(value, dict):
-        return {key: as_arrays(one) for key, one in value.items()}
+        return {key: as_arrays(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [as_arrays(item) for item in value]
     return value
 
 
 FRAMEWORKS: dict[str, Callable[[], Rollouts]] = {
-    work.__name__: work
-    for work in (
+    framework.__name__: framework
+    for framework in (
         rlinf,
         rlinf_together,
         rlinf_of_130,

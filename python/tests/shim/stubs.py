@@ -1,4 +1,5 @@
-"""Environments without a scene, in a module that their processes can import too."""
+"""Environments without a scene. They are in a separate module, which the environments' processes
+import too."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ class Collision(Exception):
 
 
 class Stub:
-    """An environment whose actions are functions, called in its process."""
+    """An environment whose actions are functions, which it calls in its own process."""
 
     def __init__(self) -> None:
         self.steps = 0
@@ -79,7 +80,7 @@ def observe_function() -> Any:
 
 
 def interrupt() -> None:
-    """Ends the process as Ctrl-C does, without its traceback."""
+    """Ends the process as Ctrl-C does, but without a traceback."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(60)

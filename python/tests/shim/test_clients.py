@@ -1,10 +1,10 @@
-"""Unmodified PyPI clients of LIBERO on the shim: in an episode of each, an object is picked up
-and dropped into a basket, and the task succeeds. If the original is installed, the clients get the
-same frames and success with it.
+"""Unmodified PyPI clients of LIBERO on the shim. Each client plays an episode in which the robot
+drops an object into a basket, and the task succeeds. If the original is installed, the episodes
+have the same frames and success with the original.
 
 `ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
-clients.txt (`cargo xtask test` creates one if it can). If `ROLLOUT_ORIGINAL` has the same version
-of Python, it also imports the clients from that environment.
+clients.txt (`cargo xtask test` creates the environment if it can). If `ROLLOUT_ORIGINAL` has the
+same version of Python, it also imports the clients from that environment.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ CLIENTS = ["vla-eval", "lerobot", "torchrl"]
 SUITE, TASK = "libero_object", 0
 # Number of steps before the gripper touches anything.
 UNTOUCHED = 34
-# Grasps amplify rounding, so success may come this many frames earlier or later.
-SUCCESS_FRAMES = 2
+# Grasps amplify rounding errors, so success may come this number of steps earlier or later.
+SUCCESS_STEPS = 2
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,8 @@ def clients() -> str:
 
 @pytest.fixture(scope="module")
 def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path:
-    """Actions [steps, 7] that put the task's object into the basket, from a
-    script that knows both positions."""
+    """Actions [steps, 7] that put the task's object into the basket. A script that knows both
+    positions computes the actions."""
     suite = benchmark.get_benchmark_dict()[SUITE]()
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(TASK), use_camera_obs=False
@@ -67,17 +67,17 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
         (10, basket + [0, 0, 0.2], closed),
         (35, basket + [0, 0, 0.2], open_),
     ]
-    taken = []
+    executed = []
     for steps, goal, gripper in plan:
         for _ in range(steps):
             towards = np.clip((goal - observation["robot0_eef_pos"]) / 0.05, -1, 1)
             # Clients convert actions to single precision.
-            taken.append(np.float32([*towards, 0, 0, 0, gripper]))
-            observation, _, done, _ = env.step(taken[-1])
+            executed.append(np.float32([*towards, 0, 0, 0, gripper]))
+            observation, _, done, _ = env.step(executed[-1])
     assert done, "the script did not put the object into the basket"
     env.close()
     path = tmp_path_factory.mktemp("episode") / "actions.npy"
-    np.save(path, np.array(taken))
+    np.save(path, np.array(executed))
     return path
 
 
@@ -94,7 +94,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_client_gets_the_same_episode_as_with_the_original(
     client: str, clients: str, actions: Path, shim: Path, tmp_path: Path
 ) -> None:
-    # vla-eval and torchrl write or need LIBERO's configuration. An empty folder is a new one.
+    # vla-eval and torchrl write or need a configuration of LIBERO, so they get a new folder for it.
     ours = run(
         clients,
         "client_episodes.py",
@@ -112,10 +112,10 @@ def test_a_client_gets_the_same_episode_as_with_the_original(
     theirs = run_original(
         "client_episodes.py", client, str(actions), CLIENT_PACKAGES=packages(clients)
     )
-    assert abs(len(ours) - len(theirs)) <= SUCCESS_FRAMES
+    assert abs(len(ours) - len(theirs)) <= SUCCESS_STEPS
     assert [list(step) for step in ours[:90]] == [list(step) for step in theirs[:90]]
     # Until the gripper touches something, frames and readings are equal. Later, rounding errors
-    # grow in the original too, and frames are only similar.
+    # grow, in the original as well, and frames are only similar.
     for i in range(UNTOUCHED):
         assert_same(ours[i], theirs[i], f"{client} step {i}")
     for i in range(UNTOUCHED, min(len(ours), len(theirs))):
@@ -123,31 +123,31 @@ def test_a_client_gets_the_same_episode_as_with_the_original(
     assert succeeded(theirs[-1]) or succeeded(theirs[-2])
 
 
-def assert_same(our: Any, their: Any, what: str) -> None:
+def assert_same(our: Any, their: Any, label: str) -> None:
     if isinstance(their, dict):
-        assert list(our) == list(their), what
+        assert list(our) == list(their), label
         for key in their:
-            assert_same(our[key], their[key], f"{what}: {key}")
+            assert_same(our[key], their[key], f"{label}: {key}")
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
-        channels_last = -1 if their.shape[-1] == 3 else 0
-        our, their = (np.moveaxis(frame, channels_last, -1) for frame in (our, their))
-        assert_close_frames(our, their, what, RENDERED_HERE)
+        channels = -1 if their.shape[-1] == 3 else 0
+        our, their = (np.moveaxis(frame, channels, -1) for frame in (our, their))
+        assert_close_frames(our, their, label, RENDERED_HERE)
     elif isinstance(their, np.ndarray) and their.dtype.kind == "f":
-        assert our.dtype == their.dtype, what
+        assert our.dtype == their.dtype, label
         tolerance = 1e-9 if their.dtype == np.float64 else 1e-6
-        np.testing.assert_allclose(our, their, rtol=0, atol=tolerance, err_msg=what)
+        np.testing.assert_allclose(our, their, rtol=0, atol=tolerance, err_msg=label)
     else:
-        np.testing.assert_array_equal(our, their, err_msg=what)
+        np.testing.assert_array_equal(our, their, err_msg=label)
 
 
-def assert_alike(our: Any, their: Any, what: str) -> None:
+def assert_alike(our: Any, their: Any, label: str) -> None:
     """Checks that nearly all pixels of all frames are nearly equal."""
     if isinstance(their, dict):
         for key in their:
-            assert_alike(our[key], their[key], f"{what}: {key}")
+            assert_alike(our[key], their[key], f"{label}: {key}")
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
         share = (np.abs(our.astype(int) - their.astype(int)) <= 16).mean()
-        assert share >= 0.995, f"{what}: {share:.2%} of the values are nearly equal"
+        assert share >= 0.995, f"{label}: {share:.2%} of the values are nearly equal"
 
 
 def succeeded(step: dict[str, Any]) -> bool:

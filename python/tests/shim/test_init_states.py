@@ -1,4 +1,4 @@
-"""Tests that malformed files of initial states are rejected."""
+"""Malformed files of initial states are refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
 
 
 class PickledCall:
-    """Pickles as a call of a NumPy function, with a state for its result."""
+    """An object that is pickled as a call of a NumPy function, with a state for its result."""
 
     def __init__(self, *reduction: Any) -> None:
         self.reduction = reduction
@@ -45,7 +45,7 @@ class PickledCall:
 @pytest.mark.parametrize(
     "pickled",
     [
-        # Its bytes would be read as pointers to objects.
+        # The bytes of this array would be read as pointers to objects.
         PickledCall(np.ndarray, ((1,), "O", b"AAAAAAAA")),
         PickledCall(np.ndarray, ((1 << 36,),)),
         PickledCall(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
@@ -62,9 +62,9 @@ def test_a_file_of_initial_states_gives_only_a_table_of_numbers(
         read_states(tmp_path, pickle.dumps(pickled, protocol=2))
     table = np.arange(6.0).reshape(2, 3)
     for states in (table, np.asfortranarray(table), table[0]):
-        found = read_states(tmp_path, pickle.dumps(states, protocol=2))
-        assert found.dtype == np.float64 and found.flags.writeable
-        assert np.array_equal(found, states)
+        loaded = read_states(tmp_path, pickle.dumps(states, protocol=2))
+        assert loaded.dtype == np.float64 and loaded.flags.writeable
+        assert np.array_equal(loaded, states)
 
 
 def test_a_file_of_initial_states_that_is_too_large_is_refused(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
         content = b"\x80\x02Nr" + (1 << 26).to_bytes(4, "little") + b"."
         reason = "its pickle uses memo entry 67108864 of 256"
     elif bomb == "texts":
-        # The bytes of one text of 8 MB, eighty times.
+        # A text of 8 MB is encoded to bytes eighty times.
         text = b"X" + (8_000_000).to_bytes(4, "little") + b"a" * 8_000_000
         call = b"c_codecs\nencode\nq\x00" + text + b"X\x06\x00\x00\x00latin1\x86q\x01R"
         content = b"\x80\x02(" + call + b"h\x00h\x01R" * 80 + b"l."
@@ -121,7 +121,7 @@ def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
 
 
 def read_states(folder: Path, content: bytes) -> Any:
-    """Reads a file whose pickle has this content."""
+    """Writes a file whose pickle has this content, and reads its initial states."""
     file = folder / "task.pruned_init"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("archive/data.pkl", content)

@@ -1,4 +1,4 @@
-"""The shim's own behaviour: folders, tables, misuse, several environments."""
+"""The shim's own behaviour: folders, suites, misuse and several environments."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_importing_needs_no_input_configuration_or_heavy_package(
     assert not settings.exists()
 
 
-def test_without_a_configuration_folders_are_the_fetched_ones(config_file: Path) -> None:
+def test_without_a_configuration_folders_are_those_of_the_fetched_files(config_file: Path) -> None:
     bddl_files = Path(get_libero_path("bddl_files"))
     assert (bddl_files / "libero_goal" / "turn_on_the_stove.bddl").is_file()
     init_states = Path(get_libero_path("init_states"))
@@ -90,7 +90,7 @@ def test_a_configured_folder_is_used_if_it_has_files(config_file: Path, tmp_path
 
 
 def test_a_configuration_with_folders_of_the_package_is_ignored(config_file: Path) -> None:
-    # torchrl writes this before its first import of LIBERO.
+    # torchrl writes this configuration before its first import of LIBERO.
     import libero.libero
 
     root = os.path.dirname(libero.libero.__file__)
@@ -159,14 +159,14 @@ def test_instructions_leave_out_the_scene() -> None:
 
 
 def test_orders_of_tasks() -> None:
-    own, other = (benchmark.get_benchmark("LIBERO_GOAL")(order) for order in (0, 1))
-    assert own.get_task_names()[4] == other.get_task_names()[0]
-    assert sorted(own.get_task_names()) == sorted(other.get_task_names())
+    default, reordered = (benchmark.get_benchmark("LIBERO_GOAL")(order) for order in (0, 1))
+    assert default.get_task_names()[4] == reordered.get_task_names()[0]
+    assert sorted(default.get_task_names()) == sorted(reordered.get_task_names())
     with pytest.raises(ValueError, match="leave task_order_index at 0"):
         benchmark.get_benchmark("libero_90")(1)
 
 
-def test_unknown_suites_are_refused_with_the_known_ones() -> None:
+def test_unknown_suites_are_refused_with_the_list_of_suites() -> None:
     assert "libero_100" in benchmark.get_benchmark_dict()
     with pytest.raises(KeyError, match="libero_90 and libero_10"):
         benchmark.get_benchmark("libero_100")()
@@ -201,7 +201,7 @@ def test_a_problems_info_is_read(bddl_file: str) -> None:
 # Environments.
 
 
-def test_features_of_the_original_only_are_refused_with_the_remedy(bddl_file: str) -> None:
+def test_features_that_only_the_original_has_are_refused_with_the_remedy(bddl_file: str) -> None:
     for argument, value in {
         "controller": "JOINT_POSITION",
         "control_freq": 10,
@@ -241,15 +241,15 @@ def test_a_scene_outlives_its_environments(
     bddl_file: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def construct(file: str) -> float:
-        begun = time.perf_counter()
+        start = time.perf_counter()
         env = OffScreenRenderEnv(bddl_file_name=file, camera_heights=16, camera_widths=16)
-        taken = time.perf_counter() - begun
+        seconds = time.perf_counter() - start
         env.reset()
         env.close()
-        return 1e3 * taken
+        return 1e3 * seconds
 
-    own = tmp_path / "own.bddl"
-    own.write_text(Path(bddl_file).read_text())
+    copied_file = tmp_path / "own.bddl"
+    copied_file.write_text(Path(bddl_file).read_text())
     compiled: list[Any] = []
     native = scenes.native
 
@@ -258,12 +258,12 @@ def test_a_scene_outlives_its_environments(
         fetch_assets = staticmethod(native.fetch_assets)
 
     monkeypatch.setattr(scenes, "native", Native)
-    first, *later = (construct(str(own)) for _ in range(6))
+    first, *later = (construct(str(copied_file)) for _ in range(6))
     assert len(compiled) == 1
     print(f"constructed in {first:.1f} ms, then in {statistics.median(later):.1f} ms")
     # A changed file gives another scene.
-    own.write_text(own.read_text() + "\n")
-    construct(str(own))
+    copied_file.write_text(copied_file.read_text() + "\n")
+    construct(str(copied_file))
     assert len(compiled) == 2
     suite = benchmark.get_benchmark("libero_goal")()
     for i in range(scenes.MAX_RECENT):
@@ -322,7 +322,7 @@ def test_a_closed_environment_is_reported(bddl_file: str) -> None:
 def test_two_threads_in_one_environment_get_an_error(env: OffScreenRenderEnv) -> None:
     outcomes: list[Exception | None] = []
 
-    def work() -> None:
+    def step_repeatedly() -> None:
         for _ in range(40):
             try:
                 env.step(NO_OP)
@@ -330,7 +330,7 @@ def test_two_threads_in_one_environment_get_an_error(env: OffScreenRenderEnv) ->
             except rollout_libero.BusyError as error:
                 outcomes.append(error)
 
-    threads = [threading.Thread(target=work) for _ in range(4)]
+    threads = [threading.Thread(target=step_repeatedly) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -376,16 +376,16 @@ def test_writing_to_copied_arrays_raises(env: OffScreenRenderEnv) -> None:
         env.sim.model.body_pos = 0
     with pytest.raises(AttributeError, match="set_state_from_flattened"):
         env.sim.data.qpos = 0
-    own = env.sim.data.qpos + 1
-    own[0] = 3.0
-    assert own[0] == 3.0
+    computed = env.sim.data.qpos + 1
+    computed[0] = 3.0
+    assert computed[0] == 3.0
 
 
 def test_a_camera_is_moved_in_one_environment_only(bddl_file: str) -> None:
     arguments = {"bddl_file_name": bddl_file, "camera_heights": 48, "camera_widths": 48}
-    moved, other = (OffScreenRenderEnv(**arguments) for _ in range(2))
+    moved, unmoved = (OffScreenRenderEnv(**arguments) for _ in range(2))
     frames = []
-    for env in (moved, other):
+    for env in (moved, unmoved):
         env.seed(0)
         frames.append(env.reset()["agentview_image"])
     np.testing.assert_array_equal(*frames)
@@ -393,9 +393,9 @@ def test_a_camera_is_moved_in_one_environment_only(bddl_file: str) -> None:
     positions[moved.sim.model.camera_name2id("agentview")] += [0.1, 0.2, 0.0]
     moved.sim.model.set("cam_pos", positions)
     np.testing.assert_array_equal(moved.sim.model.cam_pos, positions)
-    after = [env.step(NO_OP)[0]["agentview_image"] for env in (moved, other)]
+    after = [env.step(NO_OP)[0]["agentview_image"] for env in (moved, unmoved)]
     assert (after[0] != after[1]).mean() > 0.2
-    for env in (moved, other):
+    for env in (moved, unmoved):
         env.close()
 
 
@@ -476,9 +476,9 @@ def test_segmentations_are_split_by_instance(bddl_file: str) -> None:
     segments = observation["agentview_segmentation_instance"]
     parts = env.get_segmentation_instances(segments)
     assert parts["robot"].any() and parts["plate_1"].any()
-    shown = {part for part in parts if parts[part].any()}
+    visible = {part for part in parts if parts[part].any()}
     assert (
-        sum((parts[part] > 0).sum() for part in shown - {"MountedPanda0"}) == (segments > 0).sum()
+        sum((parts[part] > 0).sum() for part in visible - {"MountedPanda0"}) == (segments > 0).sum()
     )
     interest = env.get_segmentation_of_interest(segments)
     bowl = segments == env.instance_to_id["akita_black_bowl_1"]
@@ -506,7 +506,7 @@ def hand_positions(observations: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
-def test_several_environments_equal_single_ones(kind: Any, bddl_file: str) -> None:
+def test_several_environments_equal_single_environments(kind: Any, bddl_file: str) -> None:
     state = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)
     envs = kind([lambda: Constructor(bddl_file)() for _ in range(3)])
     assert len(envs) == 3
@@ -520,18 +520,18 @@ def test_several_environments_equal_single_ones(kind: Any, bddl_file: str) -> No
     assert envs.check_success() == [False] * 3
     assert len(envs.get_env_attr("language_instruction")) == 3
 
-    one = Constructor(bddl_file)()
-    one.seed(7)
-    one.reset()
-    one.set_init_state(state[2])
-    alone, *_ = one.step(actions[2])
+    single = Constructor(bddl_file)()
+    single.seed(7)
+    single.reset()
+    single.set_init_state(state[2])
+    alone, *_ = single.step(actions[2])
     np.testing.assert_array_equal(alone["agentview_image"].shape, (16, 16, 3))
     np.testing.assert_allclose(alone["robot0_eef_pos"], observations[2]["robot0_eef_pos"], atol=0)
-    np.testing.assert_array_equal(one.get_sim_state(), envs.get_sim_state()[2])
-    one.close()
+    np.testing.assert_array_equal(single.get_sim_state(), envs.get_sim_state()[2])
+    single.close()
 
-    some, *_ = envs.step(actions[1:], id=[1, 2])
-    assert len(some) == 2
+    observations_of_two, *_ = envs.step(actions[1:], id=[1, 2])
+    assert len(observations_of_two) == 2
     assert envs.reset(id=[1]).shape == (1,)
     with pytest.raises(ValueError, match="give one each"):
         envs.step(actions[:2])
@@ -557,7 +557,7 @@ def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: 
     assert all(np.abs(now - then).max() > 1e-4 for now, then in zip(after, before))
     assert [state[0] for state in states] == pytest.approx([0.1, 0.15])
     with pytest.raises(TypeError):
-        envs.reset(nonsense=1)
+        envs.reset(unknown=1)
     assert [state[0] for state in envs.get_sim_state()] == pytest.approx([0.1, 0.15])
     envs.close()
 

@@ -1,5 +1,5 @@
 """Pictures of observations are drawn when they are read. However and whenever an observation is
-read, copied or sent, its pictures equal those drawn at once, bit for bit."""
+read, copied or sent, its pictures equal pictures drawn at once, bit for bit."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ READINGS: list[Callable[[Observation], dict[str, Any]]] = [
     lambda observation: observation | {},
     lambda observation: {} | observation,
     lambda observation: OrderedDict(observation),
-    lambda observation: (lambda **given: given)(**observation),
+    lambda observation: (lambda **entries: entries)(**observation),
     lambda observation: _updated(observation),
     lambda observation: np.stack([observation])[0],
 ]
 
 
 def _updated(observation: Observation) -> dict[str, Any]:
-    other: dict[str, Any] = {}
-    other.update(observation)
-    return other
+    entries: dict[str, Any] = {}
+    entries.update(observation)
+    return entries
 
 
 def construct(bddl_file: str, **arguments: Any) -> OffScreenRenderEnv:
@@ -91,7 +91,8 @@ def test_lazy_observations_equal_those_drawn_at_once(number: int, bddl_file: str
 def test_unread_observations_render_no_pictures(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
-    # The scene's first observation through these cameras is drawn at once, to find errors early.
+    # The scene's first observation with cameras of this size is drawn at once, to detect errors
+    # early.
     assert unrendered(env.reset()) == []
     assert unrendered(env.reset()) == list(PICTURES)
     other = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
@@ -115,7 +116,7 @@ def test_an_unused_camera_is_black_and_the_other_is_unchanged(
     env = construct(bddl_file, **options)
     expected = dict(env.step(actions(1)[0])[0])
     env.close()
-    monkeypatch.setattr(_unused, "_said", set())
+    monkeypatch.setattr(_unused, "_warned", set())
     monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", " robot0_eye_in_hand,")
     env = construct(bddl_file, **options)
     observation = dict(env.step(actions(1)[0])[0])
@@ -144,25 +145,25 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
     pairs: list[tuple[Observation, dict[str, Any]]] = []
     steps = iter(actions(40))
 
-    def changed(env: OffScreenRenderEnv, what: str, value: Any) -> Observation:
-        if what == "reset":
+    def apply_change(env: OffScreenRenderEnv, change: str, value: Any) -> Observation:
+        if change == "reset":
             env.seed(value)
             return env.reset()
-        if what == "state":
+        if change == "state":
             return env.set_init_state(states[value])
-        if what == "camera":
+        if change == "camera":
             positions = env.sim.model.cam_pos.copy()
             env.sim.model.set("cam_pos", positions + [0, 0, value / 50])
             return env.env._get_observations()
-        if what == "stove":
+        if change == "stove":
             colours = env.sim.model.site_rgba.copy()
             env.sim.model.set("site_rgba", 1 - colours)
         return env.step(value)[0]
 
     for _ in range(40):
-        what = rng.choice(["step"] * 5 + ["reset", "state", "camera", "stove"])
-        value = next(steps) if what in ("step", "stove") else rng.randrange(50)
-        lazy, drawn = (changed(environment, what, value) for environment in (env, eager_env))
+        change = rng.choice(["step"] * 5 + ["reset", "state", "camera", "stove"])
+        value = next(steps) if change in ("step", "stove") else rng.randrange(50)
+        lazy, drawn = (apply_change(environment, change, value) for environment in (env, eager_env))
         pairs.append((lazy, dict(drawn)))
         while pairs and rng.random() < 0.4:
             lazy, drawn = pairs[rng.randrange(len(pairs))]
@@ -185,10 +186,10 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
 def test_two_observations_of_one_instant_share_their_pictures(bddl_file: str) -> None:
     env = construct(bddl_file)
     env.step(actions(1)[0])
-    one, other = (env.env._get_observations() for _ in range(2))
-    assert one["agentview_image"] is other["agentview_image"]
-    # A change of one observation does not affect the next step's.
-    one["agentview_image"][:] = 0
+    first, second = (env.env._get_observations() for _ in range(2))
+    assert first["agentview_image"] is second["agentview_image"]
+    # A change of an observation's picture does not affect the observation of the next step.
+    first["agentview_image"][:] = 0
     after, *_ = env.step(actions(1)[0])
     assert after["agentview_image"].any()
     env.close()
@@ -196,14 +197,14 @@ def test_two_observations_of_one_instant_share_their_pictures(bddl_file: str) ->
 
 def test_observations_are_compared_by_their_pictures(bddl_file: str) -> None:
     env = construct(bddl_file)
-    one, *_ = env.step(actions(1)[0])
-    assert one == one and not one != one
-    scalars = Observation({"at": Undrawn(lambda: np.float64(3.0)), "then": 1})  # type: ignore[arg-type,return-value]
-    assert scalars == {"then": 1, "at": 3.0} and {"then": 1, "at": 3.0} == scalars
-    assert scalars != {"then": 1, "at": 4.0}
-    assert "Undrawn" not in repr(one)
+    observation, *_ = env.step(actions(1)[0])
+    assert observation == observation and not observation != observation
+    scalars = Observation({"a": Undrawn(lambda: np.float64(3.0)), "b": 1})  # type: ignore[arg-type,return-value]
+    assert scalars == {"b": 1, "a": 3.0} and {"b": 1, "a": 3.0} == scalars
+    assert scalars != {"b": 1, "a": 4.0}
+    assert "Undrawn" not in repr(observation)
     with pytest.raises(TypeError):
-        hash(one)
+        hash(observation)
     env.close()
 
 
@@ -214,7 +215,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     action = actions(1)[0]
     expected = dict(eager_env.step(action)[0])
     lazy, *_ = env.step(action)
-    look = env.env._held.get().look()
+    look = env.env._handle.get().look()
 
     failed: list[Exception] = []
 
@@ -229,10 +230,8 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     thread.start()
     np.testing.assert_array_equal(lazy["agentview_image"], expected["agentview_image"])
     while thread.is_alive():
-        # Drawn again each time from the recorded poses.
-        np.testing.assert_array_equal(
-            look.frame("agentview", 32, 24), expected["agentview_image"]
-        )
+        # Each call draws the picture again from the recorded poses.
+        np.testing.assert_array_equal(look.frame("agentview", 32, 24), expected["agentview_image"])
     thread.join()
     # Drawing does not block the other thread.
     assert failed == []

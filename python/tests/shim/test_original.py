@@ -12,9 +12,9 @@ from reference import fetched_assets
 
 SCENARIOS = [
     *(
-        f"resets_{task}_{how}"
+        f"resets_{task}_{reset}"
         for task in ("goal", "drawer", "in_drawer", "floor", "stove")
-        for how in ("hard", "soft")
+        for reset in ("hard", "soft")
     ),
     "absolute_control",
     "states",
@@ -25,7 +25,8 @@ SCENARIOS = [
     "details",
 ]
 NEAR = 1e-9
-# Rotations between hand and objects use single precision and another implementation of LAPACK.
+# Rotations between hand and objects are computed in single precision, and the original uses a
+# different implementation of LAPACK.
 NEAR_IN_SINGLE_PRECISION = 1e-6
 
 
@@ -41,35 +42,35 @@ def test_a_scenario_has_the_originals_results(scenario: str) -> None:
         assert_same(our, their, label)
 
 
-def assert_same(our: Any, their: Any, what: str) -> None:
+def assert_same(our: Any, their: Any, label: str) -> None:
     if isinstance(their, dict):
-        assert list(our) == list(their), what
+        assert list(our) == list(their), label
         for key in their:
-            assert_same(our[key], their[key], f"{what}: {key}")
+            assert_same(our[key], their[key], f"{label}: {key}")
     elif isinstance(their, (list, tuple)):
-        assert len(our) == len(their), what
-        for i, (one, other) in enumerate(zip(our, their)):
-            assert_same(one, other, f"{what}[{i}]")
+        assert len(our) == len(their), label
+        for i, (our_item, their_item) in enumerate(zip(our, their)):
+            assert_same(our_item, their_item, f"{label}[{i}]")
     elif isinstance(their, np.ndarray) and their.ndim > 0:
-        assert_same_array(our, their, what)
+        assert_same_array(our, their, label)
     else:
-        assert our == their, what
+        assert our == their, label
 
 
-def assert_same_array(our: Any, their: Any, what: str) -> None:
-    assert isinstance(our, np.ndarray), what
-    assert our.shape == their.shape, what
-    assert our.dtype == their.dtype, what
+def assert_same_array(our: Any, their: Any, label: str) -> None:
+    assert isinstance(our, np.ndarray), label
+    assert our.shape == their.shape, label
+    assert our.dtype == their.dtype, label
     if their.dtype == np.uint8:
-        assert_close_frames(our, their, what, RENDERED_HERE)
-    elif "segmentation" in what:
+        assert_close_frames(our, their, label, RENDERED_HERE)
+    elif "segmentation" in label:
         same = (our == their).mean()
-        assert same >= 0.999, f"{what}: {same:.4%} of the pixels are the same"
-    elif "depth" in what:
-        # Depths jump at pixels where one rounding decides which surface is visible.
+        assert same >= 0.999, f"{label}: {same:.4%} of the pixels are the same"
+    elif "depth" in label:
+        # At edges, a rounding error may decide which surface is visible, and so change the depth.
         share = (np.abs(our - their) <= 1e-5).mean()
-        assert share >= 0.999, f"{what}: {share:.4%} of the depths are the same"
+        assert share >= 0.999, f"{label}: {share:.4%} of the depths are the same"
     else:
-        single = "eef_quat" in what and "_to_" in what or "eef_pos" in what and "_to_" in what
-        tolerance = NEAR_IN_SINGLE_PRECISION if single or "object-state" in what else NEAR
-        np.testing.assert_allclose(our, their, rtol=0, atol=tolerance, err_msg=what)
+        single = "eef_quat" in label and "_to_" in label or "eef_pos" in label and "_to_" in label
+        tolerance = NEAR_IN_SINGLE_PRECISION if single or "object-state" in label else NEAR
+        np.testing.assert_allclose(our, their, rtol=0, atol=tolerance, err_msg=label)

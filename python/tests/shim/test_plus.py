@@ -1,5 +1,5 @@
-"""LIBERO-Plus' package: its suites, its environments against recordings of LIBERO-Plus' own code,
-and imports and calls as by RLinf with `LIBERO_TYPE=plus`."""
+"""LIBERO-Plus' package: suites, environments compared with recordings of LIBERO-Plus' own code, and
+the imports and calls of RLinf with `LIBERO_TYPE=plus`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rollout_libero._native import PlusPath, PlusVariant
 
 ROOT = Path(__file__).resolve().parents[3]
 FAMILY = ROOT / "crates/benchmark/libero-family/tests/recorded"
-NOTHING = [0.0] * 6 + [-1.0]
+NO_OP = [0.0] * 6 + [-1.0]
 #: Seed of the recorded states.
 SEED = 7
 #: Largest difference of a coordinate from the recordings, as in `tests/tests/family.rs`.
@@ -47,10 +47,11 @@ def path(suite: str, name: str) -> str:
 
 
 def states(suite: str, name: str) -> Any:
-    made = benchmark.get_benchmark(suite)()
-    names = made.get_task_names()
-    # Some recordings are of postures that no variant has; all have the states of their task.
-    return made.get_task_init_states(names.index(name if name in names else FOG))
+    tasks = benchmark.get_benchmark(suite)()
+    names = tasks.get_task_names()
+    # Some recorded postures belong to no variant. Their initial states are those of the variant FOG
+    # of the same task.
+    return tasks.get_task_init_states(names.index(name if name in names else FOG))
 
 
 def make(name: str, suite: str = "libero_goal", size: int = 32, **arguments: Any) -> Any:
@@ -60,12 +61,12 @@ def make(name: str, suite: str = "libero_goal", size: int = 32, **arguments: Any
 
 
 def recorded() -> dict[str, dict[str, list[float]]]:
-    """The numbers that LIBERO-Plus' own code gave for each variant, by kind."""
-    found: dict[str, dict[str, list[float]]] = defaultdict(dict)
+    """Returns the numbers that LIBERO-Plus' own code gave for each variant, by kind."""
+    numbers_of: dict[str, dict[str, list[float]]] = defaultdict(dict)
     for line in (ROOT / "tests/tests/family/states.txt").read_text().splitlines():
         variant, kind, *numbers = line.split(" ")
-        found[variant][kind] = [float(number) for number in numbers]
-    return found
+        numbers_of[variant][kind] = [float(number) for number in numbers]
+    return numbers_of
 
 
 def digest(lines: list[str]) -> str:
@@ -78,20 +79,20 @@ def digest(lines: list[str]) -> str:
 def test_all_variants_are_listed_as_by_the_released_code() -> None:
     lines = defaultdict(list)
     for suite, count in zip(benchmark.libero_suites, (2402, 2518, 2591, 90, 2519)):
-        made = benchmark.get_benchmark_dict()[suite]()
-        assert made.n_tasks == made.get_num_tasks() == count
+        tasks = benchmark.get_benchmark_dict()[suite]()
+        assert tasks.n_tasks == tasks.get_num_tasks() == count
     for suite in ("libero_spatial", "libero_object", "libero_goal", "libero_10"):
-        made = benchmark.get_benchmark(suite.upper())()
-        assert isinstance(made, benchmark.Benchmark)
-        for i, name in enumerate(made.get_task_names()):
-            task = made.get_task(i)
+        tasks = benchmark.get_benchmark(suite.upper())()
+        assert isinstance(tasks, benchmark.Benchmark)
+        for i, name in enumerate(tasks.get_task_names()):
+            task = tasks.get_task(i)
             assert (task.name, task.problem_folder, task.bddl_file) == (name, suite, f"{name}.bddl")
             variant = PlusVariant.find(name)
             assert variant is not None
             level = variant.difficulty
             lines["names"].append(f"{suite} {i + 1} {name} {variant.category} {level}")
             lines["states"].append(variant.states_file)
-            file = Path(PlusPath(made.get_task_bddl_file_path(i)).file)
+            file = Path(PlusPath(tasks.get_task_bddl_file_path(i)).file)
             assert file.is_file(), file
             lines["bddl"].append(f"{suite}/{file.stem}")
             if not variant.has_own_sentence:
@@ -99,15 +100,15 @@ def test_all_variants_are_listed_as_by_the_released_code() -> None:
     for line in (FAMILY / "plus.txt").read_text().splitlines():
         kind, count, expected = line.split(" ")
         if kind in lines:
-            found = lines.pop(kind)
-            assert (len(found), digest(found)) == (int(count), expected), kind
+            listed = lines.pop(kind)
+            assert (len(listed), digest(listed)) == (int(count), expected), kind
     assert not lines
 
 
 def test_sentences_of_the_language_dimension_are_those_of_the_bddl_files() -> None:
-    made = benchmark.get_benchmark("libero_goal")()
-    names = made.get_task_names()
-    task = made.get_task(names.index(f"{BOWL}_language_1_view_0_0_100_0_0_initstate_0"))
+    tasks = benchmark.get_benchmark("libero_goal")()
+    names = tasks.get_task_names()
+    task = tasks.get_task(names.index(f"{BOWL}_language_1_view_0_0_100_0_0_initstate_0"))
     file = Path(path("libero_goal", f"{BOWL}_language_1")).read_text().lower()
     assert f"(:language {task.language})" in " ".join(file.split())
     assert task.language != BOWL.replace("_", " ")
@@ -116,7 +117,7 @@ def test_sentences_of_the_language_dimension_are_those_of_the_bddl_files() -> No
     assert plain == BOWL.replace("_", " ")
 
 
-def test_states_are_fifty_or_one() -> None:
+def test_a_variant_has_fifty_states_or_one() -> None:
     assert states("libero_goal", f"{BOWL}_moved_level1_sample1").shape == (1, 79)
     assert states("libero_goal", f"{BOWL}_light_1").shape == (50, 79)
     with pytest.raises(FileNotFoundError, match="libero.libero.benchmark"):
@@ -137,12 +138,12 @@ def test_states_cameras_and_numbers_equal_the_originals(variant: str) -> None:
     suite, name = variant.split("/")
     env = make(name, suite, use_camera_obs=False)
 
-    def check(kind: str, found: Any) -> None:
-        np.testing.assert_allclose(found, expected[kind], rtol=0, atol=TOLERANCE, err_msg=kind)
+    def check(kind: str, numbers: Any) -> None:
+        np.testing.assert_allclose(numbers, expected[kind], rtol=0, atol=TOLERANCE, err_msg=kind)
 
     def wait(steps: int) -> None:
         for _ in range(steps):
-            env.step(NOTHING)
+            env.step(NO_OP)
 
     env.seed(SEED)
     env.reset()
@@ -171,16 +172,16 @@ def test_pictures_draw_their_numbers_whether_read_or_not(variant: str) -> None:
         suite, name = variant.split("/")
         env = make(name, suite, size=256)
         env.seed(SEED)
-        seen = env.reset()
+        observation = env.reset()
         if reads_all:
-            seen.draw()
+            observation.draw()
         env.set_init_state(states(suite, name)[0])
         for _ in range(10):
-            seen, *_ = env.step(NOTHING)
+            observation, *_ = env.step(NO_OP)
             if reads_all:
-                seen.draw()
+                observation.draw()
         assert np.random.random_sample() == recorded()[variant]["noise"][0]
-        last.append(seen[IMAGE])
+        last.append(observation[IMAGE])
         env.close()
     np.testing.assert_array_equal(*last)
 
@@ -189,28 +190,29 @@ def test_the_observation_of_an_initial_state_and_other_cameras_are_not_corrupted
     env, clean = make(FOG), make(f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_0")
     start = states("libero_goal", FOG)[0]
 
-    def of_both(call: Any) -> tuple[Any, Any, Any, Any]:
-        """Returns the observations, and the generator before and after the corrupted one."""
+    def call_both(function: Any) -> tuple[Any, Any, Any, Any]:
+        """Calls the function with both environments. Returns the corrupted and the clean
+        observation, and the generator's states before and after the corruption."""
         np.random.seed(3)
-        plain = call(clean)
+        plain = function(clean)
         before = np.random.get_state()
         np.random.seed(3)
-        return call(env), plain, before, np.random.get_state()
+        return function(env), plain, before, np.random.get_state()
 
-    for call in (lambda it: it.reset(), lambda it: it.step(NOTHING)[0]):
-        seen, plain, before, after = of_both(call)
-        np.testing.assert_array_equal(seen[WRIST], plain[WRIST])
+    for function in (lambda env: env.reset(), lambda env: env.step(NO_OP)[0]):
+        corrupted, plain, before, after = call_both(function)
+        np.testing.assert_array_equal(corrupted[WRIST], plain[WRIST])
         change = PlusPath(path("libero_goal", FOG))
-        np.testing.assert_array_equal(seen[IMAGE], change.corrupted(before, plain[IMAGE]))
-        assert not np.array_equal(seen[IMAGE], plain[IMAGE])
+        np.testing.assert_array_equal(corrupted[IMAGE], change.corrupted(before, plain[IMAGE]))
+        assert not np.array_equal(corrupted[IMAGE], plain[IMAGE])
         skipped = change.skip(before, 32, 32)
         np.testing.assert_array_equal(after[1], skipped[1])
         assert after[2:] == skipped[2:] != before[2:]
-    seen, plain, before, after = of_both(lambda it: it.set_init_state(start))
-    np.testing.assert_array_equal(seen[IMAGE], plain[IMAGE])
+    initial, plain, before, after = call_both(lambda env: env.set_init_state(start))
+    np.testing.assert_array_equal(initial[IMAGE], plain[IMAGE])
     np.testing.assert_array_equal(after[1], before[1])
-    for made in (env, clean):
-        made.close()
+    for environment in (env, clean):
+        environment.close()
 
 
 def test_corruptions_of_pictures_equal_the_originals() -> None:
@@ -221,16 +223,16 @@ def test_corruptions_of_pictures_equal_the_originals() -> None:
         change = PlusPath(f"a_view_0_0_100_0_0_initstate_0_noise_{number}.bddl")
         picture = picture_of_the_recordings(int(side))
         np.random.seed(1000 + int(number))
-        for wanted in expected:
+        for expected_digest in expected:
             state = np.random.get_state()
             corrupted = change.corrupted(state, picture)
-            assert hashlib.sha256(corrupted.tobytes()).hexdigest()[:16] == wanted, line
+            assert hashlib.sha256(corrupted.tobytes()).hexdigest()[:16] == expected_digest, line
             np.random.set_state(change.skip(state, int(side), int(side)))
         assert np.random.random_sample() == float(draw), line
 
 
 def picture_of_the_recordings(side: int) -> Any:
-    """The picture of `corruptions.py`: flat squares above, a gradient and noise below."""
+    """Returns the picture of `corruptions.py`: flat squares above, a gradient and noise below."""
     noise = np.random.RandomState(side).randint(0, 256, size=(side, side, 3))
     rows, columns = np.mgrid[0:side, 0:side]
     block = (rows // 8) * (side // 16) + columns // 16
@@ -240,7 +242,7 @@ def picture_of_the_recordings(side: int) -> Any:
     return np.where(upper, flat, np.where(left, gradient, noise)).astype(np.uint8)
 
 
-def test_postures_outlive_an_initial_state_and_are_told() -> None:
+def test_postures_outlive_an_initial_state_and_are_reported_by_the_robot() -> None:
     name = f"{BOWL}_view_0_0_100_0_0_initstate_409"
     env = make(name, use_camera_obs=False)
     posture = PlusPath(path("libero_goal", name)).posture
@@ -252,7 +254,7 @@ def test_postures_outlive_an_initial_state_and_are_told() -> None:
     turned = robot.controller.ee_ori_mat.copy()
     env.set_init_state(states("libero_goal", name)[0])
     for _ in range(60):
-        env.step(NOTHING)
+        env.step(NO_OP)
     # The controller keeps the orientation of the reset as its goal.
     angle = np.arccos((np.trace(turned.T @ env.robots[0].controller.ee_ori_mat) - 1) / 2)
     assert np.degrees(angle) < 0.5
@@ -275,7 +277,7 @@ def test_every_path_has_a_rounded_view() -> None:
     env.close()
 
 
-def test_pictures_of_the_simulation_are_of_the_view_and_not_corrupted() -> None:
+def test_sim_render_draws_the_variants_view_without_corruption() -> None:
     nominal, far = make(BOWL), make(f"{BOWL}_view_0_0_181_0_0_initstate_0_noise_39")
     pictures = []
     for env in (nominal, far):
@@ -305,7 +307,7 @@ def test_segmentations_are_of_uncorrupted_frames() -> None:
         )
         env.seed(1)
         env.reset()
-        frames.append(env.step(NOTHING)[0][IMAGE])
+        frames.append(env.step(NO_OP)[0][IMAGE])
         numbers.append(np.random.random_sample())
         assert "plate_1" in env.instance_to_id
         env.close()
@@ -313,7 +315,7 @@ def test_segmentations_are_of_uncorrupted_frames() -> None:
     np.testing.assert_array_equal(*frames)
 
 
-def test_what_cannot_be_shown_is_refused_with_the_remedy(tmp_path: Path) -> None:
+def test_unavailable_variants_are_refused_with_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="scenes/lights/.*ROLLOUT_ASSETS"):
         make(f"{BOWL}_light_1")
     with pytest.raises(FileNotFoundError, match="new_objects/.*no package index"):
@@ -336,7 +338,7 @@ def test_further_files_of_a_folder_with_liberos_assets_are_used(
     folder = tmp_path / "assets"
     shutil.copytree(real_assets, folder, copy_function=os.symlink)
     monkeypatch.setenv("ROLLOUT_ASSETS", str(folder))
-    # In place of the archive's texture.
+    # This texture stands for the texture of the same name in LIBERO-Plus' archive.
     floor = folder / "textures" / "CarbonFiber001_COL_6K.png"
     floor.symlink_to(real_assets / "textures" / "brown_ceramic_tile.png")
     soup = "pick_up_the_alphabet_soup_and_place_it_in_the_basket"
@@ -404,8 +406,8 @@ def roll(venv):
     venv.seed([7] * len(chosen))
     venv.reset()
     for _ in range(15):
-        seen, *_ = venv.step(np.zeros((len(chosen), 7)))
-    return list(seen)
+        observations, *_ = venv.step(np.zeros((len(chosen), 7)))
+    return list(observations)
 
 if __name__ == "__main__":
     multiprocessing.set_start_method("spawn", force=True)

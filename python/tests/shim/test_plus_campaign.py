@@ -1,5 +1,6 @@
-"""LIBERO-Plus' package against the program `worker`: the states, frames and prompts of its rollouts
-of the student, one variant of each dimension that LIBERO's assets suffice for."""
+"""LIBERO-Plus' package compared with the program `worker`: states, frames and prompts are those of
+the worker's rollouts of the student, in variants of each dimension for which LIBERO's assets
+suffice."""
 
 from __future__ import annotations
 
@@ -29,11 +30,11 @@ VARIANTS = {
     f"{BOWL}_moved_level1_sample1": "libero_goal",
     "pick_up_the_alphabet_soup_and_place_it_in_the_basket_tb_18": "libero_object",
 }
-#: The protocol `plus-official`.
+#: Seed and waiting steps of the protocol `plus-official`.
 SEED, WAITS = 0, 10
 #: Control steps between two queries of the student.
 EXECUTED = 8
-NOTHING = [0.0] * 6 + [-1.0]
+NO_OP = [0.0] * 6 + [-1.0]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def rollouts(
     real_assets: Path,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
-    """Folder with the worker's rollouts."""
+    """The folder of the worker's rollouts."""
 
     def worker(*arguments: Any) -> subprocess.CompletedProcess[str]:
         command = list(map(str, (programs / "worker", *arguments)))
@@ -86,12 +87,12 @@ def test_a_rollout_equals_the_workers(name: str, rollouts: Path) -> None:
     result = next(line for line in map(json.loads, lines) if line["variant"] == name)
     trace = np.load(rollouts / name / "trace.npz")
     files = (rollouts / name).glob("frames/query-*-agentview.png")
-    drawn = {EXECUTED * int(file.name.split("-")[1]): file for file in files}
-    assert len(drawn) == 2 and 0 in drawn, "the first and the last query have frames"
+    file_of_step = {EXECUTED * int(file.name.split("-")[1]): file for file in files}
+    assert len(file_of_step) == 2 and 0 in file_of_step, "the first and the last query have frames"
     suite = benchmark.get_benchmark(VARIANTS[name])()
     i = suite.get_task_names().index(name)
     assert suite.get_task(i).language == result["prompt"]
-    height, width, _ = np.asarray(Image.open(drawn[0])).shape
+    height, width, _ = np.asarray(Image.open(file_of_step[0])).shape
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(i), camera_heights=height, camera_widths=width
     )
@@ -99,18 +100,19 @@ def test_a_rollout_equals_the_workers(name: str, rollouts: Path) -> None:
     env.reset()
     env.set_init_state(suite.get_task_init_states(i)[0])
     for _ in range(WAITS):
-        seen, *_ = env.step(NOTHING)
+        observation, *_ = env.step(NO_OP)
     for step, action in enumerate([*trace["actions"], None]):
         np.testing.assert_array_equal(env.sim.data.qpos, trace["qpos"][step], err_msg=f"{step}")
-        if step in drawn:
-            file = drawn.pop(step)
+        if step in file_of_step:
+            file = file_of_step.pop(step)
             for camera in ("agentview", "robot0_eye_in_hand"):
                 picture = Image.open(file.with_name(file.name.replace("agentview", camera)))
+                upright = observation[f"{camera}_image"][::-1]
                 np.testing.assert_array_equal(
-                    seen[f"{camera}_image"][::-1], np.asarray(picture), err_msg=f"{camera} {step}"
+                    upright, np.asarray(picture), err_msg=f"{camera} {step}"
                 )
         if action is not None:
-            seen, _, success, _ = env.step(action)
+            observation, _, success, _ = env.step(action)
             assert success == trace["success"][step + 1]
-    assert not drawn and success == result["success"]
+    assert not file_of_step and success == result["success"]
     env.close()

@@ -1,4 +1,4 @@
-"""LIBERO-Plus in one process, called as RLinf calls its subprocess environments. Its rollouts must
+"""LIBERO-Plus in one process, called as RLinf calls environments in subprocesses. Rollouts must
 equal those of `liberoplus` environments that each have their own global generator."""
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def parameters(name: str, seed: int = 0) -> dict[str, Any]:
 
 
 class Process:
-    """An environment with its own global generator, as in a process of its own."""
+    """An environment with a global generator of its own, as if it were in a separate process."""
 
     def __init__(self, name: str, seed: int = 0) -> None:
         arguments = parameters(name)
@@ -62,7 +62,8 @@ class Process:
         self.call("seed", seed)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Calls a method of the environment under its own state of the global generator."""
+        """Calls a method of the environment while the global generator has the environment's
+        state."""
         outside = np.random.get_state()
         if self._state is not None:
             np.random.set_state(self._state)
@@ -75,34 +76,36 @@ class Process:
 @pytest.fixture(params=[False, True], ids=["last", "all"])
 def rows(request: pytest.FixtureRequest) -> Iterator[PlusRows]:
     """Environments in one process that render either the last step of a chunk or every step."""
-    made = PlusRows([parameters(name) for name in NAMES], threads=2, draws_all=request.param)
-    yield made
-    made.close()
+    environments = PlusRows(
+        [parameters(name) for name in NAMES], threads=2, draws_all=request.param
+    )
+    yield environments
+    environments.close()
 
 
-def assert_same(ours: Any, theirs: Any, what: str) -> None:
+def assert_same(ours: Any, theirs: Any, label: str) -> None:
     for key in KEYS:
-        np.testing.assert_array_equal(ours[key], theirs[key], err_msg=f"{what}: {key}")
+        np.testing.assert_array_equal(ours[key], theirs[key], err_msg=f"{label}: {key}")
 
 
 def test_rollouts_equal_those_in_processes(rows: PlusRows) -> None:
     processes = [Process(name) for name in NAMES]
-    every = list(range(len(NAMES)))
+    all_ids = list(range(len(NAMES)))
 
     def reset(ids: list[int], seed: int) -> None:
-        """Imitates RLinf's `_reconfigure` and waiting steps in both: seeds all environments, resets
-        those of `ids`, and steps them twice."""
+        """Imitates RLinf's `_reconfigure` and waiting steps, in one process and in processes: seeds
+        all environments, resets the environments `ids`, and steps these twice."""
         rows.seed(seed)
         for i, process in enumerate(processes):
             process.call("seed", seed + i)
         ours = rows.reset(id=ids)
-        for at, i in enumerate(ids):
-            assert_same(ours[at], processes[i].call("reset"), f"reset of {i}")
+        for index, i in enumerate(ids):
+            assert_same(ours[index], processes[i].call("reset"), f"reset of {i}")
         for _ in range(2):
             ours, _, _, infos = rows.step(np.zeros((len(ids), 7)), ids)
             assert [info["env_id"] for info in infos] == ids
-            for at, i in enumerate(ids):
-                assert_same(ours[at], processes[i].call("step", ZERO)[0], f"wait of {i}")
+            for index, i in enumerate(ids):
+                assert_same(ours[index], processes[i].call("step", ZERO)[0], f"wait of {i}")
 
     def chunk(number: int) -> None:
         actions = np.random.default_rng(number).uniform(-1, 1, (len(NAMES), 3, 7))
@@ -118,15 +121,15 @@ def test_rollouts_equal_those_in_processes(rows: PlusRows) -> None:
         for ours_state, process in zip(rows.get_sim_state(), processes):
             np.testing.assert_array_equal(ours_state, process.env.get_sim_state())
 
-    reset(every, 11)
+    reset(all_ids, 11)
     chunk(0)
-    # An automatic reset of some, in the middle of the others' rollouts.
+    # Some environments are reset automatically, while the rollouts of the others continue.
     reset([3, 0], 22)
     chunk(1)
-    # Another variant in one row.
-    other = f"{BOWL}_view_0_0_181_0_0_initstate_0"
-    rows.reconfigure_env_fns([parameters(other, 5)], [2])
-    processes[2] = Process(other, 5)
+    # One row gets a different variant.
+    variant = f"{BOWL}_view_0_0_181_0_0_initstate_0"
+    rows.reconfigure_env_fns([parameters(variant, 5)], [2])
+    processes[2] = Process(variant, 5)
     reset([2], 33)
     chunk(2)
     for process in processes:
@@ -149,7 +152,7 @@ def test_initial_states_equal_those_in_processes(rows: PlusRows) -> None:
         assert_same(ours[i], processes[i].call("step", ZERO)[0], f"step of {i}")
 
 
-def test_variants_that_cannot_be_shown_are_refused(rows: PlusRows) -> None:
+def test_variants_with_missing_files_are_refused(rows: PlusRows) -> None:
     with pytest.raises(ValueError, match="call reset"):
         rows.step(np.zeros((1, 7)), [0])
     rows.reconfigure_env_fns([parameters(f"{BOWL}_light_1")], [1])

@@ -1,4 +1,4 @@
-"""LIBERO-PRO's package, imported and called as by RLinf with `LIBERO_TYPE=pro`."""
+"""LIBERO-PRO's package, imported and called as RLinf does with `LIBERO_TYPE=pro`."""
 
 from __future__ import annotations
 
@@ -34,21 +34,22 @@ root = core.get_libero_path("bddl_files")
 folders = [d for d in os.listdir(root) if "goal" in d and d.endswith(("_lan", "_swap", "_task"))]
 assert sorted(folders) == ["libero_goal_lan", "libero_goal_swap", "libero_goal_task"], folders
 assert os.path.isfile(suite.get_task_bddl_file_path(8))
-own = suite.get_task_init_states(8)
+original_states = suite.get_task_init_states(8)
 changed = get_benchmark("LIBERO_GOAL_SWAP")()
 assert changed.get_task_names() == suite.get_task_names()
 states = changed.get_task_init_states(8)
-assert states.shape == own.shape == (50, 79) and not np.array_equal(states, own)
+assert states.shape == original_states.shape == (50, 79)
+assert not np.array_equal(states, original_states)
 file = os.path.join(core.get_libero_path("init_states"), "libero_goal_swap", task.init_states_file)
 assert os.path.isfile(file)
 
-for one in (suite, changed):
+for tasks in (suite, changed):
     env = OffScreenRenderEnv(
-        bddl_file_name=one.get_task_bddl_file_path(8), camera_heights=16, camera_widths=16
+        bddl_file_name=tasks.get_task_bddl_file_path(8), camera_heights=16, camera_widths=16
     )
     env.seed(0)
     env.reset()
-    state = one.get_task_init_states(8)[3]
+    state = tasks.get_task_init_states(8)[3]
     observation = env.set_init_state(state)
     np.testing.assert_array_equal(env.get_sim_state()[1:], state[1:])
     bowl, plate = observation["akita_black_bowl_1_pos"], observation["plate_1_pos"]
@@ -72,8 +73,8 @@ def test_rlinf_finds_the_suites_their_states_and_environments() -> None:
         [sys.executable, "-c", AS_RLINF], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
-    places = [line.split() for line in done.stdout.splitlines()]
-    assert len(places) == 2 and places[0] != places[1], "the swapped objects lie elsewhere"
+    positions = [line.split() for line in done.stdout.splitlines()]
+    assert len(positions) == 2 and positions[0] != positions[1], "the objects are not swapped"
 
 
 def test_states_are_written_as_libero_writes_them() -> None:

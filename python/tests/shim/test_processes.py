@@ -30,9 +30,9 @@ def deadline() -> Iterator[None]:
 
 @pytest.fixture(params=["shared memory", "pipes"])
 def channel(request: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sends answers with and without shared memory."""
+    """Makes environments send answers with and without shared memory."""
     if request.param == "pipes":
-        monkeypatch.setattr(_shared_memory, "memory", lambda: None)
+        monkeypatch.setattr(_shared_memory, "create", lambda: None)
 
 
 def assert_ended(envs: SubprocVectorEnv) -> None:
@@ -94,7 +94,7 @@ def test_an_interrupted_construction_does_not_shift_answers() -> None:
 def test_environments_close_after_an_interrupt() -> None:
     envs = SubprocVectorEnv([stubs.Stub] * 3)
     envs.reset()
-    # As Ctrl-C during a step, which ends some processes while their answers are awaited.
+    # Like Ctrl-C during a step, this ends some processes while their answers are awaited.
     for worker in envs.workers[:2]:
         worker.send(stubs.interrupt)
         worker.process.join()
@@ -116,7 +116,7 @@ def test_an_ended_process_is_named_at_the_next_command() -> None:
 
 
 @pytest.mark.parametrize("construct", [stubs.invalid, stubs.colliding, stubs.Unclosable])
-def test_an_environment_that_fails_lets_the_others_close(construct: Any) -> None:
+def test_environments_close_if_another_environment_fails(construct: Any) -> None:
     envs = SubprocVectorEnv([construct, stubs.Stub])
     envs.close()
     assert envs.is_closed

@@ -1,8 +1,8 @@
-"""Reinforcement-learning frameworks on the shim, with their own unmodified files.
+"""Unmodified files of reinforcement-learning frameworks on the shim.
 
 RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py).
 The other frameworks are in no package index: `ROLLOUT_FRAMEWORKS` names a
-folder with checkouts of them, named after their repositories.
+folder with their checkouts, each named after its repository.
 """
 
 from __future__ import annotations
@@ -80,18 +80,18 @@ def rlinf(python: str, installation: str) -> Path | None:
     return None
 
 
-def assert_same(ours: Any, theirs: Any, what: str) -> None:
+def assert_same(ours: Any, theirs: Any, label: str) -> None:
     if isinstance(theirs, dict):
-        assert list(ours) == list(theirs), what
+        assert list(ours) == list(theirs), label
         for key in theirs:
-            assert_same(ours[key], theirs[key], f"{what}/{key}")
+            assert_same(ours[key], theirs[key], f"{label}/{key}")
     elif isinstance(theirs, list | tuple):
-        assert len(ours) == len(theirs), what
+        assert len(ours) == len(theirs), label
         for i, (our, their) in enumerate(zip(ours, theirs)):
-            assert_same(our, their, f"{what}/{i}")
+            assert_same(our, their, f"{label}/{i}")
     else:
-        assert type(ours) is type(theirs), what
-        np.testing.assert_array_equal(ours, theirs, err_msg=what)
+        assert type(ours) is type(theirs), label
+        np.testing.assert_array_equal(ours, theirs, err_msg=label)
 
 
 @pytest.mark.parametrize("installation", ["package", "checkout"])
@@ -161,7 +161,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
     framework: str, name: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = roll_out(python, shim, tmp_path, framework, checkout(name))
-    begun, observations, rewards, dones, infos = rollouts["outputs"]
+    initial, observations, rewards, dones, infos = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
     tasks = [(0, 1), (3, 2)]
@@ -174,7 +174,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
         env.seed(4 + row)
         env.reset()
         observation = env.set_init_state(suite.get_task_init_states(task)[state])
-        assert_same(dict(begun[row]), dict(observation), f"{framework} {row}")
+        assert_same(dict(initial[row]), dict(observation), f"{framework} {row}")
         for action in moves[:, row]:
             observation, *_ = env.step(action.tolist())
         if row == 0:

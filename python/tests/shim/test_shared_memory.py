@@ -19,8 +19,8 @@ FRAME = (256, 256, 3)
 
 
 def frame_environment() -> Any:
-    """Returns a class of environments whose observations are frames with the number of their
-    steps. It is local, so that spawned processes need not import this module."""
+    """Returns a class of environments whose observations are frames with the number of steps. The
+    class is local, so that spawned processes need not import this module."""
 
     class FrameEnvironment:
         def __init__(self) -> None:
@@ -76,7 +76,7 @@ def test_messages_hold_no_frames() -> None:
     assert others == [1.0, False, {}]
     for name, frame in frames.items():
         np.testing.assert_array_equal(received[name], frame)
-    memory.started()
+    memory.close_descriptor()
 
 
 @pytest.mark.parametrize(
@@ -95,16 +95,16 @@ def test_other_arrays_stay_in_the_message(array: Any) -> None:
     received, frame = pickle.loads(message)
     np.testing.assert_array_equal(received, array)
     np.testing.assert_array_equal(frame, np.ones(FRAME))
-    memory.started()
+    memory.close_descriptor()
 
 
 def test_arrays_beyond_the_memory_stay_in_the_message() -> None:
     memory = SharedMemory()
     arrays = [np.full(SIZE // 2, number, np.uint8) for number in range(3)]
     received = pickle.loads(memory.dumps(arrays))
-    for one, other in zip(received, arrays):
-        np.testing.assert_array_equal(one, other)
-    memory.started()
+    for received_array, array in zip(received, arrays):
+        np.testing.assert_array_equal(received_array, array)
+    memory.close_descriptor()
 
 
 def test_environments_close_their_descriptors() -> None:
@@ -118,11 +118,11 @@ def test_environments_close_their_descriptors() -> None:
 
 
 @pytest.mark.parametrize("is_shared", [True, False])
-def test_frames_have_the_bits_of_those_of_one_process(
+def test_frames_from_processes_equal_frames_of_one_process(
     is_shared: bool, bddl_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not is_shared:
-        monkeypatch.setattr(_shared_memory, "memory", lambda: None)
+        monkeypatch.setattr(_shared_memory, "create", lambda: None)
 
     def construct() -> OffScreenRenderEnv:
         return OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=96, camera_widths=96)

@@ -1,4 +1,4 @@
-"""`TrainingEnvironment` against the shim's environments: equal bits from equal starts."""
+"""From equal starts, `TrainingEnvironment` gives the same bits as the shim's environments."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def task(suite: str, i: int) -> tuple[str, np.ndarray]:
 def started_in_shim(
     start: Start, settle_steps: int = 10, resets: int = 1
 ) -> tuple[OffScreenRenderEnv, Any]:
-    """Returns an environment of the shim, started as by a script, and its observation."""
+    """Returns an environment of the shim that was started as scripts start it, and its
+    observation."""
     env = OffScreenRenderEnv(bddl_file_name=start.task, camera_heights=SIZE, camera_widths=SIZE)
     for _ in range(resets):
         env.seed(start.seed)
@@ -44,11 +45,11 @@ def started_in_shim(
     return env, from_shim
 
 
-def assert_same(observation: Any, at: int, from_shim: Any) -> None:
+def assert_same(observation: Any, row: int, from_shim: Any) -> None:
     for ours, theirs in NAMES.items():
         expected = from_shim[theirs]
         expected = expected[::-1, ::-1] if theirs.endswith("image") else expected
-        np.testing.assert_array_equal(observation[ours][at], expected, err_msg=ours)
+        np.testing.assert_array_equal(observation[ours][row], expected, err_msg=ours)
 
 
 @pytest.fixture
@@ -59,32 +60,34 @@ def envs() -> Any:
 
 
 def test_rows_of_any_tasks_equal_scripts_environments(envs: TrainingEnvironment) -> None:
-    # A drawer whose joint and place depend on the seed, an object, and a task of libero_90.
+    # A task with a drawer, whose joint and position depend on the seed; a task with loose objects;
+    # and a task of libero_90.
     tasks = [task("libero_goal", 0), task("libero_object", 3), task("libero_90", 44)]
     starts = [Start(file, states[7 + i], seed=20 + i) for i, (file, states) in enumerate(tasks)]
     shim = [started_in_shim(start) for start in starts]
     observation = envs.reset(starts)
-    for at, (_, from_shim) in enumerate(shim):
-        assert_same(observation, at, from_shim)
+    for row, (_, from_shim) in enumerate(shim):
+        assert_same(observation, row, from_shim)
     chunk = np.random.default_rng(0).uniform(-1, 1, (3, 5, 7))
     stepped = envs.step_chunk(chunk)
     assert stepped.success.shape == (3, 5)
-    for at, (env, _) in enumerate(shim):
-        for action in chunk[at]:
+    for row, (env, _) in enumerate(shim):
+        for action in chunk[row]:
             from_shim, *_ = env.step(action)
-        assert_same(stepped.observation, at, from_shim)
-    # Another task in the middle row only: without a state, in a reused environment.
-    other = Start(task("libero_goal", 6)[0], seed=5, loads=3)
-    observation = envs.reset([other], rows=[1])
-    assert_same(observation, 0, started_in_shim(other, resets=2)[1])
+        assert_same(stepped.observation, row, from_shim)
+    # Only the middle row gets a different task, which starts without a state.
+    start = Start(task("libero_goal", 6)[0], seed=5, loads=3)
+    observation = envs.reset([start], rows=[1])
+    assert_same(observation, 0, started_in_shim(start, resets=2)[1])
     assert observation["agentview"].shape == (1, SIZE, SIZE, 3)
     assert observation["agentview"].flags.c_contiguous and observation["agentview"].flags.writeable
     # The other rows have not moved.
     stepped = envs.step_chunk(chunk[[2, 0], :2], rows=[2, 0], render="all")
-    for at, row in enumerate((2, 0)):
+    for index, row in enumerate((2, 0)):
         for step, action in enumerate(chunk[row, :2]):
             from_shim, *_ = shim[row][0].step(action)
-            assert_same({k: v[:, step] for k, v in stepped.observation.items()}, at, from_shim)
+            of_step = {name: values[:, step] for name, values in stepped.observation.items()}
+            assert_same(of_step, index, from_shim)
 
 
 def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvironment) -> None:
@@ -92,12 +95,12 @@ def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvir
     start = Start(file, states[0], seed=7)
     env, from_shim = started_in_shim(start)
     target = env.obj_of_interest[0]
-    at, basket = from_shim[f"{target}_pos"], from_shim["basket_1_pos"]
+    position, basket = from_shim[f"{target}_pos"], from_shim["basket_1_pos"]
     plan = [
-        (22, at + [0, 0, 0.12], -1.0),
-        (20, at, -1.0),
-        (8, at, 1.0),
-        (15, at + [0, 0, 0.25], 1.0),
+        (22, position + [0, 0, 0.12], -1.0),
+        (20, position, -1.0),
+        (8, position, 1.0),
+        (15, position + [0, 0, 0.25], 1.0),
         (30, basket + [0, 0, 0.3], 1.0),
         (10, basket + [0, 0, 0.2], 1.0),
         (39, basket + [0, 0, 0.2], -1.0),
@@ -135,15 +138,15 @@ def test_rows_with_equal_starts_settle_once_and_then_step_independently(
     )
     observation = envs.reset([group, Start(file, states[4], seed=3), group])
     assert counts == [2]
-    for at, start in enumerate([group, Start(file, states[4], seed=3), group]):
-        assert_same(observation, at, started_in_shim(start)[1])
+    for row, start in enumerate([group, Start(file, states[4], seed=3), group]):
+        assert_same(observation, row, started_in_shim(start)[1])
     moves = np.random.default_rng(1).uniform(-1, 1, (3, 4, 7))
     stepped = envs.step_chunk(moves)
     alone = TrainingEnvironment(1, height=SIZE, width=SIZE)
     alone.reset([group])
-    only = alone.step_chunk(moves[2:])
+    stepped_alone = alone.step_chunk(moves[2:])
     np.testing.assert_array_equal(
-        stepped.observation["agentview"][2], only.observation["agentview"][0]
+        stepped.observation["agentview"][2], stepped_alone.observation["agentview"][0]
     )
     assert (stepped.observation["eef_pos"][0] != stepped.observation["eef_pos"][2]).any()
     # A settled start can be restored.
@@ -184,8 +187,8 @@ def test_a_refused_call_moves_no_row(envs: TrainingEnvironment) -> None:
         envs.reset([Start(file, states[0][:-1])], rows=[1])
     with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
         envs.reset([Start("nowhere.bddl")], rows=[1])
-    at = envs.step_chunk(np.zeros((3, 1, 7))).observation["eef_pos"]
-    np.testing.assert_array_equal(at[0], at[2])
+    positions = envs.step_chunk(np.zeros((3, 1, 7))).observation["eef_pos"]
+    np.testing.assert_array_equal(positions[0], positions[2])
 
 
 def test_failed_rows_are_named_and_the_others_continue(envs: TrainingEnvironment) -> None:

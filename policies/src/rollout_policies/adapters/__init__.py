@@ -95,7 +95,7 @@ def _require_options(listed: Entry, options: Options) -> None:
         )
 
 
-def executed(listed: Entry, options: Options, *, chunk: int, from_checkpoint: int) -> int:
+def executed_actions(listed: Entry, options: Options, *, chunk: int, from_checkpoint: int) -> int:
     """Returns the number of executed actions of a chunk: the command line's, else LIBERO-CTRL's
     for the checkpoints of the catalogue, else `from_checkpoint`, the checkpoint's own.
 

@@ -1,8 +1,8 @@
 """Assignment of the simulator's cameras to the image slots of a checkpoint.
 
-Slots are named after the data set that the checkpoint was trained on. A wrong guess
-shows the policy the wrist camera in place of the scene, and every task fails;
-so slots are assigned by known names or by the command line, never guessed.
+Slots have the names that the images have in the data set of the checkpoint's training. If the
+cameras are swapped, the policy sees the wrist camera's frames in place of the scene's, and every
+task fails; so slots are assigned by known names or by the command line, never guessed.
 """
 
 from __future__ import annotations
@@ -37,34 +37,34 @@ NEVER_FILLED = frozenset(["camera3", "image3", "right_wrist_0_rgb"])
 
 def camera_of_slot(
     slots: Sequence[str],
-    given: Mapping[str, str] | None = None,
+    image_keys: Mapping[str, str] | None = None,
     renamed: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
-    """Returns the simulator's camera of each slot that gets one.
+    """Returns the simulator's camera by slot, without the slots that stay empty.
 
-    `given` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed` maps
-    image names of the data set to slots, as recorded in the checkpoint; the data set's names
+    `image_keys` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed`
+    maps image names of the data set to slots, as recorded in the checkpoint; the data set's names
     identify cameras better than slot names such as `camera1`.
 
-    Raises UnusableOption if `given` names an unknown role or slot, or one slot twice;
+    Raises UnusableOption if `image_keys` names an unknown role or slot, or one slot twice;
     UnusableCheckpoint, whose message has the flag to add, if the names do not determine the
     cameras.
     """
-    if given:
-        return _assigned_by_flag(slots, given)
-    found: dict[str, str] = {}
+    if image_keys:
+        return _assigned_by_flag(slots, image_keys)
+    assigned: dict[str, str] = {}
     for slot in slots:
-        roles = {_camera(name) for name in _names_of(slot, renamed or {})}
-        if len(roles) != 1 or (camera := roles.pop()) == "unknown":
+        cameras = {_camera(name) for name in _names_of(slot, renamed or {})}
+        if len(cameras) != 1 or (camera := cameras.pop()) == "unknown":
             raise _unclear(slots, f"{short(slot)} is not a known name")
         if camera is None:
             continue
-        if camera in found.values():
+        if camera in assigned.values():
             raise _unclear(slots, "two of them have names of the same camera")
-        found[slot] = camera
-    if not found:
+        assigned[slot] = camera
+    if not assigned:
         raise _unclear(slots, "none of them has the name of a LIBERO camera")
-    return found
+    return assigned
 
 
 def short(slot: str) -> str:
@@ -73,24 +73,25 @@ def short(slot: str) -> str:
     return slot.rpartition(".")[2]
 
 
-def _assigned_by_flag(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
+def _assigned_by_flag(slots: Sequence[str], image_keys: Mapping[str, str]) -> dict[str, str]:
     by_name = {**{short(slot): slot for slot in slots}, **{slot: slot for slot in slots}}
-    found = {}
-    for role, name in given.items():
+    assigned = {}
+    for role, name in image_keys.items():
         if role not in ROLES or name not in by_name:
-            wrong = name if role in ROLES else role
+            unknown = name if role in ROLES else role
             raise UnusableOption(
-                f"--image-keys: {wrong!r} is neither a camera (scene, wrist) nor an image slot"
+                f"--image-keys: {unknown!r} is neither a camera (scene, wrist) nor an image slot"
                 f" of this checkpoint, whose slots are {_listed(slots)}"
             )
-        if by_name[name] in found:
+        if by_name[name] in assigned:
             raise UnusableOption(f"--image-keys: two cameras are assigned to slot {name}")
-        found[by_name[name]] = ROLES[role]
-    return found
+        assigned[by_name[name]] = ROLES[role]
+    return assigned
 
 
 def _names_of(slot: str, renamed: Mapping[str, str]) -> list[str]:
-    """Returns the names of the slot's images in the training data."""
+    """Returns the names of the slot's images in the training data: the names that the checkpoint
+    renames to the slot, or the slot's name if there are none."""
     return [source for source, target in renamed.items() if target == slot] or [slot]
 
 
@@ -103,12 +104,12 @@ def _camera(name: str) -> str | None:
     return next((camera for camera, names in NAMES.items() if key in names), "unknown")
 
 
-def _unclear(slots: Sequence[str], why: str) -> UnusableCheckpoint:
+def _unclear(slots: Sequence[str], reason: str) -> UnusableCheckpoint:
     names = [short(slot) for slot in slots]
     example = ",".join(f"{role}={name}" for role, name in zip(ROLES, names))
     return UnusableCheckpoint(
         f"the cameras of the image slots are not clear: the checkpoint's slots are"
-        f" {_listed(slots)}, and {why}; assign them, for example --image-keys {example}"
+        f" {_listed(slots)}, and {reason}; assign them, for example --image-keys {example}"
     )
 
 

@@ -34,8 +34,9 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
     """Returns the folder of a checkpoint: a local folder, or a download from
     the hub (`owner/repository` or `owner/repository/folder`).
 
-    Raises NoCheckpoint if the name is neither, UnusableOption if a revision is
-    given for a folder, UnusableCheckpoint if the hub does not provide it.
+    Raises NoCheckpoint if the name is neither a local folder nor of the hub's form, UnusableOption
+    if a revision is given for a local folder, UnusableCheckpoint if the hub does not provide the
+    checkpoint.
     """
     local = Path(name).expanduser()
     if local.is_dir():
@@ -46,17 +47,17 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
         cached = local.resolve()
         is_snapshot = cached.parent.name == "snapshots" and COMMIT.fullmatch(cached.name)
         return Fetched(local, cached.name if is_snapshot else "")
-    named = HUB_NAME.fullmatch(name)
-    if named is None:
+    hub_name = HUB_NAME.fullmatch(name)
+    if hub_name is None:
         raise NoCheckpoint(
             f"{entry.title}'s weights: there is no folder {name}, and this is not a name on the hub"
             " (owner/repository); name the weights with --checkpoint"
         )
-    repository, folder = named["repository"], named["folder"]
+    repository, folder = hub_name["repository"], hub_name["folder"]
     hub = require("huggingface_hub", entry)
-    given = {} if folder is None else {"allow_patterns": [f"{folder}/*", f"*/{folder}/*"]}
+    filters = {} if folder is None else {"allow_patterns": [f"{folder}/*", f"*/{folder}/*"]}
     try:
-        snapshot = Path(hub.snapshot_download(repository, revision=revision, **given))
+        snapshot = Path(hub.snapshot_download(repository, revision=revision, **filters))
     except (OSError, ValueError) as error:
         raise UnusableCheckpoint(
             f"{entry.title}'s weights: there is no folder {name} here, and the hub did not provide"
@@ -68,18 +69,20 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
 
 
 def _subfolder(snapshot: Path, folder: str | None, name: str) -> Path:
+    """Returns the only folder in a snapshot whose path ends in `folder`; the snapshot if that is
+    None."""
     if folder is None:
         return snapshot
-    wanted = Path(folder).parts
-    found = [path for path in snapshot.rglob(wanted[-1]) if path.parts[-len(wanted) :] == wanted]
-    found = [path for path in found if path.is_dir()]
-    if len(found) != 1:
+    parts = Path(folder).parts
+    matching = [path for path in snapshot.rglob(parts[-1]) if path.parts[-len(parts) :] == parts]
+    matching = [path for path in matching if path.is_dir()]
+    if len(matching) != 1:
         top = sorted(path.name for path in snapshot.iterdir() if path.is_dir())
         raise UnusableCheckpoint(
-            f"checkpoint {name}: its repository has {len(found) or 'no'} folders named {folder};"
+            f"checkpoint {name}: its repository has {len(matching) or 'no'} folders named {folder};"
             f" its top folders are {', '.join(top) or 'none'}"
         )
-    return found[0]
+    return matching[0]
 
 
 @contextlib.contextmanager
@@ -101,7 +104,7 @@ def downloads(needed: Mapping[str, str]) -> str:
     )
     if not needed:
         return f"Nothing else is downloaded. {cached}"
-    listed = "; ".join(f"{name} ({what})" for name, what in needed.items())
+    listed = "; ".join(f"{name} ({text})" for name, text in needed.items())
     return f"Downloads besides the checkpoint: {listed}. {cached}"
 
 

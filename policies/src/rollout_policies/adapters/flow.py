@@ -12,7 +12,7 @@ from ..catalogue import Entry
 from ..description import Description
 from ..episode import Episode, Observation
 from ..policy import Policy
-from . import Options, executed
+from . import Options, executed_actions
 from .lerobot import LerobotModel
 
 
@@ -39,12 +39,12 @@ class FlowPolicy(Policy):
         )
 
     @classmethod
-    def load(cls, entry: Entry, options: Options, *, kind: str, **replaced: Any) -> FlowPolicy:
+    def load(cls, entry: Entry, options: Options, *, kind: str, **overrides: Any) -> FlowPolicy:
         """Loads a checkpoint of a lerobot policy type; see `LerobotModel.load`."""
-        model = LerobotModel.load(entry, options, kind=kind, **replaced)
+        model = LerobotModel.load(entry, options, kind=kind, **overrides)
         model.chunk_in_real_time()
         config = model.config
-        execute = executed(
+        execute = executed_actions(
             entry, options, chunk=config.chunk_size, from_checkpoint=config.n_action_steps
         )
         return cls(entry, model, execute=execute, max_batch=options.max_batch)
@@ -57,7 +57,7 @@ class FlowPolicy(Policy):
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         """Answers each query. Queries with actions that are executed during inference are answered
-        one by one, since a call of the network has one delay."""
+        one by one, since the network takes one delay for all queries of a call."""
         uses_under_way = self.description.real_time_chunking
         answers: dict[int, np.ndarray] = {}
         for at, observation in enumerate(observations):
@@ -65,10 +65,10 @@ class FlowPolicy(Policy):
             if uses_under_way and under_way is not None:
                 chunks = self.model.chunks([observation], self.noise([observation]), under_way)
                 answers[at] = chunks[0]
-        others = [at for at in range(len(observations)) if at not in answers]
-        if others:
-            rest = [observations[at] for at in others]
-            answers.update(zip(others, self.model.chunks(rest, self.noise(rest))))
+        unanswered = [at for at in range(len(observations)) if at not in answers]
+        if unanswered:
+            batch = [observations[at] for at in unanswered]
+            answers.update(zip(unanswered, self.model.chunks(batch, self.noise(batch))))
         return [answers[at] for at in range(len(observations))]
 
     def noise(self, observations: Sequence[Observation]) -> np.ndarray:

@@ -30,7 +30,7 @@ from .upstream import UnusableCheckpoint, digest, precision, require
 from .weights import COMPUTED, Exceptions, require_loaded, stored_in
 
 STATE, ACTION = "observation.state", "action"
-WEIGHTS, CONFIG, BEFORE = "model.safetensors", "config.json", "policy_preprocessor.json"
+WEIGHTS, CONFIG, PREPROCESSOR = "model.safetensors", "config.json", "policy_preprocessor.json"
 #: Contents of the state vector, in order.
 STATE_CONTENT = "eef_pos, eef_axis_angle, gripper_pos"
 #: Policies that can run with an empty image slot; others fail at the first query.
@@ -85,11 +85,11 @@ def batch_of(
 
 @dataclass
 class LerobotModel:
-    """A lerobot policy together with its processors, before and after the network."""
+    """A lerobot policy with the processors of its inputs and of its actions."""
 
     network: Any
-    before: Any
-    after: Any
+    preprocessor: Any
+    postprocessor: Any
     #: The camera of each image slot.
     slots: dict[str, str]
     with_state: bool
@@ -100,12 +100,12 @@ class LerobotModel:
 
     @classmethod
     def load(
-        cls, entry: Entry, options: Options, *, kind: str | None = None, **replaced: Any
+        cls, entry: Entry, options: Options, *, kind: str | None = None, **overrides: Any
     ) -> LerobotModel:
-        """Loads a checkpoint of lerobot's policy type `kind` from a folder or a
-        hub; `replaced` overrides values of its configuration.
+        """Loads a checkpoint of lerobot's policy type `kind` (of any type if None) from a folder
+        or the hub; `overrides` replaces values of the checkpoint's configuration.
 
-        Raises UnusableCheckpoint if it would not run as it was trained.
+        Raises UnusableCheckpoint if the policy would not run as it was trained.
         """
         name = options.checkpoint or entry.checkpoint_for(options.suite)
         configs = require("lerobot.configs.policies", entry)
@@ -114,7 +114,7 @@ class LerobotModel:
         folder = fetched.folder
         _require_files(folder, name)
         config = configs.PreTrainedConfig.from_pretrained(str(folder))
-        unknown = [each for each in replaced if not hasattr(config, each)]
+        unknown = [name for name in overrides if not hasattr(config, name)]
         if unknown or kind not in (None, config.type):
             raise UnusableCheckpoint(
                 f"checkpoint {name} is a policy of kind {config.type!r}, not {entry.title};"
@@ -122,15 +122,15 @@ class LerobotModel:
             )
         config.device = options.device
         config.pretrained_path = str(folder)
-        for each, value in replaced.items():
-            setattr(config, each, value)
-        steps = json.loads((folder / BEFORE).read_text("utf-8"))["steps"]
+        for attribute, value in overrides.items():
+            setattr(config, attribute, value)
+        steps = json.loads((folder / PREPROCESSOR).read_text("utf-8"))["steps"]
         slots = _slots(config, steps, options.image_keys)
         with naming_downloads(_downloads(entry, config, steps)):
             network = factory.get_policy_class(config.type).from_pretrained(
                 str(folder), config=config
             )
-            before, after = factory.make_pre_post_processors(
+            preprocessor, postprocessor = factory.make_pre_post_processors(
                 config,
                 pretrained_path=str(folder),
                 preprocessor_overrides={
@@ -142,10 +142,10 @@ class LerobotModel:
         network.to(options.device).eval()
         _require_weights(network, folder / WEIGHTS, name)
         with_state = STATE in config.input_features
-        statistics = _statistics(config, before, after, slots, with_state)
-        feeding = {slot: slots.get(slot, "nothing") for slot in config.image_features}
+        statistics = _statistics(config, preprocessor, postprocessor, slots, with_state)
+        sources = {slot: slots.get(slot, "nothing") for slot in config.image_features}
         settings = {
-            "image slots": ", ".join(f"{short(slot)}={feeding[slot]}" for slot in sorted(feeding)),
+            "image slots": ", ".join(f"{short(slot)}={sources[slot]}" for slot in sorted(sources)),
             "state slots": f"{STATE}={STATE_CONTENT}" if with_state else "none",
             "statistics": "; ".join(statistics),
             "lerobot": getattr(require("lerobot", entry), "__version__", "unknown"),
@@ -154,8 +154,8 @@ class LerobotModel:
         }
         return cls(
             network,
-            before,
-            after,
+            preprocessor,
+            postprocessor,
             slots,
             with_state,
             name,
@@ -219,20 +219,21 @@ class LerobotModel:
         import torch
 
         batch = self._prepared(observations, under_way)
-        given: dict[str, Any] = {}
+        arguments: dict[str, Any] = {}
         if noise is not None:
             device = next(self.network.parameters()).device
-            given["noise"] = torch.from_numpy(noise.astype(np.float32)).to(device)
+            arguments["noise"] = torch.from_numpy(noise.astype(np.float32)).to(device)
         if under_way is not None:
-            # Normalised and starting at this observation's step, like lerobot's own last chunk.
-            given["prev_chunk_left_over"] = batch.pop(ACTION)
-            given["inference_delay"] = under_way.delay
-            guided = self.config.rtc_config.execution_horizon
-            given["execution_horizon"] = max(guided, under_way.delay)
+            # The actions are normalised and start at this observation's step, as lerobot requires
+            # of the rest of the last chunk.
+            arguments["prev_chunk_left_over"] = batch.pop(ACTION)
+            arguments["inference_delay"] = under_way.delay
+            guided_steps = self.config.rtc_config.execution_horizon
+            arguments["execution_horizon"] = max(guided_steps, under_way.delay)
         # Guidance needs a gradient, which inference mode does not compute.
         with torch.inference_mode() if under_way is None else torch.no_grad():
-            chunks = self.network.predict_action_chunk(batch, **given)
-            flat = self.after(chunks.reshape(-1, chunks.shape[-1]))
+            chunks = self.network.predict_action_chunk(batch, **arguments)
+            flat = self.postprocessor(chunks.reshape(-1, chunks.shape[-1]))
         return flat.float().cpu().numpy().reshape(tuple(chunks.shape[:2]) + (-1,))
 
     def seed(self, seed: int) -> None:
@@ -254,14 +255,14 @@ class LerobotModel:
     def act(self, observation: Observation, memory: dict[str, Any]) -> np.ndarray:
         """Returns the next action [7] of an episode and advances its memory.
 
-        lerobot keeps the queues of a single episode inside the policy; here each call installs the
-        queues of its own episode.
+        lerobot's network holds the action queues of one episode; here each call first puts the
+        queues of its own episode into the network.
         """
         import torch
 
         vars(self.network).update(memory)
         with torch.inference_mode():
-            action = self.after(self.network.select_action(self._prepared([observation])))
+            action = self.postprocessor(self.network.select_action(self._prepared([observation])))
         memory.update({key: vars(self.network)[key] for key in memory})
         return action.float().cpu().numpy()[0]
 
@@ -275,7 +276,7 @@ class LerobotModel:
             # lerobot's processor normalises actions in a batch, as in training.
             scheduled = under_way.actions[: self.config.chunk_size]
             batch[ACTION] = np.array(scheduled, dtype=np.float32)[np.newaxis]
-        return self.before(
+        return self.preprocessor(
             {
                 key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
                 for key, value in batch.items()
@@ -285,15 +286,15 @@ class LerobotModel:
 
 def _require_files(folder: Path, name: str) -> None:
     """Refuses a folder that lacks the files of a policy's checkpoint."""
-    lacking = [file for file in (CONFIG, WEIGHTS, BEFORE) if not (folder / file).is_file()]
+    lacking = [file for file in (CONFIG, WEIGHTS, PREPROCESSOR) if not (folder / file).is_file()]
     if not lacking:
         return
     remedy = "name a folder that lerobot's save_pretrained wrote"
     if (folder / "adapter_config.json").is_file():
-        remedy = "it is a LoRA beside a model: merge them and save the result"
+        remedy = "it is a LoRA without its base model: merge it into the model and save the result"
     elif (folder / "pretrained_model").is_dir():
         remedy = f"name {folder / 'pretrained_model'}"
-    elif lacking == [BEFORE]:
+    elif lacking == [PREPROCESSOR]:
         remedy = (
             "it was saved before lerobot kept statistics in separate files: convert it with"
             " python -m lerobot.processor.migrate_policy_normalization"
@@ -302,7 +303,7 @@ def _require_files(folder: Path, name: str) -> None:
 
 
 def _slots(
-    config: Any, steps: Sequence[Mapping[str, Any]], given: Mapping[str, str] | None
+    config: Any, steps: Sequence[Mapping[str, Any]], image_keys: Mapping[str, str] | None
 ) -> dict[str, str]:
     """Returns the camera of each image slot. Slots may be empty only if the policy permits it."""
     renamed = {
@@ -311,7 +312,7 @@ def _slots(
         for source, slot in step.get("config", {}).get("rename_map", {}).items()
     }
     declared = list(config.image_features)
-    slots = camera_of_slot(declared, given, renamed)
+    slots = camera_of_slot(declared, image_keys, renamed)
     empty = [short(slot) for slot in declared if slot not in slots]
     if empty and config.type not in LEAVE_SLOTS_EMPTY:
         raise UnusableCheckpoint(
@@ -337,24 +338,28 @@ def _require_weights(network: Any, weights: Path, name: str) -> None:
     def rename(stored: str) -> str:
         # lerobot's pi05 loader also accepts openpi's names, which have no prefix and differ for two
         # layers.
-        other = stored.replace("action_time_mlp_", "time_mlp_")
-        return next(
-            (name for name in (stored, f"model.{stored}", f"model.{other}") if name in tensors),
-            stored,
-        )
+        renamed_layer = stored.replace("action_time_mlp_", "time_mlp_")
+        candidates = (stored, f"model.{stored}", f"model.{renamed_layer}")
+        return next((candidate for candidate in candidates if candidate in tensors), stored)
 
     with stored_in([weights], rename) as stored:
         require_loaded(network, stored, name, EXCEPTIONS.get(network.config.type, Exceptions()))
 
 
 def _statistics(
-    config: Any, before: Any, after: Any, slots: Mapping[str, str], with_state: bool
+    config: Any,
+    preprocessor: Any,
+    postprocessor: Any,
+    slots: Mapping[str, str],
+    with_state: bool,
 ) -> list[str]:
     """Returns a short text for each normalised feature and its statistics.
 
-    Where statistics are missing, lerobot leaves numbers unchanged.
+    Raises UnusableCheckpoint if statistics are missing: lerobot would leave such a feature's
+    numbers unchanged.
     """
-    if any(getattr(step, "enabled", False) for step in before.steps if _is(step, "Relative")):
+    relative_steps = [step for step in preprocessor.steps if _is_of_type(step, "Relative")]
+    if any(getattr(step, "enabled", False) for step in relative_steps):
         raise UnusableCheckpoint(
             "the checkpoint's actions are relative to the state (use_relative_actions), and"
             " this server passes actions to LIBERO's robot unchanged"
@@ -365,39 +370,51 @@ def _statistics(
             f"the checkpoint's actions are {width} numbers, and LIBERO's are {ACTION_WIDTH}:"
             " it was trained for another robot, or for none"
         )
-    found = [_feature_summary(ACTION, "ACTION", config, after, "Unnormalizer", ACTION_WIDTH)]
-    if with_state:
-        found.append(_feature_summary(STATE, "STATE", config, before, "Normalizer", STATE_WIDTH))
-    images = [
-        _feature_summary(slot, "VISUAL", config, before, "Normalizer") for slot in sorted(slots)
+    summaries = [
+        _feature_summary(ACTION, "ACTION", config, postprocessor, "Unnormalizer", ACTION_WIDTH)
     ]
-    return found + [text for text in images if not text.endswith("not normalised")]
+    if with_state:
+        summaries.append(
+            _feature_summary(STATE, "STATE", config, preprocessor, "Normalizer", STATE_WIDTH)
+        )
+    images = [
+        _feature_summary(slot, "VISUAL", config, preprocessor, "Normalizer")
+        for slot in sorted(slots)
+    ]
+    return summaries + [text for text in images if not text.endswith("not normalised")]
 
 
 def _feature_summary(
     key: str, kind: str, config: Any, pipeline: Any, step_name: str, width: int | None = None
 ) -> str:
     """Returns the summary of one feature's statistics, from `require_statistics`."""
-    what = {"ACTION": "actions", "STATE": "the state"}.get(kind, f"images of {short(key)}")
-    declared = {_name(each): _name(mode) for each, mode in config.normalization_mapping.items()}
-    mode = declared.get(kind, "IDENTITY")
+    title = {"ACTION": "actions", "STATE": "the state"}.get(kind, f"images of {short(key)}")
+    config_modes = {
+        _enum_value(feature_type): _enum_value(mode)
+        for feature_type, mode in config.normalization_mapping.items()
+    }
+    mode = config_modes.get(kind, "IDENTITY")
     statistics: dict[str, Any] = {}
     for step in pipeline.steps:
-        # A step applies to all actions, but only to the observations that it names.
-        if _is(step, step_name) and (kind == "ACTION" or key in step.features):
-            modes = {_name(each): _name(by_step) for each, by_step in step.norm_map.items()}
-            mode = modes.get(kind, mode)
+        # A step normalises every action, but of the observation's features only those that it
+        # lists.
+        if _is_of_type(step, step_name) and (kind == "ACTION" or key in step.features):
+            step_modes = {
+                _enum_value(feature_type): _enum_value(mode)
+                for feature_type, mode in step.norm_map.items()
+            }
+            mode = step_modes.get(kind, mode)
             for name, tensor in step.state_dict().items():
                 feature, _, statistic = name.rpartition(".")
                 if feature == key:
                     statistics[statistic] = tensor.float().cpu().numpy()
-    return require_statistics(what, mode, statistics, width)
+    return require_statistics(title, mode, statistics, width)
 
 
-def _is(step: Any, name: str) -> bool:
-    return type(step).__name__.startswith(name)
+def _is_of_type(step: Any, prefix: str) -> bool:
+    return type(step).__name__.startswith(prefix)
 
 
-def _name(value: Any) -> str:
-    """Returns an enumeration's value. Configurations may also hold it as plain text."""
+def _enum_value(value: Any) -> str:
+    """Returns an enumeration's value. Configurations may also hold the value as plain text."""
     return str(getattr(value, "value", value))

@@ -17,7 +17,7 @@ from ..catalogue import Entry
 from ..description import Description, Language
 from ..episode import Episode, Observation
 from ..policy import Policy
-from . import Options, executed
+from . import Options, executed_actions
 from .lerobot import LerobotModel
 
 #: The authors' protocol: a query at every step, and the rate of the exponential chunk weights.
@@ -56,7 +56,7 @@ class Minerva(Policy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    executed(entry, options, chunk=EXECUTE, from_checkpoint=EXECUTE)
+    executed_actions(entry, options, chunk=EXECUTE, from_checkpoint=EXECUTE)
     model = LerobotModel.load(
         entry, options, n_action_steps=EXECUTE, temporal_ensemble_coeff=ENSEMBLE
     )

@@ -21,7 +21,7 @@ from ..processing import jpeg
 from ..processing.actions import within_bounds
 from ..processing.images import LANCZOS3, centre_crop, resize
 from ..processing.robot import STATE_FIELDS, gripper_from_rlds, state_vector
-from . import Options, executed
+from . import Options, executed_actions
 from .fetch import fetch
 from .prismatic import load_network, prompt, statistics_in
 from .statistics import STATE_WIDTH, require_statistics
@@ -35,9 +35,9 @@ SIDE = 224
 CROP_AREA = 0.9
 #: Actions in a chunk.
 CHUNK = 8
-#: The parts with separate files; and, as `NOT_SERVED`, the parts found only in unsupported
-#: checkpoints, with the training method that each indicates.
+#: Parts of the model that have files of their own.
 HEAD, PROJECTOR = "action_head", "proprio_projector"
+#: Parts that only unsupported checkpoints have, with the training method that each indicates.
 NOT_SERVED = {"noisy_action_projector": "diffusion", "vision_backbone": "FiLM"}
 
 
@@ -73,7 +73,7 @@ class OftModel:
     def parameters(self) -> int:
         """Number of trained parameters."""
         parts = (self.network, self.action_head, self.proprio_projector)
-        return sum(number.numel() for part in parts for number in part.parameters())
+        return sum(tensor.numel() for part in parts for tensor in part.parameters())
 
     def chunk(
         self, scene: np.ndarray, wrist: np.ndarray, text: str, state: np.ndarray
@@ -88,8 +88,8 @@ class OftModel:
             return inputs.to(self.device, dtype=torch.bfloat16)
 
         inputs = inputs_of(scene)
-        both = [inputs["pixel_values"], inputs_of(wrist)["pixel_values"]]
-        inputs["pixel_values"] = torch.cat(both, dim=1)
+        pixels_of_cameras = [inputs["pixel_values"], inputs_of(wrist)["pixel_values"]]
+        inputs["pixel_values"] = torch.cat(pixels_of_cameras, dim=1)
         with torch.inference_mode():
             actions, _ = self.network.predict_action(
                 **inputs,
@@ -156,7 +156,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or checkpoint
-    execute = executed(entry, options, chunk=CHUNK, from_checkpoint=CHUNK)
+    execute = executed_actions(entry, options, chunk=CHUNK, from_checkpoint=CHUNK)
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
     parts = _part_files(folder, checkpoint)
@@ -207,20 +207,20 @@ def load(entry: Entry, options: Options) -> Policy:
 
 
 def _part_files(folder: Path, checkpoint: str) -> dict[str, Path]:
-    """Returns the files of the parts that are trained separately from the network, by part."""
-    found = {
+    """Returns the files of the action head and the projector, by part."""
+    files = {
         part: sorted(folder.glob(f"*{part}*checkpoint*")) for part in (HEAD, PROJECTOR, *NOT_SERVED)
     }
     for part, method in NOT_SERVED.items():
-        if found[part]:
+        if files[part]:
             raise UnusableCheckpoint(
                 f"checkpoint {checkpoint} was trained with {method} (it has"
-                f" {found[part][0].name}), which this adapter does not serve"
+                f" {files[part][0].name}), which this adapter does not serve"
             )
     for part in (HEAD, PROJECTOR):
-        if len(found[part]) != 1:
+        if len(files[part]) != 1:
             raise UnusableCheckpoint(
-                f"checkpoint {checkpoint} has {len(found[part]) or 'no'} files of its {part}"
+                f"checkpoint {checkpoint} has {len(files[part]) or 'no'} files of its {part}"
                 " (*checkpoint.pt), and exactly one is needed"
             )
-    return {part: found[part][0] for part in (HEAD, PROJECTOR)}
+    return {part: files[part][0] for part in (HEAD, PROJECTOR)}

@@ -1,11 +1,11 @@
 """PredVLA: a recurrent network that corrects itself while it acts.
 
 At every step it runs ten iterations of Adam over its last forty steps, to infer
-the free variables that explain its observations. Upstream has one such state; here each
-episode has its own, created from its own instruction.
+the free variables that explain its observations: the correction. Upstream keeps one correction
+for all episodes; here each episode has its own, created from the episode's instruction.
 
-Frames are not turned. They are rendered at 256 x 256, as for every policy, because blur and
-noise are defined at that size, and reduced to 128 x 128, the size in training.
+Frames are not turned. They are rendered at 256 x 256, as for every policy, because the campaign's
+blur and noise are defined at that size, and reduced to 128 x 128, the size in training.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..description import Camera, Description, State
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.images import BILINEAR, resize
-from . import Options, executed
+from . import Options, executed_actions
 from .statistics import DIGITS
 from .upstream import UnusableCheckpoint, UnusableOption, digest, precision, require, require_suite
 from .weights import load_stored
@@ -68,7 +68,7 @@ class Memory:
 
 @dataclass
 class PredvlaModel:
-    """The network, its frozen front end, and the settings of corrections."""
+    """The network, the frozen front end that encodes its inputs, and the class of corrections."""
 
     network: Any
     front: Any
@@ -82,7 +82,7 @@ class PredvlaModel:
     @property
     def parameters(self) -> int:
         """Number of trained parameters, without the frozen front end."""
-        return sum(number.numel() for number in self.network.parameters())
+        return sum(tensor.numel() for tensor in self.network.parameters())
 
     def begin(self, instruction: str) -> Any:
         """Returns a new correction for this instruction only."""
@@ -182,7 +182,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or checkpoint
-    executed(entry, options, chunk=1, from_checkpoint=1)
+    executed_actions(entry, options, chunk=1, from_checkpoint=1)
     if options.revision is not None:
         raise UnusableOption(
             f"--revision names a commit of the hub, but {entry.title}'s weights are files in its"
@@ -197,8 +197,8 @@ def load(entry: Entry, options: Options) -> Policy:
     _require_trained_for(options.suite, saved["cfg"], checkpoint)
     network = package.PredVLA(saved["cfg"]).to(options.device).eval()
     load_stored(network, saved["model"], checkpoint)
-    for number in network.parameters():
-        number.requires_grad_(False)
+    for tensor in network.parameters():
+        tensor.requires_grad_(False)
     cache = Path(_statistics_path(saved["cfg"]["paths"]["cache_root"], home))
     statistics = sorted(cache.glob("*.npz"))
     if not statistics:
@@ -207,8 +207,8 @@ def load(entry: Entry, options: Options) -> Policy:
             f" unpack {entry.title}'s feature caches there"
         )
     front = require("predvla.frontend", entry).Frontend(str(cache), device=options.device)
-    # An action takes four hundred steps of a small network. Compiled, it is several times faster;
-    # upstream compiles only on this kind of device.
+    # An action takes four hundred steps of a small network. Compiled, these steps are several
+    # times faster. Like upstream, this function compiles only for CUDA devices.
     compiled = options.device.startswith("cuda")
     if compiled:
         # Variants with and without gradients and states exceed the usual limit, beyond which torch

@@ -22,45 +22,45 @@ NEEDED = {
     "QUANTILE10": ("q10", "q90"),
 }
 ACTION_WIDTH, STATE_WIDTH = 7, 8
-#: How many characters of a digest are shown.
+#: Number of characters of a digest that are shown.
 DIGITS = 12
 
 
 def require_statistics(
-    what: str, mode: str, statistics: Mapping[str, Any], width: int | None = None
+    title: str, mode: str, statistics: Mapping[str, Any], width: int | None = None
 ) -> str:
-    """Checks that the statistics of `what` for this normalisation mode exist,
-    are finite, are not all equal, and have shape [width] if that is given.
-    Returns a short text: the mode and a digest.
+    """Checks that a feature's statistics for this normalisation mode exist, are finite, have a
+    spread other than 0, and have `width` numbers unless `width` is None. Returns a short text: the
+    feature's `title`, such as "actions", the mode and a digest.
 
     Raises UnusableCheckpoint.
     """
     if mode == "IDENTITY":
-        return f"{what} not normalised"
+        return f"{title} not normalised"
     if mode not in NEEDED:
-        raise UnusableCheckpoint(f"the checkpoint normalises {what} by {mode}, an unknown mode")
+        raise UnusableCheckpoint(f"the checkpoint normalises {title} by {mode}, an unknown mode")
     lacking = [name for name in NEEDED[mode] if name not in statistics]
     if lacking:
         raise UnusableCheckpoint(
-            f"the checkpoint has no statistics of {what}: it normalises them by {mode} and lacks"
+            f"the checkpoint has no statistics of {title}: it normalises them by {mode} and lacks"
             f" {' and '.join(lacking)}. Without them the arm moves but every task fails, as with a"
             " base model that was not fine-tuned; serve a checkpoint that was trained on LIBERO,"
             " with the processors that were saved beside it"
         )
     low, high = (np.asarray(statistics[name], dtype=np.float64) for name in NEEDED[mode])
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise UnusableCheckpoint(f"the checkpoint's statistics of {what} are not finite")
+        raise UnusableCheckpoint(f"the checkpoint's statistics of {title} are not finite")
     spread = high if mode == "MEAN_STD" else high - low
     if not (spread != 0).any():
         raise UnusableCheckpoint(
-            f"the checkpoint's statistics of {what} have no spread: they were never computed"
+            f"the checkpoint's statistics of {title} have no spread: they were never computed"
         )
     if width is not None and {low.size, high.size} != {width}:
         raise UnusableCheckpoint(
-            f"the checkpoint's statistics of {what} are {low.size} numbers, and LIBERO's are"
+            f"the checkpoint's statistics of {title} are {low.size} numbers, and LIBERO's are"
             f" {width}: it was trained for another robot"
         )
-    return f"{what} {mode} {digest(statistics)}"
+    return f"{title} {mode} {digest(statistics)}"
 
 
 def digest(statistics: Mapping[str, Any]) -> str:

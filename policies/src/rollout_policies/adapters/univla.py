@@ -25,7 +25,7 @@ from ..policy import Policy
 from ..processing.actions import Ensemble, from_bounds
 from ..processing.images import resize_bilinear
 from ..processing.robot import gripper_from_rlds
-from . import Options, executed
+from . import Options, executed_actions
 from .fetch import fetch
 from .openvla_oft import CROP_AREA, SCENE, SIDE, frame
 from .prismatic import load_network, prompt, statistics_in
@@ -50,9 +50,9 @@ DECODER = "action_decoder.pt"
 
 
 def study_frame(turned: np.ndarray) -> np.ndarray:
-    """Converts a frame [256, 256, 3], turned by 180 degrees, to the study's
-    input: bilinear to 224 without antialiasing, the centre in whole pixels,
-    enlarged again."""
+    """Converts a frame [256, 256, 3], turned by 180 degrees, to the study's input: bilinear
+    resize to 224 without antialiasing, crop of the centre to whole pixels, bilinear resize to 224
+    again."""
     small = resize_bilinear(turned, SIDE, SIDE)
     side = round(SIDE * CROP_AREA**0.5)
     start = (SIDE - side) // 2
@@ -101,7 +101,7 @@ class UnivlaModel:
     def parameters(self) -> int:
         """Number of trained parameters."""
         parts = (self.network, self.decoder)
-        return sum(number.numel() for part in parts for number in part.parameters())
+        return sum(tensor.numel() for part in parts for tensor in part.parameters())
 
     def chunk(
         self, pixels: np.ndarray, text: str, generator: Any
@@ -121,8 +121,8 @@ class UnivlaModel:
                 top_p=TOP_P,
             )
             chunk = self.decoder(latent.float(), visual.float())
-        drawn = [int(token) for token in tokens[0]]
-        return chunk.reshape(CHUNK, -1).cpu().numpy(), drawn, self._generator_state()
+        token_ids = [int(token) for token in tokens[0]]
+        return chunk.reshape(CHUNK, -1).cpu().numpy(), token_ids, self._generator_state()
 
     def _set_generator(self, generator: Any) -> None:
         import torch
@@ -205,7 +205,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     listed = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or listed
-    executed(entry, options, chunk=1, from_checkpoint=1)
+    executed_actions(entry, options, chunk=1, from_checkpoint=1)
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
     if not (folder / DECODER).is_file():
@@ -240,8 +240,8 @@ def load(entry: Entry, options: Options) -> Policy:
 
 
 def _decoder(entry: Entry) -> Any:
-    """Returns the decoder's network: two attention pools and a layer. Its parts
-    have the names that the file of weights uses."""
+    """Returns the decoder's network: two attention pools and a linear layer. The attributes have
+    the names that the weights file uses."""
     from torch import nn
 
     pool = require("prismatic.models.policy.transformer_utils", entry).MAPBlock

@@ -21,7 +21,7 @@ class UpstreamMissing(ImportError):
 
 
 class UnusableCheckpoint(ValueError):
-    """The weights are not what the policy needs."""
+    """The weights do not fit the policy, or files beside them are missing."""
 
 
 class UnusableOption(ValueError):
@@ -65,10 +65,10 @@ def digest(files: Iterable[Path]) -> str:
     for path in sorted(files, key=lambda path: path.name):
         total.update(path.name.encode())
         with path.open("rb") as file:
-            of_file = hashlib.sha256()
+            file_hash = hashlib.sha256()
             while data := file.read(READ_BYTES):
-                of_file.update(data)
-        total.update(of_file.digest())
+                file_hash.update(data)
+        total.update(file_hash.digest())
     return total.hexdigest()
 
 

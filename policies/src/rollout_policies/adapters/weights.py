@@ -41,9 +41,9 @@ class Exceptions:
     skipped: tuple[str, ...] = COMPUTED
 
     def partner(self, name: str) -> str | None:
-        """The other name of a tied tensor."""
-        both = {**self.tied, **{second: first for first, second in self.tied.items()}}
-        return both.get(name)
+        """Returns the name that is tied to this name, or None."""
+        partners = {**self.tied, **{second: first for first, second in self.tied.items()}}
+        return partners.get(name)
 
 
 @dataclass
@@ -80,13 +80,14 @@ def compare(
     Tensors on both sides have a `shape`; `same` compares the contents of each
     pair of equal shape.
     """
-    found = Differences()
+    differences = Differences()
 
     def compare_pair(name: str, loaded: Any, in_file: Any) -> None:
         if tuple(loaded.shape) != tuple(in_file.shape):
-            found.shape.append(f"{name}: {list(loaded.shape)}, in the file {list(in_file.shape)}")
+            shapes = f"{list(loaded.shape)}, in the file {list(in_file.shape)}"
+            differences.shape.append(f"{name}: {shapes}")
         elif not same(loaded, in_file):
-            found.content.append(name)
+            differences.content.append(name)
 
     for name, loaded in network.items():
         partner = exceptions.partner(name)
@@ -97,7 +98,7 @@ def compare(
         elif partner in stored:
             compare_pair(name, loaded, stored[partner])
         else:
-            found.missing.append(name)
+            differences.missing.append(name)
     for name, in_file in stored.items():
         partner = exceptions.partner(name)
         if name in network or any(fnmatchcase(name, p) for p in exceptions.skipped):
@@ -105,8 +106,8 @@ def compare(
         if partner in network:
             compare_pair(name, network[partner], in_file)
         else:
-            found.unknown.append(name)
-    return found
+            differences.unknown.append(name)
+    return differences
 
 
 def require_loaded(
@@ -116,13 +117,12 @@ def require_loaded(
     exceptions: Exceptions = Exceptions(),
     part: str = "the network",
 ) -> None:
-    """Compares a torch module with its stored tensors: torch's own, or those of
+    """Compares a torch module with its stored tensors, which are torch tensors or those of
     `stored_in`.
 
     Raises UnusableCheckpoint, which names the differences.
     """
-    found = compare(network.state_dict(), stored, _is_equal, exceptions)
-    if differences := str(found):
+    if differences := str(compare(network.state_dict(), stored, _is_equal, exceptions)):
         raise UnusableCheckpoint(
             f"checkpoint {checkpoint} was not loaded as it is stored. Tensors of {part}:"
             f" {differences}. Tensors that were not loaded are random. Install the version of the"

@@ -39,7 +39,8 @@ class Point(enum.Enum):
     SPEED = "answer times are measured"
 
 
-#: Points that compare episodes of the same seed.
+#: Points that compare episodes of given seeds. They are skipped if the policy's random numbers do
+#: not depend on the seed.
 SEEDED = frozenset(
     {
         Point.SAME_SEED,
@@ -72,19 +73,19 @@ def examine(probe: Probe) -> Iterator[Finding]:
     try:
         reference = probe.episode("reference", SEED)
     except grpc.RpcError as error:
-        why = verdict.describe_error(error)
-        raise CannotCheck(f"failed to play one episode: {why}") from error
+        reason = verdict.describe_error(error)
+        raise CannotCheck(f"failed to play one episode: {reason}") from error
     for point in Point:
         try:
-            found = _examined(point, probe, reference)
+            result = _check_point(point, probe, reference)
         except grpc.RpcError as error:
-            found = verdict.refused(error)
+            result = verdict.refused(error)
         except CannotCheck as error:
-            found = verdict.failed(str(error))
-        yield Finding(point, found)
+            result = verdict.failed(str(error))
+        yield Finding(point, result)
 
 
-def _examined(point: Point, probe: Probe, reference: EpisodeAnswers) -> Verdict:
+def _check_point(point: Point, probe: Probe, reference: EpisodeAnswers) -> Verdict:
     described, answers = probe.described, reference.answers
     if point in SEEDED and described.unseeded:
         return verdict.skipped(
@@ -105,8 +106,8 @@ def _examined(point: Point, probe: Probe, reference: EpisodeAnswers) -> Verdict:
     if point is Point.SAME_SEED:
         return verdict.same(answers, probe.episode("again", SEED).answers)
     if point is Point.OTHER_SEED:
-        other = probe.episode("other seed", OTHER_SEED).answers
-        return verdict.seeds(described.stochastic, answers, other)
+        other_answers = probe.episode("other seed", OTHER_SEED).answers
+        return verdict.seeds(described.stochastic, answers, other_answers)
     if point is Point.ORDER:
         if described.stateful:
             return verdict.skipped("the policy is stateful: it requires queries in order")

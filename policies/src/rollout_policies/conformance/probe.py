@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import grpc
 
 from .. import health
-from ..access import ASKING_ROLES, AccessError, Tokens, is_loopback
+from ..access import QUERYING_ROLES, AccessError, Tokens, is_loopback
 from ..description import MAX_MESSAGE_BYTES, PROTOCOL_VERSION, Camera, Description, State
 from ..episode import Observation
 from ..fake import fake_episode, fake_observation
@@ -70,7 +70,7 @@ class Probe(contextlib.AbstractContextManager):
     def __init__(self, target: Target) -> None:
         """Connects and requests the policy's description. Raises CannotCheck."""
         self._target = target
-        self._channel, self._metadata = _connected(target)
+        self._channel, self._metadata = _connect(target)
         self._stub = pb_grpc.PolicyStub(self._channel)
         # Distinguishes this check's sessions from those of an earlier one.
         self._run = uuid.uuid4().hex[:8]
@@ -79,8 +79,10 @@ class Probe(contextlib.AbstractContextManager):
             self.described: pb.DescribeResponse = self._describe(PROTOCOL_VERSION)
         except grpc.RpcError as error:
             self._channel.close()
-            why = verdict.describe_error(error)
-            raise CannotCheck(f"failed to have {target.url} describe its policy: {why}") from error
+            reason = verdict.describe_error(error)
+            raise CannotCheck(
+                f"failed to have {target.url} describe its policy: {reason}"
+            ) from error
         if self.described.privileged:
             self._channel.close()
             raise CannotCheck(
@@ -140,10 +142,11 @@ class Probe(contextlib.AbstractContextManager):
         self._end("retried")
         return [first for first, _ in pairs], [second for _, second in pairs]
 
-    def interleaved(self, seed: int, other: int) -> list[pb.InferResponse]:
-        """Plays two episodes in turns and returns the first one's answers."""
+    def interleaved(self, seed: int, other_seed: int) -> list[pb.InferResponse]:
+        """Plays two episodes with alternating queries, and returns the answers of the episode of
+        `seed`."""
         self._reset("first", seed)
-        self._reset("second", other)
+        self._reset("second", other_seed)
         answers = []
         for query_index in range(QUERIES):
             self._infer("second", query_index)
@@ -152,10 +155,10 @@ class Probe(contextlib.AbstractContextManager):
         self._end("second")
         return answers
 
-    def restarted(self, seed: int, other: int) -> list[pb.InferResponse]:
-        """Plays half an episode of another seed, then a whole one under the
-        same session name."""
-        self._reset("restarted", other)
+    def restarted(self, seed: int, other_seed: int) -> list[pb.InferResponse]:
+        """Plays half an episode of `other_seed`, then a whole episode of `seed` under the same
+        session name. Returns the answers of the second episode."""
+        self._reset("restarted", other_seed)
         for query_index in range(QUERIES // 2):
             self._infer("restarted", query_index)
         return self.episode("restarted", seed).answers
@@ -208,7 +211,8 @@ class Probe(contextlib.AbstractContextManager):
         return verdict.passed()
 
     def concurrent_episodes(self, concurrency: int) -> tuple[float, list[float]]:
-        """Plays this many episodes concurrently. Returns the total time and each query's, s."""
+        """Plays this many episodes concurrently. Returns the total time, s, and the latency of each
+        query, s."""
         began = time.perf_counter()
         with ThreadPoolExecutor(concurrency) as pool:
             played = pool.map(lambda at: self.episode(f"concurrent {at}", at), range(concurrency))
@@ -251,18 +255,20 @@ class Probe(contextlib.AbstractContextManager):
         )
 
     def _scene(self, query_index: int) -> pb.Observation:
-        known = {reading.value for reading in State}
+        known_readings = {reading.value for reading in State}
         # Inputs of unknown kinds are left out; a server that needs them reports an error.
-        wanted = Description(
+        known_inputs = Description(
             name="synthetic",
             cameras=tuple(
                 Camera(camera.name, camera.width, camera.height)
                 for camera in self.described.cameras
                 if camera.width and camera.height
             ),
-            state=tuple(State(number) for number in self.described.state if number in known),
+            state=tuple(
+                State(number) for number in self.described.state if number in known_readings
+            ),
         )
-        return to_message(fake_observation(wanted, SCENE_SEED, query_index))
+        return to_message(fake_observation(known_inputs, SCENE_SEED, query_index))
 
     def _session(self, name: str) -> str:
         return f"{name} in check {self._run}"
@@ -287,7 +293,7 @@ def to_message(observation: Observation) -> pb.Observation:
     )
 
 
-def _connected(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...]]:
+def _connect(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...]]:
     """Returns a channel and the metadata of every call. Raises CannotCheck."""
     url = urlsplit(target.url)
     encrypted = url.scheme in ("https", "grpcs")
@@ -304,7 +310,7 @@ def _connected(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...
     token = target.tokens.for_role("operator", "worker") if target.tokens else None
     if target.tokens and token is None:
         raise CannotCheck(
-            f"failed to find a token of role {' or '.join(ASKING_ROLES)}: add a line `ROLE TOKEN`"
+            f"failed to find a token of role {' or '.join(QUERYING_ROLES)}: add a line `ROLE TOKEN`"
             " to the token file"
         )
     metadata: tuple[tuple[str, str], ...] = ()

@@ -57,7 +57,7 @@ def skipped(reason: str) -> Verdict:
 
 
 def refused(error: grpc.RpcError) -> Verdict:
-    """Returns a failure: the server gave no answer."""
+    """Returns the failure for a call that the server answered with an error."""
     return failed(f"the server refused: {describe_error(error)}")
 
 
@@ -79,7 +79,8 @@ def description(described: pb.DescribeResponse) -> Verdict:
 
 
 def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
-    """Checks every answer of an episode, listed by query index."""
+    """Checks that every answer of an episode holds a valid chunk of actions. Answers are in the
+    order of their query indexes."""
     for at, answer in enumerate(answers):
         numbers = len(answer.actions)
         if answer.action_width != ACTION_WIDTH:
@@ -100,7 +101,7 @@ def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
 
 
 def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
-    """Checks that the numbers are plausible actions."""
+    """Checks that no number is beyond the plausible range of actions."""
     largest = max((abs(number) for answer in answers for number in answer.actions), default=0.0)
     if largest <= 1.0:
         return passed()
@@ -109,17 +110,18 @@ def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
     return failed(f"the largest is {largest:.4g}: check its un-normalisation")
 
 
-def same(expected: Sequence[pb.InferResponse], found: Sequence[pb.InferResponse]) -> Verdict:
+def same(expected: Sequence[pb.InferResponse], answers: Sequence[pb.InferResponse]) -> Verdict:
     """Checks that two episodes got the same answers, bit for bit."""
-    at = first_difference(expected, found)
-    return passed() if at is None else failed(f"at query {at} the actions differ")
+    query = first_difference(expected, answers)
+    return passed() if query is None else failed(f"at query {query} the actions differ")
 
 
 def seeds(
-    stochastic: bool, one: Sequence[pb.InferResponse], other: Sequence[pb.InferResponse]
+    stochastic: bool, first: Sequence[pb.InferResponse], second: Sequence[pb.InferResponse]
 ) -> Verdict:
-    """Checks that another seed has the effect that the policy declares."""
-    at = first_difference(one, other)
+    """Checks that two episodes of different seeds have different answers exactly if the policy is
+    declared stochastic."""
+    at = first_difference(first, second)
     if stochastic and at is None:
         return failed("it declares itself stochastic, but seeds 1 and 2 give the same actions")
     if not stochastic and at is not None:
@@ -156,17 +158,17 @@ def speed(
 
 
 def first_difference(
-    one: Sequence[pb.InferResponse], other: Sequence[pb.InferResponse]
+    first: Sequence[pb.InferResponse], second: Sequence[pb.InferResponse]
 ) -> int | None:
-    """Returns the first query at which two episodes differ."""
+    """Returns the first query at which two episodes differ, or None."""
     bits = [
         [np.array(answer.actions, dtype=np.float32).tobytes() for answer in answers]
-        for answers in (one, other)
+        for answers in (first, second)
     ]
     for at, (a, b) in enumerate(zip(*bits)):
         if a != b:
             return at
-    return None if len(one) == len(other) else min(len(one), len(other))
+    return None if len(first) == len(second) else min(len(first), len(second))
 
 
 def _numbers(answers: Sequence[pb.InferResponse]) -> list[float]:

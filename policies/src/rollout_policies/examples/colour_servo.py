@@ -25,9 +25,9 @@ from rollout_policies import (
 
 WRIST = "robot0_eye_in_hand"
 SIDE = 128
-#: Saturation (0..1) below which a pixel is background, and the largest difference from the frame's
-#: highest saturation of a pixel in the blob.
+#: If no pixel has this saturation (0..1), the whole frame counts as grey.
 LEAST_SATURATION = 0.25
+#: Share of the frame's highest saturation that every pixel of the blob reaches.
 BLOB_SHARE = 0.7
 #: Side of the box over which the saturation is averaged, in pixels.
 BOX = 9

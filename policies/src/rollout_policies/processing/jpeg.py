@@ -76,7 +76,8 @@ FAST_FACTORS = np.where(
 )
 FAST_SUM_BITS = 2
 #: Multipliers of the fast inverse transform, with eight fractional bits: the root of 2, twice the
-#: cosine of 22.5 degrees, and the difference and sum of twice its cosine and twice its sine.
+#: cosine of 22.5 degrees, and the difference and the sum of twice the cosine and twice the sine of
+#: that angle.
 FAST_BITS = 8
 ROOT_2, TWICE_COS, DIFFERENCE, SUM = 362, 473, 277, 669
 

@@ -13,9 +13,9 @@ _FOLDERS = {"bddl_files": "bddl_files", "init_states": "init_files"}
 
 
 class Folders:
-    """The functions for folders of one package. `package` is a file of it, to which programs
-    compare `benchmark_root`; `fetched` returns the folder of the task files, which it fetches if
-    they are missing."""
+    """The functions of one package that return folders, as in LIBERO's package. `package` is a file
+    in the package's folder, which is its `benchmark_root`; `fetched` returns the folder of the task
+    files, and fetches them if they are missing."""
 
     def __init__(self, benchmark: str, package: str, fetched: Callable[[], Path]) -> None:
         self._benchmark = benchmark
@@ -42,7 +42,7 @@ class Folders:
         return {**folders, "assets": paths.get_assets_path()}
 
     def set_libero_default_path(self, custom_location: str | None = None) -> None:
-        """Accepts the folder of this package, which is the default, and nothing else.
+        """Accepts no folder but that of this package, which is the default.
 
         Raises ValueError.
         """
@@ -54,11 +54,12 @@ class Folders:
 
 
 def link_suite(unpacked: Path, suite: str) -> None:
-    """Links the BDDL files and states of a suite of LIBERO into unpacked task files."""
+    """Links the BDDL files and initial states of one of LIBERO's suites into the folder of unpacked
+    task files."""
     for kind in _FOLDERS.values():
         (unpacked / kind / suite).symlink_to(Path("../../libero") / kind / suite)
 
 
-def liberos_suites() -> list[str]:
-    """Returns the suites whose BDDL files LIBERO has."""
+def libero_suite_names() -> list[str]:
+    """Returns the suites that LIBERO has BDDL files of."""
     return [folder.name for folder in (files.sources() / "libero" / "bddl_files").iterdir()]

@@ -23,9 +23,9 @@ _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 def get_libero_path(query_key: str) -> str:
     """Returns the folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
 
-    The configuration file's folder is used if it contains files, so a file left
-    by another installation does no harm. Otherwise the default is used, whose
-    files are fetched at first use.
+    The folder in the configuration file is used if it contains files, so that a configuration file
+    of a removed installation does no harm. Otherwise the default folder is used, whose files are
+    fetched at first use.
 
     Raises KeyError for another key, FileNotFoundError if the files are unavailable.
     """
@@ -46,8 +46,8 @@ def get_libero_path(query_key: str) -> str:
 
 
 def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
-    """Returns the folders below `custom_location`, or those of the fetched files."""
-    if custom_location is None or _is_own(custom_location):
+    """Returns the folders below `custom_location`; without it, the folders of the fetched files."""
+    if custom_location is None or _is_this_package(custom_location):
         return {**_folders(_default_root()), "benchmark_root": _PACKAGE}
     return _folders(custom_location)
 
@@ -58,9 +58,10 @@ def set_libero_default_path(custom_location: str | None = None) -> None:
     Without a folder, or with that of this package, removes the file, so that
     the defaults apply again.
 
-    Raises FileNotFoundError if the folder has no `bddl_files`, because it would be ignored.
+    Raises FileNotFoundError if the folder has no `bddl_files`, because `get_libero_path` would
+    ignore such a folder.
     """
-    if custom_location is None or _is_own(custom_location):
+    if custom_location is None or _is_this_package(custom_location):
         Path(config_file).unlink(missing_ok=True)
         return
     folders = _folders(os.path.abspath(custom_location))
@@ -84,7 +85,7 @@ def get_assets_path() -> str:
     return get_libero_path("assets")
 
 
-def _is_own(folder: str) -> bool:
+def _is_this_package(folder: str) -> bool:
     return os.path.abspath(folder) == _PACKAGE
 
 

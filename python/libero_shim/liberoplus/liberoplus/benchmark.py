@@ -40,8 +40,9 @@ libero_task_map: dict[str, list[str]] = {
 
 
 def grab_language_from_filename(suite_name: str, x: str) -> str:
-    """Returns the prompt of a variant's file name: its words, change included, or, if the change is
-    of the sentence, the sentence of the BDDL file, in lower case.
+    """Returns the prompt of the variant with this file name: the words of the name, including those
+    of its change. If the change is to the sentence, returns the BDDL file's sentence, in lower
+    case.
 
     Raises FileNotFoundError if the task files cannot be fetched.
     """
@@ -55,16 +56,16 @@ def grab_language_from_filename(suite_name: str, x: str) -> str:
 
 
 class _TaskMaps(Mapping[str, dict[str, Task]]):
-    """Tasks by suite and name. A suite's are made at first use, since some prompts are in BDDL
-    files, which are fetched then."""
+    """Tasks by suite and name. The tasks of a suite are created at its first use, because some
+    prompts are in BDDL files, which may have to be fetched."""
 
     def __init__(self) -> None:
-        self._made: dict[str, dict[str, Task]] = {}
+        self._created: dict[str, dict[str, Task]] = {}
 
     def __getitem__(self, suite: str) -> dict[str, Task]:
-        if suite not in self._made:
-            self._made[suite] = {name: _task(suite, name) for name in libero_task_map[suite]}
-        return self._made[suite]
+        if suite not in self._created:
+            self._created[suite] = {name: _task(suite, name) for name in libero_task_map[suite]}
+        return self._created[suite]
 
     def __iter__(self) -> Iterator[str]:
         return iter(libero_suites)
@@ -88,8 +89,8 @@ task_maps: Mapping[str, dict[str, Task]] = _TaskMaps()
 
 
 class Benchmark(_libero.Benchmark):
-    """A suite. The file that `get_task_bddl_file_path` names need not exist: the environments read
-    the changes in its name, and open the file that they are of."""
+    """A suite. The path that `get_task_bddl_file_path` returns need not exist: the environments
+    parse the changes in the path's file name, and open the BDDL file to which they apply."""
 
     _task_maps = task_maps
 
@@ -107,8 +108,8 @@ class Benchmark(_libero.Benchmark):
 
     def get_task_init_states(self, i: int) -> Any:
         """A variant's initial states: a float64 array [states, 1 + nq + nv] of time, s, and joint
-        positions and velocities. A variant of the objects' layout has one state, any other LIBERO's
-        fifty.
+        positions and velocities. A variant that changes the objects' layout has one state; every
+        other variant has LIBERO's fifty states.
 
         Raises FileNotFoundError for tasks of libero_90, for which LIBERO-Plus has no states.
         """

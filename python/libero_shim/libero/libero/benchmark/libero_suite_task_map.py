@@ -7,7 +7,7 @@ def _files(suite: str) -> list[str]:
     return [task.file for task in tasks(suite)]
 
 
-#: LIBERO-CTRL does not use these tasks, so `rollout_libero` does not know them.
+#: Tasks of libero_90. LIBERO-CTRL does not use them, so `rollout_libero` does not list them.
 _LIBERO_90 = [
     "KITCHEN_SCENE10_close_the_top_drawer_of_the_cabinet",
     "KITCHEN_SCENE10_close_the_top_drawer_of_the_cabinet_and_put_the_black_bowl_on_top_of_it",

@@ -6,18 +6,18 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_said: set[str] = set()
+_reported: set[str] = set()
 
 
 @contextmanager
-def said_when_it_fails() -> Iterator[None]:
-    """Prints once on standard error why a construction failed, and raises the error:
-    some programs catch every error and silently construct again, without end."""
+def report_failure() -> Iterator[None]:
+    """Prints the error of a failed construction on standard error, once for each text, and raises
+    it again: some programs catch every error and silently repeat the construction for ever."""
     try:
         yield
     except Exception as error:
-        words = f"{type(error).__name__}: {error}"
-        if words not in _said:
-            _said.add(words)
-            print(f"rollout-libero-shim: no environment was made: {words}", file=sys.stderr)
+        text = f"{type(error).__name__}: {error}"
+        if text not in _reported:
+            _reported.add(text)
+            print(f"rollout-libero-shim: no environment was made: {text}", file=sys.stderr)
         raise

@@ -16,7 +16,8 @@ _MISSING = object()
 
 
 class Undrawn:
-    """Placeholder of a picture that is not drawn yet, with the poses of its observation."""
+    """Placeholder of a picture that is not drawn yet. `draw` renders the picture from the recorded
+    poses of its observation."""
 
     __slots__ = ("_array", "_draw")
 
@@ -46,18 +47,21 @@ class _Items(ItemsView[str, Any]):
 
 
 class Observation(OrderedDict[str, Any]):
-    """An observation. Read or copied in any way, it holds the same arrays as an observation that is
-    drawn at once. A pickle or deep copy is a plain `OrderedDict` of them."""
+    """An observation that draws its pictures when they are read. Its methods, its copies and its
+    pickles give the same arrays as an observation that is drawn at once. A pickle or deep copy is a
+    plain `OrderedDict` of these arrays."""
 
     def draw(self) -> None:
-        """Renders all pictures that are not rendered yet."""
+        """Draws all pictures that are not drawn yet."""
         for key in self:
             self[key]
 
-    def change(self, key: str, changed: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
-        """Replaces a picture by `changed(picture)`, computed when it is first read."""
-        before = super().__getitem__(key)
-        self[key] = Undrawn(lambda: changed(before.array() if type(before) is Undrawn else before))
+    def change(self, key: str, function: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
+        """Replaces a picture by `function(picture)`, computed when the key is first read."""
+        picture = super().__getitem__(key)
+        self[key] = Undrawn(
+            lambda: function(picture.array() if type(picture) is Undrawn else picture)
+        )
 
     def __getitem__(self, key: str) -> Any:
         value = super().__getitem__(key)
@@ -67,7 +71,8 @@ class Observation(OrderedDict[str, Any]):
             dict.__setitem__(self, key, value)
         return value
 
-    # CPython copies a subclass of `dict` without `__getitem__`, unless it defines `__iter__`.
+    # CPython's `dict(observation)` does not call `__getitem__` of a subclass of `dict`, unless the
+    # subclass defines `__iter__`.
     def __iter__(self) -> Iterator[str]:
         return super().__iter__()
 
@@ -97,11 +102,11 @@ class Observation(OrderedDict[str, Any]):
         return self[key]
 
     def copy(self) -> Observation:
-        other = Observation()
+        copied = Observation()
         for key in self:
-            # Both copies share the camera's picture, which is drawn once.
-            other[key] = super().__getitem__(key)
-        return other
+            # The copy shares the picture's placeholder, so that the picture is drawn once.
+            copied[key] = super().__getitem__(key)
+        return copied
 
     __copy__ = copy
 

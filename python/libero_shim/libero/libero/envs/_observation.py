@@ -14,7 +14,7 @@ from libero.libero.envs._lazy import Observation, Undrawn
 from libero.libero.envs._models import TaskModel
 from libero.libero.envs._rotations import relative_poses
 from libero.libero.envs._settings import Camera
-from libero.libero.envs._simulation import Held
+from libero.libero.envs._simulation import SimulationHandle
 from rollout_libero._native import Look, Scene
 
 _ROBOT = "robot0"
@@ -43,13 +43,13 @@ class Observer:
 
     def __init__(
         self,
-        held: Held,
+        handle: SimulationHandle,
         cameras: tuple[Camera, ...],
         model: TaskModel,
         unused: Collection[str] = (),
     ) -> None:
         """Frames of `unused` cameras are zeros and are never rendered."""
-        self._held = held
+        self._handle = handle
         self._objects = [(each.name, each.root_body) for each in model.objects.values()]
         self._pictures: dict[str, Callable[[Look], NDArray[Any]]] = {}
         for camera in cameras:
@@ -77,7 +77,7 @@ class Observer:
         """Returns the keys of observations."""
         return [name for name in self.modalities if name not in self._left_out]
 
-    def show(self, name: str, shown: bool) -> None:
+    def include(self, name: str, included: bool) -> None:
         """Includes a key in observations or leaves it out. Omitted pictures are not drawn.
 
         Raises KeyError.
@@ -86,7 +86,7 @@ class Observer:
             raise KeyError(
                 f"nothing is observed as `{name}`: there are {', '.join(self.modalities)}"
             )
-        (self._left_out.discard if shown else self._left_out.add)(name)
+        (self._left_out.discard if included else self._left_out.add)(name)
 
     def expire(self) -> None:
         """Discards cached values after the simulation has made a new observation."""
@@ -111,14 +111,14 @@ class Observer:
                 joined.setdefault(f"{modality}-state", []).append(self._read[name])
         for name, parts in joined.items():
             observation[name] = np.concatenate(parts)
-        drawn = _drawn.setdefault(self._held.scene, set())
+        drawn = _drawn.setdefault(self._handle.scene, set())
         if self._cameras not in drawn:
             observation.draw()
             drawn.add(self._cameras)
         return observation
 
     def _readings(self) -> dict[str, NDArray[Any]]:
-        simulation = self._held.get()
+        simulation = self._handle.get()
         readings = simulation.readings()
         readings["joint_pos_cos"] = np.cos(readings["joint_pos"])
         readings["joint_pos_sin"] = np.sin(readings["joint_pos"])
@@ -126,8 +126,10 @@ class Observer:
         poses = [simulation.body_pose(body) for _, body in self._objects]
         if poses:
             positions, quaternions = map(np.array, zip(*poses))
-            seen = relative_poses(positions, quaternions, readings["eef_pos"], readings["eef_quat"])
-            for (name, _), pose, from_hand in zip(self._objects, poses, zip(*seen)):
+            relative = relative_poses(
+                positions, quaternions, readings["eef_pos"], readings["eef_quat"]
+            )
+            for (name, _), pose, from_hand in zip(self._objects, poses, zip(*relative)):
                 read[f"{name}_pos"], read[f"{name}_quat"] = pose
                 (
                     read[f"{name}_to_{_ROBOT}_eef_pos"],
@@ -136,10 +138,10 @@ class Observer:
         return read
 
     def _picture(self, name: str) -> Undrawn:
-        """Returns a picture of the current state, even if it is drawn later. All observations of
-        this state share it."""
+        """Returns the placeholder of a picture of the current state, which is drawn when it is
+        first read. All observations of this state share the placeholder."""
         if self._look is None:
-            self._look = self._held.get().look()
+            self._look = self._handle.get().look()
         if name not in self._undrawn:
             self._undrawn[name] = Undrawn(partial(self._pictures[name], self._look))
         return self._undrawn[name]
@@ -173,17 +175,17 @@ def _segmentation(
     numbers = model.numbers(kind)
 
     def draw(look: Look) -> NDArray[np.int32]:
-        seen = segments(look)
-        shown = np.zeros((*seen.shape[:2], 1), dtype=np.int32)
-        for what, of_type in (("geom", _GEOM), ("site", _SITE)):
-            those = seen[..., 0] == of_type
-            shown[those, 0] = numbers[what][seen[those, 1]]
-        return shown
+        types_and_ids = segments(look)
+        labels = np.zeros((*types_and_ids.shape[:2], 1), dtype=np.int32)
+        for part, object_type in (("geom", _GEOM), ("site", _SITE)):
+            pixels = types_and_ids[..., 0] == object_type
+            labels[pixels, 0] = numbers[part][types_and_ids[pixels, 1]]
+        return labels
 
     return draw
 
 
 def _geoms(segments: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Ids of geoms, [h, w, 1]; -1 where there is none."""
+    """Returns the id of each pixel's geom, [h, w, 1]; -1 for a pixel that shows no geom."""
     ids = np.where(segments[..., 0] == _GEOM, segments[..., 1], np.int32(-1))
     return ids[..., np.newaxis]

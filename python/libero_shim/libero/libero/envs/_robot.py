@@ -11,7 +11,7 @@ from libero._absent import absent_attribute
 from libero.libero.envs._rotations import quaternions_of
 from libero.libero.envs._settings import OSC_POSE
 from libero.libero.envs._sim import MjSim
-from libero.libero.envs._simulation import Held
+from libero.libero.envs._simulation import SimulationHandle
 
 F64 = NDArray[np.float64]
 
@@ -41,20 +41,20 @@ class Controller:
 
     use_delta: bool
 
-    def __init__(self, held: Held, use_delta: bool, posture: F64) -> None:
-        vars(self)["_held"] = held
+    def __init__(self, handle: SimulationHandle, use_delta: bool, posture: F64) -> None:
+        vars(self)["_handle"] = handle
         vars(self)["_posture"] = posture
         self.use_delta = use_delta
 
     @property
     def ee_pos(self) -> F64:
         """The end-effector's position [3], m, at the controller's last update."""
-        return self._held.get().controller_pose()[0]
+        return self._handle.get().controller_pose()[0]
 
     @property
     def ee_ori_mat(self) -> F64:
         """The end-effector's rotation matrix [3, 3] at the controller's last update."""
-        return self._held.get().controller_pose()[1]
+        return self._handle.get().controller_pose()[1]
 
     @property
     def kp(self) -> F64:
@@ -116,13 +116,18 @@ class Robot:
     has_gripper = True
 
     def __init__(
-        self, name: str, held: Held, sim: MjSim, use_delta: bool, posture: F64 | None = None
+        self,
+        name: str,
+        handle: SimulationHandle,
+        sim: MjSim,
+        use_delta: bool,
+        posture: F64 | None = None,
     ) -> None:
-        """`posture` has the arm's joint positions [7] at resets, rad, if they are not LIBERO's."""
+        """`posture` holds the arm's joint positions [7] at resets, rad; None selects LIBERO's."""
         self.name = name
         self.sim = sim
         self._posture = np.array(_HOME) if posture is None else posture
-        self.controller = Controller(held, use_delta, self._posture)
+        self.controller = Controller(handle, use_delta, self._posture)
         joints = [f"robot0_joint{i}" for i in range(1, 8)]
         fingers = [f"gripper0_finger_joint{i}" for i in (1, 2)]
         self.robot_joints = joints

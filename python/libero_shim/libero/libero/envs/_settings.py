@@ -24,7 +24,8 @@ OSC_POSE: dict[str, Any] = {
 }
 _SEGMENTATIONS = ("instance", "class", "element")
 
-#: Arguments of the original that have a single value here.
+#: Arguments of the original for which this package permits few values: the permitted values,
+#: and the reason.
 _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "gripper_types": (("default",), "the Panda has its own gripper"),
     "initialization_noise": ((None,), "the arm starts at home, as in LIBERO's evaluations"),
@@ -41,7 +42,7 @@ _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "scene_xml": ((None,), "the room is the one that the BDDL file's problem has"),
     "scene_properties": ((None,), "the room is the one that the BDDL file's problem has"),
 }
-#: Arguments that have no effect here. Some have none in the original either.
+#: Arguments that have no effect here. Some of them have no effect in the original either.
 _IGNORED = ("reward_shaping", "render_camera", "render_gpu_device_id")
 
 
@@ -97,9 +98,9 @@ class Settings:
             raise _unsupported("control_freq", control_freq, "LIBERO controls at 20 Hz")
         for name, value in others.items():
             if name in _ONE_VALUE:
-                allowed, why = _ONE_VALUE[name]
+                allowed, reason = _ONE_VALUE[name]
                 if value not in allowed:
-                    raise _unsupported(name, value, f"{why}; leave it at {allowed[0]!r}")
+                    raise _unsupported(name, value, f"{reason}; leave it at {allowed[0]!r}")
             elif name not in _IGNORED:
                 raise TypeError(
                     f"LIBERO's environments take no argument `{name}` here: leave it out"
@@ -193,22 +194,24 @@ def _cameras(
 
 
 def _segmentations(given: Any, count: int) -> list[tuple[str, ...]]:
-    """Returns the kinds of segmentation of each camera. A flat list applies to every camera, as in
-    robosuite."""
+    """Returns the kinds of segmentation of each camera. All kinds of a flat list apply to every
+    camera, as in robosuite."""
     listed = _listed(given, count)
     if any(isinstance(kinds, (list, tuple)) for kinds in listed):
-        each = [() if kinds is None else tuple(_listed(kinds, 1)) for kinds in listed]
+        by_camera = [() if kinds is None else tuple(_listed(kinds, 1)) for kinds in listed]
     else:
-        every = tuple(dict.fromkeys(kind for kind in listed if kind is not None))
+        all_kinds = tuple(dict.fromkeys(kind for kind in listed if kind is not None))
         # A camera whose own entry is None has no segmentation, even if other entries are set.
-        each = [every if i >= len(listed) or listed[i] is not None else () for i in range(count)]
-    for kinds in each:
+        by_camera = [
+            all_kinds if i >= len(listed) or listed[i] is not None else () for i in range(count)
+        ]
+    for kinds in by_camera:
         for kind in kinds:
             if kind not in _SEGMENTATIONS:
                 raise ValueError(
                     f"there is no segmentation {kind!r}: choose one of {', '.join(_SEGMENTATIONS)}"
                 )
-    return each
+    return by_camera
 
 
 def _listed(value: Any, count: int) -> Sequence[Any]:

@@ -1,9 +1,9 @@
-"""Arrays of a process's answers, passed through memory that it shares with its parent.
+"""Transfer of large arrays from a process to its parent through shared memory.
 
-A frame of 256 × 256 pixels is three times as large as a pipe's buffer, so sending it takes several
-turns of both processes. The messages of `multiprocessing` remain; only their large arrays are
-replaced by places in the shared memory, from which the parent copies them when it unpickles the
-message.
+A frame of 256 × 256 pixels is three times as large as a pipe's buffer, so that sender and receiver
+of a frame would wait for each other several times. Messages still go through the pipe of
+`multiprocessing`; they hold positions in the shared memory in place of large arrays, and the parent
+copies the arrays from there when it unpickles a message.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _shared: weakref.WeakValueDictionary[int, SharedMemory] = weakref.WeakValueDicti
 class SharedMemory:
     """Memory shared with a process that is started with it as an argument.
 
-    It holds the arrays of one message: the parent unpickles a message before it
-    sends the command that causes the next.
+    It holds the arrays of one message at a time: the parent unpickles a message before it sends the
+    command that causes the next message.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class SharedMemory:
         self._descriptor: int | None = descriptor
         _shared[self.number] = self
 
-    def started(self) -> None:
+    def close_descriptor(self) -> None:
         """Closes the descriptor, after the process has been started. The memory stays mapped."""
         if self._descriptor is not None:
             os.close(self._descriptor)
@@ -63,10 +63,10 @@ class SharedMemory:
         _Pickler(data, self).dump(message)
         return data.getvalue()
 
-    def array(self, place: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Returns the array at a place, in bytes, as part of the memory."""
+    def array(self, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Returns a view of the array at an offset, in bytes, into the memory."""
         count = int(np.prod(shape))
-        return np.frombuffer(self._memory, dtype, count, place).reshape(shape)
+        return np.frombuffer(self._memory, dtype, count, offset).reshape(shape)
 
     def _map(self, descriptor: int) -> None:
         self._memory = mmap.mmap(descriptor, SIZE)
@@ -79,7 +79,7 @@ class SharedMemory:
         self.number, duplicate = state
         self._descriptor = duplicate.detach()
         self._map(self._descriptor)
-        self.started()
+        self.close_descriptor()
 
 
 class _Pickler(reduction.ForkingPickler):
@@ -99,18 +99,20 @@ class _Pickler(reduction.ForkingPickler):
             or not value.flags.c_contiguous
         ):
             return NotImplemented
-        place = self._used
-        np.copyto(self._shared.array(place, value.shape, value.dtype), value)
+        offset = self._used
+        np.copyto(self._shared.array(offset, value.shape, value.dtype), value)
         self._used += -(-value.nbytes // _ALIGNED) * _ALIGNED
-        return _copied, (self._shared.number, place, value.shape, value.dtype)
+        return _copy_from_memory, (self._shared.number, offset, value.shape, value.dtype)
 
 
-def _copied(number: int, place: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    return _shared[number].array(place, shape, dtype).copy()
+def _copy_from_memory(
+    number: int, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    return _shared[number].array(offset, shape, dtype).copy()
 
 
-def memory() -> SharedMemory | None:
-    """Returns new shared memory; None on a system without it, where pipes carry everything."""
+def create() -> SharedMemory | None:
+    """Returns new shared memory; None on a system that has none, where messages hold all arrays."""
     if not hasattr(os, "memfd_create"):
         return None
     try:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from libero._absent import absent_attribute
-from libero.libero.envs._simulation import Held
+from libero.libero.envs._simulation import SimulationHandle
 
 F64 = NDArray[np.float64]
 
@@ -27,6 +27,7 @@ _COUNTS = {
     "nlight": "light_pos",
     "nsensor": "sensor_type",
 }
+#: Numbers of positions and of velocities of a joint, by MuJoCo's joint type.
 _COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
 
 
@@ -49,10 +50,10 @@ class ReadOnlyArray(np.ndarray):
 
 
 def _read_only(array: NDArray[Any], remedy: str) -> ReadOnlyArray:
-    shown = array.view(ReadOnlyArray)
-    shown._remedy = remedy
-    shown.flags.writeable = False
-    return shown
+    view = array.view(ReadOnlyArray)
+    view._remedy = remedy
+    view.flags.writeable = False
+    return view
 
 
 class MjSimState:
@@ -71,31 +72,30 @@ class MjSimState:
 class _Constants:
     """Scalar values of the model."""
 
-    def __init__(self, what: str, values: dict[str, Any]) -> None:
-        self._what = what
+    def __init__(self, label: str, values: dict[str, Any]) -> None:
+        self._label = label
         self._values = values
 
     def __getattr__(self, name: str) -> Any:
         try:
             return self._values[name]
         except KeyError:
-            raise absent_attribute(
-                self._what, name, f"it has {', '.join(self._values)}"
-            ) from None
+            raise absent_attribute(self._label, name, f"it has {', '.join(self._values)}") from None
 
 
 class MjModel:
     """The model's names and arrays, by MuJoCo's names. Arrays are copies."""
 
-    def __init__(self, held: Held) -> None:
-        simulation = held.get()
-        self._held = held
+    def __init__(self, handle: SimulationHandle) -> None:
+        simulation = handle.get()
+        self._handle = handle
         self._names = {kind: tuple(simulation.names(kind)) for kind in _KINDS}
         self._ids = {
             kind: {name: i for i, name in enumerate(names) if name is not None}
             for kind, names in self._names.items()
         }
-        # Read once: every reset needs them, and they never change while the model exists.
+        # Addresses and types of the joints are read once: every reset needs them, and they never
+        # change.
         arrays = ("jnt_qposadr", "jnt_dofadr", "jnt_type")
         columns = (simulation.model_array(array) for array in arrays)
         self._joints = list(zip(*(column.tolist() for column in columns)))
@@ -104,7 +104,7 @@ class MjModel:
         """Writes one of cam_pos, cam_quat, light_pos, light_dir, light_diffuse,
         light_specular, site_rgba, body_pos and body_quat, in this environment alone.
         Call `sim.forward()` after changes of bodies."""
-        self._held.get().set_model_array(name, np.asarray(values))
+        self._handle.get().set_model_array(name, np.asarray(values))
 
     def get_joint_qpos_addr(self, name: str) -> Any:
         """The index of a joint's position, or (first, last + 1) if it has several."""
@@ -115,16 +115,16 @@ class MjModel:
         return self._address(name, 1)
 
     def __getattr__(self, name: str) -> Any:
-        kind, _, what = name.partition("_")
-        kind = "camera" if kind == "cam" and what in ("names",) else kind
-        if kind in _KINDS and what == "names":
+        kind, _, suffix = name.partition("_")
+        kind = "camera" if kind == "cam" and suffix in ("names",) else kind
+        if kind in _KINDS and suffix == "names":
             return self._names[kind]
-        if kind in _KINDS and what == "name2id":
+        if kind in _KINDS and suffix == "name2id":
             return lambda key: self._id(kind, key)
-        if kind in _KINDS and what == "id2name":
+        if kind in _KINDS and suffix == "id2name":
             return lambda i: self._name(kind, i)
         if name in _COUNTS:
-            return len(self._held.get().model_array(_COUNTS[name]))
+            return len(self._handle.get().model_array(_COUNTS[name]))
         if name in ("stat", "vis"):
             return _Constants(f"sim.model.{name}", self._constants()[name])
         if name.startswith("_"):
@@ -132,7 +132,7 @@ class MjModel:
         return self._array(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in ("_held", "_names", "_ids", "_joints"):
+        if name in ("_handle", "_names", "_ids", "_joints"):
             super().__setattr__(name, value)
         else:
             raise AttributeError(
@@ -140,13 +140,13 @@ class MjModel:
             )
 
     def _constants(self) -> dict[str, Any]:
-        extent, near, far = self._held.get().planes()
+        extent, near, far = self._handle.get().planes()
         planes = _Constants("sim.model.vis.map", {"znear": near, "zfar": far})
         return {"stat": {"extent": extent}, "vis": {"map": planes}}
 
     def _array(self, name: str) -> ReadOnlyArray:
         try:
-            array = self._held.get().model_array(name)
+            array = self._handle.get().model_array(name)
         except (KeyError, ValueError) as error:
             raise absent_attribute("sim.model", name, str(error)) from error
         return _read_only(array, f"call sim.model.set({name!r}, values)")
@@ -165,9 +165,10 @@ class MjModel:
             raise ValueError(f"the model has no {kind} {i}: it has {len(names)}")
         return names[i]
 
-    def _address(self, joint: str, which: int) -> Any:
+    def _address(self, joint: str, quantity: int) -> Any:
+        """Returns the index or range of a joint's position (`quantity` 0) or velocity (1)."""
         *starts, kind = self._joints[self._id("joint", joint)]
-        start, width = starts[which], _COORDINATES[kind][which]
+        start, width = starts[quantity], _COORDINATES[kind][quantity]
         return start if width == 1 else (start, start + width)
 
 
@@ -175,26 +176,26 @@ class MjData:
     """The state's arrays, by MuJoCo's names, in the world frame, m and rad. They are copies of the
     current values; observations are a few milliseconds older."""
 
-    def __init__(self, held: Held, model: MjModel) -> None:
-        self._held = held
+    def __init__(self, handle: SimulationHandle, model: MjModel) -> None:
+        self._handle = handle
         self._model = model
 
     @property
     def time(self) -> float:
         """Simulated time, s."""
-        return float(self._held.get().state()[0])
+        return float(self._handle.get().state()[0])
 
     @property
     def ncon(self) -> int:
         """Number of contacts."""
-        return len(self._held.get().contacts())
+        return len(self._handle.get().contacts())
 
     @property
     def contact(self) -> list[Any]:
         """The contacts: geom1 and geom2 of each."""
         return [
             SimpleNamespace(geom1=int(first), geom2=int(second))
-            for first, second in self._held.get().contacts()
+            for first, second in self._handle.get().contacts()
         ]
 
     def get_joint_qpos(self, name: str) -> Any:
@@ -206,25 +207,25 @@ class MjData:
         return self.qvel[_slice(self._model.get_joint_qvel_addr(name))]
 
     def set_joint_qpos(self, name: str, value: Any) -> None:
-        """Sets a joint's position, or positions. Call `sim.forward()` after the last one."""
+        """Sets a joint's position, or positions. Call `sim.forward()` after the last change."""
         self._write(1, self._model.get_joint_qpos_addr(name), value)
 
     def set_joint_qvel(self, name: str, value: Any) -> None:
-        """Sets a joint's velocity, or velocities. Call `sim.forward()` after the last one."""
+        """Sets a joint's velocity, or velocities. Call `sim.forward()` after the last change."""
         self._write(1 + self._model.nq, self._model.get_joint_qvel_addr(name), value)
 
     def __getattr__(self, name: str) -> Any:
-        # get_body_xpos, get_site_xmat, get_geom_xpos, get_camera_xmat, …
+        # Such as get_body_xpos, get_site_xmat, get_geom_xpos and get_camera_xmat.
         parts = name.split("_")
         if len(parts) == 3 and parts[0] == "get" and parts[2] in ("xpos", "xmat", "xquat"):
-            kind, what = parts[1:]
+            kind, quantity = parts[1:]
             prefix = {"body": "", "camera": "cam_"}.get(kind, f"{kind}_")
-            return lambda key: self._pose(f"{prefix}{what}", kind, key)
+            return lambda key: self._pose(f"{prefix}{quantity}", kind, key)
         # mujoco-py's names of the bodies' arrays.
         if name in ("body_xpos", "body_xquat", "body_xmat"):
             name = name.removeprefix("body_")
         try:
-            array = self._held.get().data_array(name)
+            array = self._handle.get().data_array(name)
         except (KeyError, ValueError) as error:
             raise absent_attribute("sim.data", name, str(error)) from error
         return _read_only(
@@ -233,7 +234,7 @@ class MjData:
         )
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in ("_held", "_model"):
+        if name in ("_handle", "_model"):
             super().__setattr__(name, value)
         else:
             raise AttributeError(
@@ -245,7 +246,7 @@ class MjData:
         return value.reshape(3, 3) if array.endswith("xmat") else value
 
     def _write(self, offset: int, address: Any, value: Any) -> None:
-        simulation = self._held.get()
+        simulation = self._handle.get()
         state = np.array(simulation.state())
         part = _slice(address)
         if isinstance(part, slice):
@@ -264,14 +265,14 @@ class MjData:
 class MjSim:
     """A simulation: `model`, `data`, its state as a vector, and pictures of it."""
 
-    def __init__(self, held: Held) -> None:
-        self._held = held
-        self.model = MjModel(held)
-        self.data = MjData(held, self.model)
+    def __init__(self, handle: SimulationHandle) -> None:
+        self._handle = handle
+        self.model = MjModel(handle)
+        self.data = MjData(handle, self.model)
 
     def get_state(self) -> MjSimState:
         """A copy of the state."""
-        state = self._held.get().state()
+        state = self._handle.get().state()
         nq = self.model.nq
         return MjSimState(float(state[0]), state[1 : 1 + nq], state[1 + nq :])
 
@@ -284,7 +285,7 @@ class MjSim:
 
         Raises ValueError for a state of another scene.
         """
-        simulation = self._held.get()
+        simulation = self._handle.get()
         state = np.ascontiguousarray(value, dtype=np.float64)
         expected = simulation.state().shape
         if state.shape != expected:
@@ -296,7 +297,7 @@ class MjSim:
 
     def forward(self) -> None:
         """Computes the quantities derived from the state, such as poses and contacts."""
-        self._held.get().forward()
+        self._handle.get().forward()
 
     def render(
         self,
@@ -316,10 +317,10 @@ class MjSim:
         if mode != "offscreen":
             raise ValueError("there is no window: leave mode at 'offscreen'")
         self.model.camera_name2id(camera_name)
-        simulation = self._held.get()
-        # A simulation draws its last observation, so it must observe now. That would shift the
-        # times of later observations, so the earlier state is restored afterwards.
-        before = simulation.snapshot()
+        simulation = self._handle.get()
+        # A simulation draws its last observation, so it must observe the current state first. This
+        # would shift the times of later observations, so a snapshot is restored afterwards.
+        snapshot = simulation.snapshot()
         simulation.observe_now()
         try:
             if segmentation:
@@ -329,7 +330,7 @@ class MjSim:
                 return picture, simulation.depth(camera_name, width, height)
             return picture
         finally:
-            simulation.restore(before)
+            simulation.restore(snapshot)
 
     def __getattr__(self, name: str) -> Any:
         raise absent_attribute(

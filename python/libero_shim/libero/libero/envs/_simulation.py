@@ -17,7 +17,7 @@ from rollout_libero.scenes import scene
 if TYPE_CHECKING:
     from rollout_libero._native import LegacyState
 
-__all__ = ["ClosedError", "Held", "draw"]
+__all__ = ["ClosedError", "SimulationHandle", "draw_numbers"]
 
 #: Lock on NumPy's global generator while its numbers are drawn.
 _drawing = threading.Lock()
@@ -25,11 +25,11 @@ _drawing = threading.Lock()
 _Result = TypeVar("_Result")
 
 
-def draw(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) -> _Result:
-    """Draws from NumPy's global generator: calls `numbers` with its state, and sets the state that
-    it returns.
+def draw_numbers(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) -> _Result:
+    """Draws from NumPy's global generator: calls `numbers` with the generator's state, and sets the
+    state that `numbers` returns. Returns the result of `numbers`.
 
-    Raises RuntimeError if it is not LIBERO's generator.
+    Raises RuntimeError if the global generator is not of LIBERO's kind, MT19937.
     """
     with _drawing:
         state = np.random.get_state()
@@ -44,9 +44,9 @@ def draw(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) -> _Resu
     return result
 
 
-class Held:
-    """A simulation of a BDDL file's scene, held until it is closed.
-    Environments of a scene share its compiled form.
+class SimulationHandle:
+    """Handle of a simulation of a BDDL file's scene, which is freed by `close`. All environments of
+    a scene share the compiled scene.
 
     Raises FileNotFoundError if assets are missing; the message has the remedy.
     """
@@ -79,8 +79,9 @@ class Held:
     def start_over(self, model_loads: int, *, hard: bool) -> int:
         """Resets all placements, drawing from NumPy's global generator as the original does.
 
-        `model_loads` is the number of times that the original would have loaded its model before.
-        Returns the number afterwards, which is higher if placements were repeated for lack of room.
+        `model_loads` is the number of times that the original would have loaded its model so far.
+        Returns that number after the reset; it grows when placements are drawn again for lack of
+        room.
         """
         simulation = self.get()
-        return draw(lambda state: simulation.reset(state, model_loads, hard=hard))
+        return draw_numbers(lambda state: simulation.reset(state, model_loads, hard=hard))

@@ -10,14 +10,14 @@ from collections.abc import Collection
 #: drawing time in programs that read or send every frame of every step.
 VARIABLE = "ROLLOUT_UNUSED_CAMERAS"
 
-_said: set[str] = set()
+_warned: set[str] = set()
 
 
 def unused_cameras(known: Collection[str]) -> frozenset[str]:
     """Returns the cameras that the environment variable names. Warns once per camera that its
-    frames are black, because a policy that does use them fails through no fault of its own.
+    frames are black, because a policy that does use the camera would fail without another sign.
 
-    Raises ValueError for a camera that is not among those of the scene.
+    Raises ValueError for a camera that the scene (`known`) lacks.
     """
     names = (name.strip() for name in os.environ.get(VARIABLE, "").split(","))
     unused = frozenset(name for name in names if name)
@@ -27,8 +27,8 @@ def unused_cameras(known: Collection[str]) -> frozenset[str]:
                 f"{VARIABLE} names `{name}`, and there is no such camera: choose of "
                 f"{', '.join(known)}, or unset it"
             )
-        if name not in _said:
-            _said.add(name)
+        if name not in _warned:
+            _warned.add(name)
             print(
                 f"rollout-libero-shim: {VARIABLE} names {name}: its frames are black, not drawn",
                 file=sys.stderr,

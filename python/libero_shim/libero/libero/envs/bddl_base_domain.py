@@ -15,7 +15,7 @@ from libero.libero.envs._observation import Observation, Observer
 from libero.libero.envs._robot import Robot
 from libero.libero.envs._settings import Settings, existing_file
 from libero.libero.envs._sim import MjSim
-from libero.libero.envs._simulation import Held
+from libero.libero.envs._simulation import SimulationHandle
 from libero.libero.envs._unused import unused_cameras
 from rollout_libero._native import PlusPath
 
@@ -45,11 +45,11 @@ class BDDLBaseDomain:
         change: PlusPath | None = None,
         **arguments: Any,
     ) -> None:
-        """Takes robosuite's arguments. Some permit a single value; see `Settings.check`. `change`
-        has the posture and the view of a variant of LIBERO-Plus.
+        """Takes robosuite's arguments. Some of them permit only the default; see `Settings.check`.
+        `change` holds the posture and the view of a variant of LIBERO-Plus.
 
         Draws placements from NumPy's global generator, as the original does.
-        The first observation is that of `reset`.
+        `reset` returns the first observation.
 
         Raises FileNotFoundError for a missing file or missing assets, and the
         exceptions of `Settings.check`.
@@ -75,15 +75,15 @@ class BDDLBaseDomain:
         self.camera_widths = [camera.width for camera in settings.cameras]
 
         self._change = change
-        self._held = Held(self.bddl_file_name, change)
-        self.sim = MjSim(self._held)
+        self._handle = SimulationHandle(self.bddl_file_name, change)
+        self.sim = MjSim(self._handle)
         for name in self.camera_names:
             self.sim.model.camera_name2id(name)
         arm, mount = (
             ("MountedPanda", "RethinkMount") if self.mounted else ("OnTheGroundPanda", "NullMount")
         )
         self._arm = arm
-        self.model = TaskModel(self._held.scene, self.sim.model, arm, mount)
+        self.model = TaskModel(self._handle.scene, self.sim.model, arm, mount)
         self.objects_dict = self.model.objects
         self.fixtures_dict = self.model.fixtures
         self.objects = list(self.objects_dict.values())
@@ -95,7 +95,7 @@ class BDDLBaseDomain:
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
         #: Cameras whose frames are black.
         self.unused_cameras = unused_cameras(self.sim.model.camera_names)
-        self._observer = Observer(self._held, settings.cameras, self.model, self.unused_cameras)
+        self._observer = Observer(self._handle, settings.cameras, self.model, self.unused_cameras)
         #: Control steps since the reset; `done` is True once they reach the horizon.
         self.timestep = 0
         self.done = False
@@ -109,9 +109,9 @@ class BDDLBaseDomain:
     def reset(self) -> Observation:
         """Resets all placements and returns the observation.
 
-        With `hard_reset` the original loads its model again, which lengthens
-        its list of samplers for doors and knobs and so changes later draws. The
-        same happens here, although no model needs to be loaded.
+        With `hard_reset` the original loads its model again, which lengthens its list of samplers
+        for doors and knobs and so changes later draws. This method counts these loads, and draws
+        the same numbers.
         """
         if self.hard_reset:
             self._model_loads += 1
@@ -126,7 +126,7 @@ class BDDLBaseDomain:
 
         Raises ValueError for an invalid action, or if the episode is over.
         """
-        simulation = self._held.get()
+        simulation = self._handle.get()
         if self.done:
             raise ValueError(
                 f"executing action in terminated episode: it had {self.horizon} steps; call "
@@ -146,7 +146,7 @@ class BDDLBaseDomain:
 
     def close(self) -> None:
         """Frees the simulation."""
-        self._held.close()
+        self._handle.close()
 
     @property
     def action_spec(self) -> tuple[F64, F64]:
@@ -165,7 +165,7 @@ class BDDLBaseDomain:
 
     @property
     def observation_modalities(self) -> set[str]:
-        """The kinds of observable keys."""
+        """The modalities of the available keys."""
         return set(self._observer.modalities.values())
 
     @property
@@ -187,7 +187,7 @@ class BDDLBaseDomain:
                 f"the {attribute} of an observable cannot be modified: `active` and `enabled` can; "
                 "change what step returns instead"
             )
-        self._observer.show(observable_name, bool(modifier))
+        self._observer.include(observable_name, bool(modifier))
 
     def get_object(self, object_name: str) -> ObjectModel | None:
         """Returns an object or fixture by name; None if there is none."""
@@ -209,8 +209,9 @@ class BDDLBaseDomain:
         first = _geoms(geoms_1)
         second = None if geoms_2 is None else _geoms(geoms_2)
         names = self.sim.model.geom_names
-        for one, other in self._held.get().contacts():
-            for a, b in ((names[one], names[other]), (names[other], names[one])):
+        for contact in self._handle.get().contacts():
+            geoms = [names[geom] for geom in contact]
+            for a, b in (geoms, geoms[::-1]):
                 if a in first and (second is None or b in second):
                     return True
         return False
@@ -223,17 +224,17 @@ class BDDLBaseDomain:
         )
 
     def _check_success(self) -> bool:
-        return self._held.get().success()
+        return self._handle.get().success()
 
     def _post_process(self) -> None:
-        self._held.get().post_process()
+        self._handle.get().post_process()
 
     def _update_observables(self, force: bool = False) -> None:
         if not force:
             raise NotImplementedError(
                 "observables are updated by steps: give force=True to observe the current state"
             )
-        self._held.get().observe_now()
+        self._handle.get().observe_now()
         self._observer.expire()
 
     def _get_observations(self, force_update: bool = False) -> Observation:
@@ -255,10 +256,10 @@ class BDDLBaseDomain:
         )
 
     def _start_over(self, *, hard: bool) -> None:
-        self._model_loads = self._held.start_over(self._model_loads, hard=hard)
+        self._model_loads = self._handle.start_over(self._model_loads, hard=hard)
         self._observer.expire()
         posture = None if self._change is None else self._change.posture
-        self.robots = [Robot(self._arm, self._held, self.sim, self._settings.use_delta, posture)]
+        self.robots = [Robot(self._arm, self._handle, self.sim, self._settings.use_delta, posture)]
         self.timestep = 0
         self.cur_time = 0.0
         self.done = False
@@ -274,17 +275,17 @@ def register_problem(target_class: type[BDDLBaseDomain]) -> type[BDDLBaseDomain]
     return target_class
 
 
-def _problem(name: str, *, mounted: bool) -> None:
+def _define_problem(name: str, *, mounted: bool) -> None:
     members = {"mounted": mounted, "__module__": __name__, "__doc__": f"The problem {name}."}
     register_problem(type(name, (BDDLBaseDomain,), members))
 
 
-_problem("Libero_Coffee_Table_Manipulation", mounted=False)
-_problem("Libero_Floor_Manipulation", mounted=False)
-_problem("Libero_Kitchen_Tabletop_Manipulation", mounted=True)
-_problem("Libero_Living_Room_Tabletop_Manipulation", mounted=False)
-_problem("Libero_Study_Tabletop_Manipulation", mounted=True)
-_problem("Libero_Tabletop_Manipulation", mounted=True)
+_define_problem("Libero_Coffee_Table_Manipulation", mounted=False)
+_define_problem("Libero_Floor_Manipulation", mounted=False)
+_define_problem("Libero_Kitchen_Tabletop_Manipulation", mounted=True)
+_define_problem("Libero_Living_Room_Tabletop_Manipulation", mounted=False)
+_define_problem("Libero_Study_Tabletop_Manipulation", mounted=True)
+_define_problem("Libero_Tabletop_Manipulation", mounted=True)
 
 
 def _checked(action: Any) -> F64:
@@ -297,7 +298,7 @@ def _checked(action: Any) -> F64:
     return checked
 
 
-def _geoms(given: Any) -> set[str]:
-    if isinstance(given, str):
-        return {given}
-    return set(getattr(given, "contact_geoms", given))
+def _geoms(names_or_object: Any) -> set[str]:
+    if isinstance(names_or_object, str):
+        return {names_or_object}
+    return set(getattr(names_or_object, "contact_geoms", names_or_object))

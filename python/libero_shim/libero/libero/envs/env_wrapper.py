@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from libero.libero.envs import bddl_utils
-from libero.libero.envs._construction import said_when_it_fails
+from libero.libero.envs._construction import report_failure
 from libero.libero.envs._robot import Robot
 from libero.libero.envs._settings import controller_config, existing_file
 from libero.libero.envs._sim import MjSim
@@ -57,13 +57,13 @@ class ControlEnv:
         renderer_config: Any = None,
         **kwargs: Any,
     ) -> None:
-        """Reads the task's BDDL file and compiles its scene, once for all environments
-        that share it. Sizes of frames are in pixels, `horizon` is in steps.
+        """Reads the task's BDDL file and compiles its scene, once for all environments of the
+        scene. Sizes of frames are in pixels, `horizon` is in steps.
 
         Raises FileNotFoundError for a missing file or missing assets,
         NotImplementedError for features that only the original has.
         """
-        with said_when_it_fails():
+        with report_failure():
             self._construct(
                 bddl_file_name,
                 robots=robots,
@@ -208,8 +208,8 @@ class OffScreenRenderEnv(ControlEnv):
 
 
 class SegmentationRenderEnv(OffScreenRenderEnv):
-    """A task whose cameras also label each pixel. Numbers in a segmentation by
-    `instance` are those of `instance_to_id`; 0 is the room."""
+    """A task whose cameras also label each pixel. The labels of a segmentation by `instance` are
+    the numbers in `instance_to_id`; label 0 is the room."""
 
     def __init__(
         self,
@@ -249,8 +249,8 @@ class SegmentationRenderEnv(OffScreenRenderEnv):
     def get_segmentation_instances(
         self, segmentation_image: NDArray[np.int32]
     ) -> dict[str, NDArray[np.int32]]:
-        """Splits a segmentation by instance: each instance's pixels, 0
-        elsewhere. Arm, mount and gripper are `robot`."""
+        """Splits a segmentation into one array for each instance, which is 0 outside the
+        instance's pixels. Arm, mount and gripper are the instance `robot`."""
         if self.segmentation_robot_id is None:
             raise RuntimeError("instances are numbered by reset: call it first")
         robot = self.segmentation_robot_id + 1

@@ -222,8 +222,8 @@ class _Failure:
 
 
 def _sendable(error: Exception) -> Exception:
-    """Returns the error, or its text if it cannot be pickled and unpickled. The latter fails for
-    an exception whose constructor takes other arguments than its `args`."""
+    """Returns the error, or a RuntimeError with its text if it cannot be pickled and unpickled.
+    Unpickling fails for an exception whose constructor takes other arguments than its `args`."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # noqa: BLE001
@@ -238,12 +238,12 @@ def _serve(
     obs_bufs: None = None,
     memory: _shared_memory.SharedMemory | None = None,
 ) -> None:
-    """Runs an environment: answers `[command, data]` until `close`. Frames of an answer are written
-    to `memory`, if there is one."""
+    """Runs an environment: answers messages `[command, data]` until the command `close`. Frames of
+    an answer are written to `memory` unless it is None."""
     parent.close()
     if memory is not None:
-        # A forked process has a descriptor of its own.
-        memory.started()
+        # A forked process has its own copy of the descriptor.
+        memory.close_descriptor()
     try:
         env = env_fn.data()
     except Exception as error:  # noqa: BLE001
@@ -281,7 +281,7 @@ _worker = _serve
 class SubprocEnvWorker(EnvWorker):
     """An environment in a separate process, created by `multiprocessing`'s start method."""
 
-    # A subclass may start its own process, with its own loop of commands.
+    # The defaults hold for a subclass that starts its own process, with its own loop of commands.
     _is_starting = False
     _is_awaited = False
 
@@ -293,8 +293,8 @@ class SubprocEnvWorker(EnvWorker):
             )
         self.parent_remote, self.child_remote = multiprocessing.Pipe()
         self.share_memory = share_memory
-        # Kept: messages refer to it.
-        self._memory = _shared_memory.memory()
+        # Stored, because messages of the process refer to the memory by its number.
+        self._memory = _shared_memory.create()
         self.process = multiprocessing.Process(
             target=_serve,
             args=(
@@ -310,7 +310,7 @@ class SubprocEnvWorker(EnvWorker):
             self.process.start()
         finally:
             if self._memory is not None:
-                self._memory.started()
+                self._memory.close_descriptor()
         self.child_remote.close()
         self._is_starting = True
         super().__init__(env_fn)
@@ -345,7 +345,7 @@ class SubprocEnvWorker(EnvWorker):
             self.call("close")
             self.process.join()
         except Exception:  # noqa: BLE001
-            # Nothing is left to close of an environment that failed or whose process has ended.
+            # If the environment failed or its process has ended, nothing is left to close.
             pass
         finally:
             self.process.terminate()
@@ -448,7 +448,7 @@ class BaseVectorEnv:
         return [worker.render(**kwargs) for worker in self.workers]
 
     def seed(self, seed: int | Sequence[int | None] | None = None) -> list[Any]:
-        """Seeds all environments from a list, or with consecutive seeds from a first one."""
+        """Seeds all environments: from a list, or with consecutive seeds that begin at a number."""
         self._assert_is_not_closed()
         if seed is None or isinstance(seed, (int, np.integer)):
             seed = [None if seed is None else seed + i for i in range(self.env_num)]
@@ -469,12 +469,10 @@ class BaseVectorEnv:
         pairs = list(zip(self._choose(id), init_state))
         states = [state for _, state in pairs]
         chosen = [i for i, _ in pairs]
-        if any(not _sets_states_beside_others(self.workers[i]) for i in chosen):
+        if any(not _sets_states_concurrently(self.workers[i]) for i in chosen):
             return _stack([self.workers[i].set_init_state(state) for i, state in pairs])
         return _stack(
-            self._exchange(
-                chosen, lambda worker, at: worker.begin("set_init_state", states[at])
-            )
+            self._exchange(chosen, lambda worker, at: worker.begin("set_init_state", states[at]))
         )
 
     def get_segmentation_of_interest(self, segmentation_images: Any) -> list[Any]:
@@ -565,8 +563,9 @@ class SubprocVectorEnv(BaseVectorEnv):
         super().__init__(env_fns, SubprocEnvWorker, **kwargs)
 
 
-def _sets_states_beside_others(worker: Any) -> bool:
-    """Returns True unless a subclass overrides `set_init_state` or makes no concurrent calls."""
+def _sets_states_concurrently(worker: Any) -> bool:
+    """Returns True if this worker can set its state while other workers set theirs, that is, unless
+    its class overrides `set_init_state` or makes no concurrent calls."""
     kind = type(worker)
     return (
         getattr(kind, "set_init_state", None) is EnvWorker.set_init_state

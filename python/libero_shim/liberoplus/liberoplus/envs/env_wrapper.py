@@ -1,4 +1,4 @@
-"""The environments that scripts construct, with the changes that the path of the BDDL file tells:
+"""The environments that scripts construct, with the changes that the path of the BDDL file names:
 the view of `agentview`, the arm's posture at resets, and the corruption of `agentview`'s frames."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import libero.libero.envs.env_wrapper as _libero
 from libero.libero.envs import bddl_base_domain
 from libero.libero.envs._lazy import Observation
-from libero.libero.envs._simulation import draw
+from libero.libero.envs._simulation import draw_numbers
 from libero.libero.envs.bddl_base_domain import BDDLBaseDomain
 from libero.libero.paths import get_assets_path
 from rollout_libero._native import PlusPath, plus_problem_parent
@@ -28,13 +28,13 @@ __all__ = [
 _CAMERA = "agentview"
 _IMAGE = f"{_CAMERA}_image"
 
-#: Classes that simulate the problems, by the problem's name: LIBERO's, and those of LIBERO-Plus
-#: that were used so far.
+#: Classes that simulate the problems, by the problem's name: all of LIBERO's problems, and the
+#: problems of LIBERO-Plus for which an environment was constructed.
 TASK_MAPPING: dict[str, type[BDDLBaseDomain]] = dict(bddl_base_domain.TASK_MAPPING)
 
 
-class _Changed(_libero.ControlEnv):
-    """LIBERO's environment with the changes of a variant, but for the corruption."""
+class _VariantEnv(_libero.ControlEnv):
+    """LIBERO's environment with the changes of a variant, except the corruption of frames."""
 
     #: Number of the corruption, 1 to 50; 0 if there is none.
     noise: int
@@ -50,18 +50,18 @@ class _Changed(_libero.ControlEnv):
     def _problem_class(name: str) -> type[BDDLBaseDomain] | None:
         parent = plus_problem_parent(name)
         if name not in TASK_MAPPING and parent is not None:
-            # Only the scene's files differ, which the simulator chooses by the problem's name.
+            # The classes differ only in the scene's files, which the simulator chooses by the
+            # problem's name.
             TASK_MAPPING[name] = type(name, (TASK_MAPPING[parent],), {"__module__": __name__})
         return TASK_MAPPING.get(name)
 
 
-class ControlEnv(_Changed):
-    """A variant, controlled at 20 Hz. Frames have row 0 at the bottom. Those of `agentview` in the
-    observations of `reset` and `step` are corrupted, that of `set_init_state` is not.
+class ControlEnv(_VariantEnv):
+    """A variant, controlled at 20 Hz. Frames have row 0 at the bottom. Frames of `agentview` that
+    `reset` and `step` return are corrupted; the frame that `set_init_state` returns is not.
 
-    The corruption of each frame continues with the numbers of NumPy's global generator, from which
-    resets draw too. They are drawn at the step, in the original's order, even if the frame is never
-    read.
+    The corruption of each frame draws from NumPy's global generator, as resets do. The numbers are
+    drawn during `reset` or `step`, in the original's order, even if the frame is never read.
     """
 
     _size: tuple[int, int] | None
@@ -88,7 +88,7 @@ class ControlEnv(_Changed):
             return observation
         assert isinstance(observation, Observation)
         change, (height, width) = self._change, self._size
-        state = draw(lambda state: (change.skip(state, height, width), state))
+        state = draw_numbers(lambda state: (change.skip(state, height, width), state))
 
         def corrupted(picture: NDArray[Any]) -> NDArray[Any]:
             return change.corrupted(state, picture)
@@ -108,9 +108,9 @@ class OffScreenRenderEnv(ControlEnv):
         super().__init__(bddl_file_name=bddl_file_name, **kwargs)
 
 
-class SegmentationRenderEnv(_Changed, _libero.SegmentationRenderEnv):
+class SegmentationRenderEnv(_VariantEnv, _libero.SegmentationRenderEnv):
     """A variant whose cameras also label each pixel. As in LIBERO-Plus, its frames are not
-    corrupted, and no numbers are drawn for them."""
+    corrupted, and no random numbers are drawn for a corruption."""
 
 
 class DemoRenderEnv(ControlEnv, _libero.DemoRenderEnv):
