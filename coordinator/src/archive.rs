@@ -35,6 +35,7 @@ const CONTENTS_FILE: &str = "archive.json";
 /// Prefix of temporary folders for campaigns being exported or imported.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
+/// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
     pub format: u32,
@@ -48,10 +49,10 @@ pub struct Contents {
     /// Outcomes of the source campaign, if this campaign is derived from one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
-    /// Archives that were merged into this one; empty unless merged.
+    /// Archives that were merged into this one; empty if `coordinator merge` did not write it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub merged_from: Vec<MergedArchive>,
-    /// The other members, in order.
+    /// Members after the table of contents, in order.
     pub members: Vec<Member>,
 }
 
@@ -65,6 +66,7 @@ pub struct MergedArchive {
     pub database: String,
 }
 
+/// File in an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
     pub name: String,

@@ -164,12 +164,12 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
     terminal::log(default_level);
     let runtime = Runtime::new().context("start the asynchronous runtime");
     let runtime = runtime.map_err(CommandError::Failure);
-    let done = runtime.and_then(|runtime| runtime.block_on(execute(arguments.command)));
-    let (error, code) = match done {
+    let outcome = runtime.and_then(|runtime| runtime.block_on(execute(arguments.command)));
+    let (error, code) = match outcome {
         Ok(()) => return ExitCode::SUCCESS,
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),
-        Err(CommandError::Judged) => return ExitCode::FAILURE,
+        Err(CommandError::FaultsPrinted) => return ExitCode::FAILURE,
     };
     if terminal::reader_is_gone(&*error) {
         return ExitCode::SUCCESS;

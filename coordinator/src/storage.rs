@@ -28,7 +28,7 @@ const RETRY_FOR: Duration = Duration::from_secs(20);
 /// Longest quotation of the storage's error message, bytes; responses may have any length.
 const QUOTED_BYTES: usize = 500;
 
-/// Folder, or bucket with a key prefix.
+/// Storage of films and archives: a folder, or a bucket with a key prefix.
 #[derive(Clone, Debug)]
 pub struct Storage {
     store: Arc<dyn ObjectStore>,
@@ -38,7 +38,7 @@ pub struct Storage {
     location: String,
 }
 
-/// Object, or a range of one, being read.
+/// Object, or byte range of an object, that is being read.
 #[derive(Debug)]
 pub struct ObjectRange {
     /// Byte range within the object.
@@ -60,7 +60,7 @@ impl std::fmt::Debug for BoxedBytes {
 #[derive(Debug, thiserror::Error)]
 pub enum StorageError {
     #[error(
-        "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server of one's own"
+        "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server other than AWS"
     )]
     Location { location: String },
     #[error("make folder {}: may this user write there?", path.display())]
@@ -133,7 +133,8 @@ impl Storage {
         })
     }
 
-    /// Opens the storage of an object's address; returns it with the object's key.
+    /// Opens the storage that holds the object at `address`; returns the storage and the object's
+    /// key.
     ///
     /// # Errors
     /// If the address is invalid or names no object.
@@ -163,8 +164,8 @@ impl Storage {
             source,
         };
         let mut from = tokio::fs::File::open(file).await.map_err(unreadable)?;
-        let at = self.key(key);
-        let mut to = BufWriter::new(self.store.clone(), at.clone());
+        let full_key = self.key(key);
+        let mut to = BufWriter::new(self.store.clone(), full_key.clone());
         let copied = tokio::io::copy(&mut from, &mut to).await;
         let copied = match copied {
             Ok(bytes) => to.shutdown().await.map(|()| bytes),
@@ -175,7 +176,7 @@ impl Storage {
             }
         };
         let bytes = copied.map_err(|error| self.failed("store", key, &error))?;
-        let stored = self.store.head(&at).await;
+        let stored = self.store.head(&full_key).await;
         let stored = stored.map_err(|error| self.failed("find", key, &error))?;
         match stored.size == bytes {
             true => Ok(()),
@@ -253,10 +254,10 @@ impl Storage {
     /// # Errors
     /// If the storage fails.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
-        let at = self.key(folder);
+        let prefix = self.key(folder);
         let all = self
             .store
-            .list(Some(&at))
+            .list(Some(&prefix))
             .map_ok(|object| object.location)
             .boxed();
         let removed = self
@@ -280,8 +281,9 @@ impl Storage {
         }
     }
 
-    fn key(&self, below: &str) -> Key {
-        let parts = below.split('/').filter(|part| !part.is_empty());
+    /// Returns the full key of a path within the storage.
+    fn key(&self, path: &str) -> Key {
+        let parts = path.split('/').filter(|part| !part.is_empty());
         parts.fold(self.prefix.clone(), |key, part| key.join(part))
     }
 

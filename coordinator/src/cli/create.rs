@@ -165,9 +165,10 @@ struct SpecFlags {
     execution: Option<String>,
 }
 
-/// Checks an execution model; the contents of its file, if it names one, are not checked.
+/// Checks the text of an execution model. If the text names a file of latencies, the file is not
+/// read.
 fn execution_text(text: &str) -> Result<String, ExecutionError> {
-    // A delay of 0 takes the place of the file, which is read later.
+    // A delay of 0 stands for the latencies of the file, which `execution` reads.
     let (model, file) = text.split_once(":@").unwrap_or((text, ""));
     let checked = match file {
         "" => model.to_owned(),
@@ -177,8 +178,8 @@ fn execution_text(text: &str) -> Result<String, ExecutionError> {
     Ok(text.to_owned())
 }
 
-/// Returns the execution model that a flag names. `@FILE` is replaced by the latencies that the
-/// file holds.
+/// Returns the execution model that the text of `--execution` describes. `@FILE` is replaced by the
+/// latencies in the file.
 fn execution(text: &str) -> anyhow::Result<Execution> {
     let Some((model, file)) = text.split_once(":@") else {
         return Ok(text.parse()?);
@@ -208,14 +209,14 @@ struct StopFlags {
     #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
-    /// Strata of that order: `suites` or `tasks`, one configuration of each per round; for rules
-    /// about new tasks `whole_tasks`, one whole task of every suite per round.
+    /// Strata of the random order: `suites` or `tasks`, one configuration of each stratum per
+    /// round; for rules about new tasks `whole_tasks`, one whole task of every suite per round.
     #[arg(long, requires = "stop", value_parser = enum_parser::<Strata>(STRATA),
         hide_short_help = true)]
     stop_strata: Option<Strata>,
 }
 
-/// The flags for the design, which a manifest replaces.
+/// The flags for a design, which conflict with `--manifest`.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
@@ -278,9 +279,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         .collect();
     let unknown_length = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
-        let client = arguments.connection.patient_client(Duration::ZERO)?;
-        let earlier = arguments.planning_from.as_deref();
-        let planning = Planning::compute(&campaign, earlier, &arguments.connection).await?;
+        let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
+        let planning_from = arguments.planning_from.as_deref();
+        let planning = Planning::compute(&campaign, planning_from, &arguments.connection).await?;
         let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);
@@ -321,8 +322,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     print_video_estimate(&campaign)
 }
 
-/// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
-/// could not report the length of its answers.
+/// Prints the execution model of the rollouts unless it is `wait`, and first `unknown_length`, the
+/// warning that the length of the policy's answers is unknown.
 fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
     if let Some(unknown_length) = unknown_length {
         print_line(&wrapped("", 2, unknown_length))?;
@@ -332,8 +333,10 @@ fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<
     };
     let milliseconds = |steps: u16| u32::from(steps) * 1000 / CONTROL_HZ;
     let delay_text = match (delays.shortest(), delays.longest()) {
-        (first, last) if first == last => format!("{} ms", milliseconds(first)),
-        (first, last) => format!("{} to {} ms", milliseconds(first), milliseconds(last)),
+        (shortest, longest) if shortest == longest => format!("{} ms", milliseconds(shortest)),
+        (shortest, longest) => {
+            format!("{} to {} ms", milliseconds(shortest), milliseconds(longest))
+        }
     };
     print_line(&format!(
         "execution model {execution}: an answer takes effect after {delay_text}"
@@ -472,10 +475,11 @@ fn placebo(flags: &DesignFlags) -> anyhow::Result<Placebo> {
     })
 }
 
-/// Parses `--subsets`; `pairs` and `all` stand for the subsets of `axes` with several axes.
+/// Parses `--subsets`. `all` stands for the proper subsets of `axes` with two or more axes, `pairs`
+/// for those with two.
 fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName> {
-    let several = |set: &AxisSet| set.len() > 1 && *set != axes;
-    let all = axes.subsets().into_iter().filter(several);
+    let is_proper_combination = |set: &AxisSet| set.len() > 1 && *set != axes;
+    let all = axes.subsets().into_iter().filter(is_proper_combination);
     match given.join(",").as_str() {
         "all" => Ok(all.collect()),
         "pairs" => Ok(all.filter(|set| set.len() == 2).collect()),
@@ -483,7 +487,7 @@ fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName>
     }
 }
 
-/// Parses `--tasks`: what [`select_tasks`] accepts, and ranges such as `libero_object/0-3`.
+/// Parses `--tasks`: the selections of [`select_tasks`], and ranges such as `libero_object/0-3`.
 fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     let mut tasks = Vec::new();
     for text in given {

@@ -129,27 +129,27 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         level: arguments.level.unwrap_or_default(),
         ..ListJobsRequest::default()
     };
-    let mut left = arguments.limit;
+    let mut remaining = arguments.limit;
     let mut listed = json::Jobs {
         jobs: Vec::new(),
         is_truncated: false,
     };
     loop {
         // The request asks for one job more than is shown, to detect whether further jobs exist.
-        request.limit = left.min(PAGE_JOBS) + 1;
+        request.limit = remaining.min(PAGE_JOBS) + 1;
         let page = client.call(request.clone(), Service::list_jobs);
         let page = page.await?.jobs;
         let shown = page.iter().take(request.limit as usize - 1);
         for job in shown {
             match arguments.json {
                 true => listed.jobs.push(json::Job::from_message(job)),
-                false => print_line(&line(job))?,
+                false => print_line(&summary_line(job))?,
             }
             request.after_job_id = job.job_id;
-            left -= 1;
+            remaining -= 1;
         }
         let is_last = page.len() < request.limit as usize;
-        if !is_last && left > 0 {
+        if !is_last && remaining > 0 {
             continue;
         }
         listed.is_truncated = !is_last;
@@ -248,7 +248,7 @@ fn describe_state(job: &Job) -> String {
     }
 }
 
-fn line(job: &Job) -> String {
+fn summary_line(job: &Job) -> String {
     let mut line = format!("{:<36} {}", name(job), describe_state(job));
     if job.charged_attempts > 0 {
         line.push_str(&format!(", {} charged", job.charged_attempts));

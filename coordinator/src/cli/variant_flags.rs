@@ -18,8 +18,7 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "placebo_radius", "placebo_configs",
 ];
 
-/// Flags of LIBERO-Plus and LIBERO-PRO and another source of rollouts, which conflict with
-/// `--suite-file`.
+/// Flags that conflict with `--suite-file`: those for LIBERO-Plus and LIBERO-PRO, and `--manifest`.
 #[rustfmt::skip]
 const VARIANT_FLAGS: [&str; 8] = [
     "suite", "manifest", "protocol", "variants", "suites", "dimensions", "difficulties", "runnable",
@@ -75,11 +74,12 @@ pub(super) struct VariantFlags {
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,
-    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50, or as the file says.
+    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50 for LIBERO-PRO, and the
+    /// number in the suite file.
     #[arg(long, value_name = "N", requires = "of_benchmark", hide_short_help = true,
         value_parser = number(1..=STATES, "trials"))]
     trials: Option<u16>,
-    /// Leaves out variants whose files are in no package index.
+    /// Leave out variants whose files are in no package index.
     #[arg(long, requires = "suite", hide_short_help = true)]
     runnable: bool,
 }

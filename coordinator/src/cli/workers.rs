@@ -37,7 +37,7 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
             .chain(departed.iter().filter(|_| arguments.all));
         return json::print(&json::Workers::from_messages(shown));
     }
-    let (recent, forgotten): (Vec<_>, Vec<_>) = departed
+    let (recent, older): (Vec<_>, Vec<_>) = departed
         .iter()
         .partition(|worker| worker.silent_secs < LISTED_AFTER_DEPARTURE.as_secs_f64());
     let shown = alive
@@ -50,10 +50,10 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     if !arguments.all && !recent.is_empty() {
         lines.push(format!("{} departed: --all shows them", recent.len()));
     }
-    if arguments.all && !forgotten.is_empty() {
+    if arguments.all && !older.is_empty() {
         lines.push(format!(
             "{} without a call for a week or more: --all --json lists them too",
-            counted(forgotten.len() as u64, "worker")
+            counted(older.len() as u64, "worker")
         ));
     }
     Ok(print_line(&lines.join("\n"))?)

@@ -48,27 +48,28 @@ pub(super) async fn archive(
     let source = queue.source_outcomes(&copy.spec).await.map_err(failed)?;
     let fetched = folder.path().join("films");
     if let Some(storage) = storage {
-        fetch(storage, &copy, (data, films.as_str()), &fetched).await?;
+        fetch_films(storage, &copy, (data, films.as_str()), &fetched).await?;
     }
     let local_films = data.join(films);
-    let film = |name: &str| match fetched.join(name) {
+    let film_path = |name: &str| match fetched.join(name) {
         path if path.exists() => path,
         _ => local_films.join(name),
     };
-    let package = package(copy, film, source, Vec::new()).await;
+    let package = package(copy, film_path, source, Vec::new()).await;
     let package = package.map_err(archive_failed)?;
     Ok(chunks(package, folder, name))
 }
 
-/// Downloads the films of a campaign that were moved from the data folder to the storage.
-async fn fetch(
+/// Downloads the films of a campaign that were moved from the data folder to the storage. `folder`
+/// is the campaign's folder of films, relative to the data folder.
+async fn fetch_films(
     storage: &Storage,
     campaign: &Portable,
     (data, folder): (&Path, &str),
     into: &Path,
 ) -> Result<(), Status> {
     let films = campaign.films().await.map_err(failed)?;
-    std::fs::create_dir_all(into).map_err(|error| no_room(into, &error))?;
+    std::fs::create_dir_all(into).map_err(|error| folder_failed(into, &error))?;
     for film in films {
         let name = film.path.rsplit('/').next().unwrap_or_default();
         let key = format!("{folder}/{name}");
@@ -229,10 +230,11 @@ fn moving_folder(data: &Path) -> Result<TempDir, Status> {
     let folder = tempfile::Builder::new()
         .prefix(MOVING_PREFIX)
         .tempdir_in(data);
-    folder.map_err(|error| no_room(data, &error))
+    folder.map_err(|error| folder_failed(data, &error))
 }
 
-fn no_room(folder: &Path, error: &io::Error) -> Status {
+/// Logs that a folder cannot be made and returns a status upon which the client retries.
+fn folder_failed(folder: &Path, error: &io::Error) -> Status {
     tracing::error!("failed to make a folder in {}: {error}", folder.display());
     Status::unavailable(format!(
         "make a folder in the coordinator's data folder: is there room on the disk? ({error})"

@@ -17,7 +17,8 @@ pub(super) struct Films {
     pub(super) count: usize,
 }
 
-/// Renders the minimal subsets found from one start as list items.
+/// Renders an answer as list items: each minimal subset, and its supersets that do not change the
+/// outcome.
 pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup {
     let (changed, unchanged) = verbs(transition);
     html! {
@@ -47,13 +48,14 @@ pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup
     }
 }
 
-/// Renders the films of each answer's smallest minimal subset, preferring established ones.
+/// Renders, for each answer, the films of its smallest minimal subset, preferably of one that is
+/// certainly minimal.
 pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
     for answer in &explanation.answers {
-        let best = |minimal: &&MinimalSubset| (!minimal.is_established(), minimal.set);
-        if let Some(minimal) = answer.minimal.iter().min_by_key(best) {
+        let rank = |minimal: &&MinimalSubset| (!minimal.is_established(), minimal.set);
+        if let Some(minimal) = answer.minimal.iter().min_by_key(rank) {
             let (count, part) = side_by_side(lattice, minimal, explanation.transition);
             films.count += count;
             parts.push(part);
@@ -157,8 +159,9 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     };
     let measured = &lattice.measured.campaign.name;
     // A single `worker film` command covers all campaigns that stored actions.
-    let films = |source: &&&Source| source.campaign.record == "transitions" || explains(source);
-    let to_film = missing.iter().find(films);
+    let can_be_filmed =
+        |source: &&&Source| source.campaign.record == "transitions" || explains(source);
+    let to_film = missing.iter().find(can_be_filmed);
     let pack = to_film.and_then(|source| source.campaign.pin.as_ref());
     let pack = pack.map_or("PACK", |pin| pin.asset_pack.as_str());
     html! {
@@ -195,7 +198,8 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     }
 }
 
-/// Returns the verbs for a rollout whose outcome is changed and for one whose outcome is not.
+/// Returns the verb for the outcome that a transition changes to, and the verb for the outcome that
+/// it changes from.
 const fn verbs(transition: Transition) -> (&'static str, &'static str) {
     match transition {
         Transition::Compensated => ("succeeds", "fails"),
@@ -208,7 +212,7 @@ fn name(set: AxisSet) -> String {
     let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
     match names.as_slice() {
         [] => "no perturbation".to_owned(),
-        [one] => format!("{one} alone"),
+        [axis] => format!("{axis} alone"),
         [first @ .., last] => format!("{} and {last} together", first.join(", ")),
     }
 }

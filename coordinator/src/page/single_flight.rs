@@ -1,9 +1,9 @@
 //! Single-flight cache: of several concurrent requests for a key, one computes the value and the
 //! others wait for it. The caller decides whether a cached value is fresh enough.
 //!
-//! A computation outlives its cancelled callers, since a thread cannot be stopped. Its key stays
-//! locked until it ends, so that reloading a page waits for the running computation and starts no
-//! second one.
+//! A computation continues after its callers were cancelled, since a thread cannot be stopped. Its
+//! key stays locked until the computation ends, so that reloading a page waits for it and starts no
+//! second computation.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -72,13 +72,13 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         Ok(value)
     }
 
-    /// Returns the cached value of a key if it is fresh, otherwise one computed on a blocking
+    /// Returns the cached value of a key if it is fresh, otherwise a value computed on a blocking
     /// thread. `read` prepares the computation and is cancelled with its caller; the computation
     /// itself runs to its end.
     ///
     /// # Errors
-    /// If `read` or the computation fails, or, as converted by `panicked`, if the computation
-    /// panics. Waiting callers then start their own computation.
+    /// If `read` or the computation fails, or if the computation panics, which `panicked` converts
+    /// to an error. Waiting callers then start their own computation.
     pub(super) async fn compute<E, C>(
         &self,
         key: &str,

@@ -1,6 +1,6 @@
 //! Plot of the hand's motion in a rollout: its path from above, and its height over the control
-//! steps. All rollouts of a configuration share one scale, and the nominal path is drawn beneath
-//! each.
+//! steps. All rollouts of a configuration share one scale, and the nominal rollout's path is drawn
+//! beneath the path of every other rollout.
 
 use maud::{Markup, html};
 use rollout_types::Motion;
@@ -80,7 +80,8 @@ impl Extent {
         ]
     }
 
-    fn height(&self, step: usize, z: f64) -> [f64; 2] {
+    /// Projects a height at a control step to the drawing of the height.
+    fn project_height(&self, step: usize, z: f64) -> [f64; 2] {
         let across = step as f64 / self.steps.max(1) as f64;
         let span = (self.high[2] - self.low[2]).max(MIN_EXTENT_M);
         [
@@ -90,7 +91,7 @@ impl Extent {
     }
 }
 
-/// Renders the plot of a path, with the nominal path beneath it if given.
+/// Renders the plot of a path, with the path of the nominal rollout, if given, beneath it.
 pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
     let (above, height) = lines(path, extent);
     let under = nominal.map(|nominal| lines(nominal, extent));
@@ -126,7 +127,7 @@ fn lines(path: &Path, extent: &Extent) -> (String, String) {
         .iter()
         .map(|position| point(extent.project_from_above(*position)));
     let heights = path.iter().enumerate();
-    let heights = heights.map(|(step, [_, _, z])| point(extent.height(step, *z)));
+    let heights = heights.map(|(step, [_, _, z])| point(extent.project_height(step, *z)));
     (
         above.collect::<Vec<_>>().join(" "),
         heights.collect::<Vec<_>>().join(" "),
@@ -202,7 +203,7 @@ mod tests {
                 let [x, y] = extent.project_from_above(*position);
                 within([2.0, 2.0 + VIEW_SIDE], x);
                 within([TOP, TOP + VIEW_SIDE], y);
-                let [x, y] = extent.height(step, position[2]);
+                let [x, y] = extent.project_height(step, position[2]);
                 within([LEFT, WIDTH], x);
                 within([TOP, TOP + VIEW_SIDE], y);
             }

@@ -316,7 +316,7 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
         &format!("demo measures expert at {moved}"),
     );
     run(&["campaign", "status", "demo"], 0, moved);
-    run(&set("rename", "final"), 0, "demo is called final");
+    run(&set("rename", "final"), 0, "demo is now called final");
     run(&["campaign", "status", "demo"], 1, "is called `final`");
     run(&["campaign", "status", "final"], 0, "final ░");
 }

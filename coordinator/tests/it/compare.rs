@@ -278,7 +278,10 @@ async fn two_campaigns_are_compared_on_the_page() {
     let refused = http(&bench.url, "GET /compare?a=first&b=other")
         .await
         .text();
-    for words in ["They cannot be compared", "different realisation modes"] {
+    for words in [
+        "These campaigns cannot be compared",
+        "different realisation modes",
+    ] {
         assert!(refused.contains(words), "no `{words}` in\n{refused}");
     }
 }
