@@ -1,6 +1,6 @@
-//! Refused callers: without a token, with a wrong one or one of another role, with messages or
-//! names that are too long, and clients that cannot trust the coordinator's certificate. Runs the
-//! real program on real sockets. Refusals leave the database's rows unchanged.
+//! Refused callers: without a token, with a wrong token or the token of another role, with messages
+//! or names that are too long, and clients that cannot trust the coordinator's certificate. Runs
+//! the real program on real sockets. Refusals leave the database's rows unchanged.
 
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, Read, Write};
@@ -298,8 +298,8 @@ async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
     let guarded = GuardedCoordinator::start(&valid.each_ref().map(String::as_str));
     succeed(list_over_tls(&guarded, &authority.path("ca.pem")));
     let before = guarded.rows().await;
-    let other = Authority::new();
-    let message = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
+    let untrusted = Authority::new();
+    let message = &fail(list_over_tls(&guarded, &untrusted.path("ca.pem")), 1);
     assert!(message.contains("not signed by the authority"), "{message}");
     assert_eq!(guarded.rows().await, before);
 }
@@ -451,7 +451,7 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     let listed = serve.command(&["workers", "--retry-secs", "5"]);
     assert!(listed.status.success(), "{}", text(&listed.stderr));
     assert!(text(&listed.stdout).contains("honest"));
-    // A few bytes do not make a connection active. It is closed after the timeout.
+    // A connection on which only a few bytes were sent is closed after the timeout, too.
     let mut last = silent.pop().expect("a connection");
     last.write_all(b"GET / HTTP").expect("sent");
     last.set_read_timeout(Some(Duration::from_secs(120)))

@@ -89,7 +89,7 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
 }
 
 #[tokio::test]
-async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
+async fn a_worker_gets_jobs_of_its_warm_task_or_else_of_a_task_without_leases() {
     let bench = Bench::start().await;
     let spec = with(
         small_spec("spread"),
@@ -112,7 +112,8 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     assert_eq!(rest.len(), 9, "the warm task is preferred, not required");
 }
 
-/// Checks a campaign that is leased task by task and one that is leased in drawn order.
+/// Checks a campaign that is leased task by task, and one with a stop rule, which is leased in a
+/// random order.
 #[tokio::test]
 async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     let bench = Bench::start().await;
@@ -147,7 +148,8 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
 }
 
-/// Regression: a worker without LIBERO-Plus' task files was offered their rollouts again and again.
+/// Regression: a worker without LIBERO-Plus' task files was offered rollouts of these files again
+/// and again.
 #[tokio::test]
 async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
     let bench = Bench::start().await;
@@ -217,7 +219,7 @@ async fn a_worker_that_names_no_renderer_is_not_registered() {
     assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
 }
 
-/// Regression: the oldest campaign got all workers until it was done.
+/// Regression: the oldest campaign got all workers until it was finished.
 #[tokio::test]
 async fn campaigns_of_one_priority_progress_together() {
     let bench = Bench::start().await;
@@ -225,14 +227,14 @@ async fn campaigns_of_one_priority_progress_together() {
     bench.create(&small_spec("newer")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let mut names = Vec::new();
-    // A single slot, which never holds two leases.
+    // Simulates a single slot, which never holds two leases.
     for _ in 0..4 {
         let lease = worker.claim_one().await;
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
         names.push(lease.campaign);
     }
     assert_eq!(names, ["older", "newer", "older", "newer"]);
-    // Several slots, which keep their leases.
+    // Simulates several slots, which keep their leases.
     let rest = worker.claim(8).await;
     let count = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
     assert_eq!((count("older"), count("newer")), (2, 2));
@@ -250,7 +252,7 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
         .claim(6)
         .await
         .into_iter()
-        .map(|l| l.campaign)
+        .map(|lease| lease.campaign)
         .collect();
     assert_eq!(
         campaigns[..4],
@@ -314,8 +316,8 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(worker.claim(64).await.len(), 5);
 }
 
-/// The first campaigns in order may be pinned to other assets, be paused, or wait for their policy;
-/// the campaigns after them are still leased.
+/// Campaigns that a worker cannot run are pinned to other assets or wait for their policy. They do
+/// not delay campaigns of lower priority.
 #[tokio::test]
 async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     let bench = Bench::start().await;
@@ -349,11 +351,15 @@ async fn replicates_change_the_policys_seed_only() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
     let lease_of = |replicate: u32| &leases[replicate as usize * 4 + 1];
-    let rows: BTreeSet<&str> = (0..3).map(|k| lease_of(k).manifest_row.as_str()).collect();
-    let seeds: BTreeSet<u64> = (0..3).map(|k| lease_of(k).policy_seed).collect();
+    let rows = (0..3).map(|replicate| lease_of(replicate).manifest_row.as_str());
+    let rows: BTreeSet<&str> = rows.collect();
+    let seeds = (0..3).map(|replicate| lease_of(replicate).policy_seed);
+    let seeds: BTreeSet<u64> = seeds.collect();
     assert_eq!((rows.len(), seeds.len()), (1, 3));
     assert_eq!(
-        (0..3).map(|k| lease_of(k).replicate).collect::<Vec<_>>(),
+        (0..3)
+            .map(|replicate| lease_of(replicate).replicate)
+            .collect::<Vec<_>>(),
         [0, 1, 2]
     );
     assert!(
@@ -381,8 +387,7 @@ async fn an_unregistered_worker_must_register_and_another_protocol_version_is_re
     assert!(refused.message().contains(&own_version), "{refused}");
 }
 
-/// Regression: a claim whose answer was lost left a lease that its worker did not know
-/// of.
+/// Regression: a claim whose answer was lost left a lease of which the worker did not know.
 #[tokio::test]
 async fn a_repeated_claim_returns_its_existing_lease() {
     let bench = Bench::start().await;

@@ -45,6 +45,7 @@ pub(crate) fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
     }
 }
 
+/// JSON that a command printed.
 struct Printed(Value);
 
 impl Printed {
@@ -101,8 +102,8 @@ async fn json_output_has_the_documented_keys() {
         assert_eq!(campaign["rollouts"]["failed"], 1);
         assert_eq!(campaign["policy_outage"], Value::Null);
         let created = campaign["created_at"].as_str().expect("an instant");
-        let form = "2026-11-21T15:36:09.123Z";
-        assert_eq!((created.len(), &created[10..11]), (form.len(), "T"));
+        let example = "2026-11-21T15:36:09.123Z";
+        assert_eq!((created.len(), &created[10..11]), (example.len(), "T"));
         assert!(created.ends_with('Z'));
     }
     let one = Printed::run(&serve, &["campaign", "status", "early"]);
@@ -159,8 +160,8 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     let create = [&CREATE[..], &["--axes", "camera,sensor"]].concat();
     assert!(serve.command(&create).status.success());
     let mut worker = serve.worker("a").await;
-    for (place, lease) in worker.claim(5).await.iter().enumerate() {
-        let verdict = worker.commit(lease, place % 2 == 0).await;
+    for (index, lease) in worker.claim(5).await.iter().enumerate() {
+        let verdict = worker.commit(lease, index % 2 == 0).await;
         assert_eq!(verdict, Verdict::Accepted);
     }
     let ids = |filters: &[&str]| -> Vec<String> {
@@ -210,7 +211,8 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let dry = [&create[..], &["--dry-run"]].concat();
     let json = Printed::run(&serve, &dry);
     json.assert_keys_are_documented("campaign create --dry-run");
-    // Per task: two nominal rollouts, three conditions of two configurations at L1, three at L0.
+    // Each task has two nominal rollouts, three conditions of two configurations at L1, and three
+    // conditions of one configuration at L0.
     assert_eq!(json.0["rollouts"], 10 * (2 + 2 * 3 + 3));
     assert_eq!(json.0["placebo_rollouts"], 30);
     let level = &json.0["planning"]["levels"][0];
@@ -240,7 +242,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
         "{words}"
     );
     fits_a_terminal(words);
-    // Steadier assumed outcomes make other, smaller differences detectable.
+    // With other assumed outcomes, other differences are detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
     let earlier = Printed::run(&serve, &[&dry[..], &["--planning-from", example]].concat());
     assert_ne!(

@@ -20,14 +20,15 @@ fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
     let mut arguments = vec!["merge"];
     arguments.extend(archives.iter().map(String::as_str));
     arguments.extend(["--output", &output]);
-    let done = crate::process::coordinator(&arguments);
-    match done.status.success() {
-        true => Ok(text(&done.stdout).to_owned()),
-        false => Err(text(&done.stderr).to_owned()),
+    let result = crate::process::coordinator(&arguments);
+    match result.status.success() {
+        true => Ok(text(&result.stdout).to_owned()),
+        false => Err(text(&result.stderr).to_owned()),
     }
 }
 
-/// Reads the rollouts with an outcome, and the repeated outcomes, that `merge` reports.
+/// Parses the numbers of rollouts with an outcome and of repeated outcomes from the output of
+/// `merge`.
 fn counts(message: &str) -> [u64; 2] {
     let number = |before: &str, after: &str| {
         let (_, rest) = message.split_once(before).expect("the words before");
@@ -136,6 +137,6 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     let message = merge(&[&a, &d], &whole).expect_err("another design");
     assert!(message.contains("`levels`"), "{message}");
     assert!(!whole.exists());
-    let mut left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert!(left.next().is_none(), "a refused merge left files");
+    let mut files = std::fs::read_dir(folder.path()).expect("a folder");
+    assert!(files.next().is_none(), "a refused merge left files");
 }

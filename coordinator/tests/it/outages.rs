@@ -115,8 +115,8 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
     assert!(bench.status("first").await.policy_paused);
     worker.heartbeat(&[&probe], 11).await;
     assert!(!bench.status("first").await.policy_paused);
-    let rest = worker.claim(64).await;
-    assert_eq!(rest.len(), 7);
+    let resumed = worker.claim(64).await;
+    assert_eq!(resumed.len(), 7);
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT max(outages) FROM policy").await, 0);
 }
@@ -230,7 +230,8 @@ async fn run_with_killer(answered_queries: u32) -> Bench {
     bench
 }
 
-/// Regression: the rollout was requeued, became the next probe, and so on forever.
+/// Regression: the rollout that crashed the policy was requeued and became the next probe, again
+/// and again.
 #[tokio::test]
 async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete() {
     for answered_queries in [3, 0] {
@@ -263,7 +264,7 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
         .await
         .expect("created");
     let mut worker = bench.worker("a").await;
-    // All of them had reached the policy when it went down.
+    // All rollouts had reached the policy when it went down.
     for lease in worker.claim(8).await {
         worker.lose_policy(&lease, 4).await;
     }

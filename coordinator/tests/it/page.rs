@@ -30,30 +30,30 @@ impl Answer {
 
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
-        let found = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
-        found.map(|(_, value)| value)
+        let header = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
+        header.map(|(_, value)| value)
     }
 }
 
 /// Sends a request unchanged, since a client that normalises addresses would hide the tested cases.
-/// Chunked answers are joined.
+/// The chunks of a chunked answer are joined.
 fn send(url: &str, request: &str) -> Answer {
     let address = url.strip_prefix("http://").expect("a URL");
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(READ_TIMEOUT)).expect("set");
     let (head, body) = request.split_once("\n\n").unwrap_or((request, ""));
-    let (first, rest) = head.split_once('\n').unwrap_or((head, ""));
-    let host = match rest.contains("host: ") {
+    let (request_line, header_lines) = head.split_once('\n').unwrap_or((head, ""));
+    let host = match header_lines.contains("host: ") {
         true => String::new(),
         false => format!("host: {address}\r\n"),
     };
     let mut headers = String::new();
-    for line in rest.lines().filter(|line| !line.is_empty()) {
+    for line in header_lines.lines().filter(|line| !line.is_empty()) {
         headers.push_str(&format!("{line}\r\n"));
     }
     let length = body.len();
     let text = format!(
-        "{first} HTTP/1.1\r\n{host}{headers}content-length: {length}\r\nconnection: close\r\n\r\n{body}"
+        "{request_line} HTTP/1.1\r\n{host}{headers}content-length: {length}\r\nconnection: close\r\n\r\n{body}"
     );
     stream.write_all(text.as_bytes()).expect("sent");
     let mut bytes = Vec::new();
@@ -70,12 +70,12 @@ fn send(url: &str, request: &str) -> Answer {
         body: bytes[end + 4..].to_vec(),
     };
     if answer.header("transfer-encoding") == Some("chunked") {
-        answer.body = joined(&answer.body);
+        answer.body = join_chunks(&answer.body);
     }
     answer
 }
 
-fn joined(mut chunks: &[u8]) -> Vec<u8> {
+fn join_chunks(mut chunks: &[u8]) -> Vec<u8> {
     let mut body = Vec::new();
     while let Some(end) = chunks.windows(2).position(|w| w == b"\r\n") {
         let length = std::str::from_utf8(&chunks[..end]).expect("a length");
@@ -86,7 +86,7 @@ fn joined(mut chunks: &[u8]) -> Vec<u8> {
     body
 }
 
-/// As [`send`], on a thread that may block.
+/// Like [`send`], on a blocking thread.
 pub(crate) async fn http(url: &str, request: &str) -> Answer {
     let (url, request) = (url.to_owned(), request.to_owned());
     let answer = tokio::task::spawn_blocking(move || send(&url, &request));
@@ -497,7 +497,7 @@ async fn pages_need_a_login_and_refuse_worker_tokens() {
         page.text()
     );
 
-    // A client that may not read pages is refused; a token gives the same access as elsewhere.
+    // A client that may not read pages is refused. A token in a header replaces the login.
     for (token, code) in [
         (None, 401),
         (Some(WORKER), 403),

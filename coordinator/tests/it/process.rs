@@ -1,4 +1,4 @@
-//! The program itself: killed, stopped, and called with invalid arguments.
+//! The `coordinator` program: killed, stopped, and called with invalid arguments.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -270,7 +270,7 @@ async fn invalid_commands_exit_with_2_and_write_nothing() {
     let check = |flag: &str, value: &str, words: &[&str]| {
         let mut arguments = CREATE.to_vec();
         match arguments.iter().position(|argument| *argument == flag) {
-            Some(place) => arguments[place + 1] = value,
+            Some(index) => arguments[index + 1] = value,
             None => arguments.extend([flag, value]),
         }
         let output = serve.command(&arguments);
@@ -343,9 +343,9 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
 
 #[test]
 fn an_unreachable_coordinator_is_named_after_retries() {
-    let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let url = format!("http://{}", free.local_addr().expect("an address"));
-    drop(free);
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let url = format!("http://{}", listener.local_addr().expect("an address"));
+    drop(listener);
     let stderr = &fail(
         coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]),
         1,
@@ -414,15 +414,15 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     };
     // Control sequences are not stored.
     let pool = open_database(folder.path()).await;
-    let kept: String = sqlx::query_scalar("SELECT error FROM failure")
+    let stored: String = sqlx::query_scalar("SELECT error FROM failure")
         .fetch_one(&pool)
         .await
         .expect("a failure");
     assert!(
-        kept.contains("all is well") && !has_control_sequence(&kept),
-        "{kept:?}"
+        stored.contains("all is well") && !has_control_sequence(&stored),
+        "{stored:?}"
     );
-    // Control sequences that something else stored are not printed.
+    // Control sequences that another program stored are not printed.
     for update in [
         "UPDATE failure SET error = ?",
         "UPDATE policy SET pause_reason = ?",
@@ -473,7 +473,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
         "{output}{}",
         text(&again.stderr)
     );
-    // A specification that is read from this output is printed as the same text.
+    // A specification that is read from this text is printed as the same text.
     let again = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
     assert_eq!(text(&again.stdout), text(&printed.stdout));
 }

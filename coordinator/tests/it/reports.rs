@@ -1,4 +1,4 @@
-//! Content of the report, which is the same regardless of faults along the way.
+//! Content of the report, which does not depend on the faults that occur while a campaign runs.
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
@@ -20,7 +20,7 @@ fn spec() -> Value {
     )
 }
 
-/// Outcome of a deterministic policy: only the combination of task 0 fails.
+/// Returns the outcome of a deterministic policy, which fails only under the combination in task 0.
 fn outcome(lease: &wire::Lease) -> bool {
     !rollout_id(lease).starts_with("object/t0/combination")
 }
@@ -35,7 +35,7 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
     }
 }
 
-/// A report in both of its formats.
+/// A report as JSON and as text.
 struct Report {
     json: Value,
     table: String,
@@ -79,7 +79,8 @@ async fn a_report_is_the_same_with_and_without_faults() {
     let disturbed = disturbed.restart().await;
     let mut worker = disturbed.worker("z").await;
     run_all(&disturbed, &mut worker).await;
-    // The first worker reports late, with the outcome that other workers found too.
+    // The first worker reports late, with the same outcome as the worker that ran the rollout
+    // again.
     let mut late = disturbed.worker("x").await;
     let success = outcome(&lost[0]);
     assert_eq!(late.commit(&lost[0], success).await, Verdict::Duplicate);
@@ -378,7 +379,7 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         .into_owned();
     check(
         &["report", "--from", EXAMPLE, "--table", &table],
-        &["table.xlsx", "neither with .csv nor with .parquet"],
+        &["table.xlsx", "ends with .csv or .parquet"],
     );
     check(
         &["report", "--from", EXAMPLE, "--published", "oft=97.1"],
@@ -394,8 +395,8 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         ],
         &["`971` is no percentage"],
     );
-    let left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert_eq!(left.count(), 1, "only the rows are in the folder");
+    let files = std::fs::read_dir(folder.path()).expect("a folder");
+    assert_eq!(files.count(), 1, "only the rows are in the folder");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,4 +1,4 @@
-//! Thresholds: planted ones are found again, even if the process is killed at any point.
+//! Planted thresholds are found again, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
 
@@ -12,7 +12,7 @@ use crate::json::{documented, keys};
 use crate::page::http;
 use crate::process::{Serve, fits_a_terminal, succeed, text};
 
-/// Returns the smallest radius at which a rollout of this suite fails.
+/// Returns the planted threshold: the smallest radius at which a rollout of this suite fails.
 fn failure_radius(id: &RolloutId) -> f64 {
     let task = f64::from(id.task().index());
     match (id.condition(), id.task().index()) {
@@ -227,9 +227,9 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
             "write axes such as camera,robot",
         );
     }
-    let others =
+    let missing_condition =
         "it does not run the condition sensor; its conditions are camera, robot, simultaneous";
-    refused(&first(&["--axes", "sensor"]), others);
+    refused(&first(&["--axes", "sensor"]), missing_condition);
     refused(&first(&["--budget", "20"]), "may take 24 rollouts");
     #[rustfmt::skip]
     let without_nominal = [&CREATE[..3], &["bare"], &CREATE[4..], &[

@@ -1,4 +1,4 @@
-//! Derived campaigns: they are not finished while further rollouts may be added.
+//! Derived campaigns are not finished while further rollouts may be derived.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,8 @@ use crate::harness::{Worker, rollout_id};
 use crate::page::http;
 use crate::process::{Serve, succeed, succeed_in_json, text};
 
-/// Three axes together cause a failure, but no two do, so that the search takes two rounds.
+/// Returns the planted outcome: three axes together cause a failure, but no two of them, so that
+/// the search takes two rounds.
 fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let fatal: AxisSet = "camera+robot+sensor".parse().expect("a set");
@@ -37,7 +38,7 @@ fn status(serve: &Serve, name: &str) -> Value {
     list["campaigns"][0].clone()
 }
 
-/// Runs one rollout, if one is waiting.
+/// Runs one rollout, if a rollout is waiting.
 async fn run_one(worker: &mut Worker) {
     for lease in worker.claim(1).await {
         let id = rollout_id(&lease).parse().expect("an id");
