@@ -232,14 +232,14 @@ impl Storage {
             range,
             ..GetOptions::default()
         };
-        let found = match self.store.get_opts(&self.key(key), options).await {
-            Ok(found) => found,
+        let response = match self.store.get_opts(&self.key(key), options).await {
+            Ok(response) => response,
             Err(object_store::Error::NotFound { .. }) => return Ok(None),
             Err(error) => return Err(self.failed("fetch", key, &error)),
         };
-        let (range, size_bytes) = (found.range.clone(), found.meta.size);
+        let (range, size_bytes) = (response.range.clone(), response.meta.size);
         let (storage, key) = (self.clone(), key.to_owned());
-        let bytes = found
+        let bytes = response
             .into_stream()
             .map_err(move |error| storage.failed("fetch", &key, &error));
         Ok(Some(ObjectRange {
@@ -321,9 +321,9 @@ mod tests {
     #[tokio::test]
     async fn an_object_of_another_size_is_refused_before_it_is_written() {
         let folder = tempfile::tempdir().expect("a folder");
-        let place = folder.path().join("storage");
-        let storage = Storage::open(&place.display().to_string()).expect("opens");
-        let film = std::fs::File::create(place.join("a.mp4")).expect("a file");
+        let storage_folder = folder.path().join("storage");
+        let storage = Storage::open(&storage_folder.display().to_string()).expect("opens");
+        let film = std::fs::File::create(storage_folder.join("a.mp4")).expect("a file");
         film.set_len(1 << 20).expect("a sparse file");
         let into = folder.path().join("fetched");
         let refused = storage.fetch("a.mp4", Some(7), &into).await;

@@ -73,8 +73,10 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
         member: member.to_owned(),
         problem: problem.to_owned(),
     };
-    let found = &campaign.campaign;
-    if (found.name.as_str(), &found.spec_digest) != (&contents.campaign, &contents.spec_digest) {
+    let unpacked = &campaign.campaign;
+    if (unpacked.name.as_str(), &unpacked.spec_digest)
+        != (&contents.campaign, &contents.spec_digest)
+    {
         return Err(altered(DATABASE_FILE, "it holds another campaign"));
     }
     let films = campaign.films().await?.into_iter();
@@ -277,19 +279,20 @@ impl ArchiveReader<'_> {
         let name = shorten(&member.name);
         let displaced = || self.altered(name, "another member is in its place");
         let mut entry = self.next_entry(entries, name)?;
-        let mut found = entry.path_bytes().into_owned();
+        let mut entry_name = entry.path_bytes().into_owned();
         // GNU tar stores a name that is too long for the header in a preceding entry.
         if entry.header().entry_type() == EntryType::GNULongName {
             if entry.size() > member.name.len() as u64 + 1 {
                 return Err(displaced());
             }
-            found.clear();
-            let read = entry.read_to_end(&mut found);
+            entry_name.clear();
+            let read = entry.read_to_end(&mut entry_name);
             read.map_err(|error| self.read_error(name, error))?;
-            found.pop_if(|last| *last == 0);
+            entry_name.pop_if(|last| *last == 0);
             entry = self.next_entry(entries, name)?;
         }
-        if found != member.name.as_bytes() || entry.header().entry_type() != EntryType::Regular {
+        if entry_name != member.name.as_bytes() || entry.header().entry_type() != EntryType::Regular
+        {
             return Err(displaced());
         }
         if entry.size() != member.bytes {

@@ -432,15 +432,15 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let mut given = arguments.design.axes.clone();
+    let mut axis_names = arguments.design.axes.clone();
     let is_latency = |name: &String| name == "latency";
-    let latency = given.iter().any(is_latency);
-    given.retain(|name| !is_latency(name));
-    let axes = match given.join(",").as_str() {
+    let latency = axis_names.iter().any(is_latency);
+    axis_names.retain(|name| !is_latency(name));
+    let axes = match axis_names.join(",").as_str() {
         "metric" => Axis::METRIC.to_vec(),
         "all" => Axis::ALL.to_vec(),
         "none" | "" => Vec::new(),
-        _ => parse_names(&given)?,
+        _ => parse_names(&axis_names)?,
     };
     // A design without axes has no perturbation to which a level could apply.
     let levels: Vec<Level> = match axes.is_empty() && !latency {

@@ -221,7 +221,7 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
     })
 }
 
-fn name(job: &Job) -> String {
+fn replicate_name(job: &Job) -> String {
     rollout_name(&job.rollout_id, job.replicate)
 }
 
@@ -249,7 +249,7 @@ fn describe_state(job: &Job) -> String {
 }
 
 fn summary_line(job: &Job) -> String {
-    let mut line = format!("{:<36} {}", name(job), describe_state(job));
+    let mut line = format!("{:<36} {}", replicate_name(job), describe_state(job));
     if job.charged_attempts > 0 {
         line.push_str(&format!(", {} charged", job.charged_attempts));
     }
@@ -262,7 +262,7 @@ fn summary_line(job: &Job) -> String {
 fn describe_job(details: &GetJobResponse) -> String {
     let job = details.job.clone().unwrap_or_default();
     let mut lines = vec![
-        format!("{}  (job {})", name(&job), job.job_id),
+        format!("{}  (job {})", replicate_name(&job), job.job_id),
         format!("  now            {}", describe_state(&job)),
         format!(
             "  attempts       {}, of which {} are charged",

@@ -201,9 +201,9 @@ impl Programs {
         requests: &mut Requests,
     ) -> anyhow::Result<Option<String>> {
         self.start(name, arguments)?;
-        let rest = self.first_line("listening on ", requests).await?;
-        let address = |rest: String| rest.split([',', ' ']).next().unwrap_or_default().to_owned();
-        Ok(rest.map(address))
+        let line = self.first_line("listening on ", requests).await?;
+        let address = |line: String| line.split([',', ' ']).next().unwrap_or_default().to_owned();
+        Ok(line.map(address))
     }
 
     fn start(&mut self, name: &'static str, arguments: Vec<String>) -> anyhow::Result<()> {

@@ -43,7 +43,7 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let shown = alive
         .iter()
         .chain(recent.iter().copied().filter(|_| arguments.all));
-    let mut lines: Vec<String> = shown.map(line).collect();
+    let mut lines: Vec<String> = shown.map(describe_worker).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
@@ -75,7 +75,7 @@ pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
     })
 }
 
-fn line(worker: &WorkerStatus) -> String {
+fn describe_worker(worker: &WorkerStatus) -> String {
     let state = match (worker.alive, worker.stopped_reason.as_str()) {
         (false, _) if worker.signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),

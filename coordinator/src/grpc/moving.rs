@@ -125,12 +125,12 @@ struct ChunkWriter {
 impl Write for ChunkWriter {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
         let room = CHUNK_BYTES - self.buffer.len();
-        let taken = &data[..data.len().min(room)];
-        self.buffer.extend_from_slice(taken);
+        let accepted = &data[..data.len().min(room)];
+        self.buffer.extend_from_slice(accepted);
         if self.buffer.len() == CHUNK_BYTES {
             self.flush()?;
         }
-        Ok(taken.len())
+        Ok(accepted.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -163,8 +163,8 @@ pub(super) async fn import(
     let folder = moving_folder(queue.store().folder())?;
     let file = folder.path().join("archive");
     receive(&file, &first.data, &mut chunks).await?;
-    let into = folder.path().join("unpacked");
-    let unpacked = unpack(&file, archive, &into).await;
+    let unpack_folder = folder.path().join("unpacked");
+    let unpacked = unpack(&file, archive, &unpack_folder).await;
     let unpacked = unpacked.map_err(archive_failed)?;
     let films = unpacked.campaign.films().await.map_err(failed)?.len() as u64;
     let queue = queue.clone();

@@ -22,7 +22,10 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let status = view.status(campaign).await?;
     let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;
-    let records = document.analyses.iter().flat_map(|a| &a.subject.records);
+    let records = document
+        .analyses
+        .iter()
+        .flat_map(|analysis| &analysis.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
     let explained = document
         .analyses

@@ -260,7 +260,7 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         count => format!("{count} reports of another outcome"),
     };
     let committed = utc_text(result.committed_ms);
-    let pack_digest = prefix(&pin.asset_pack_digest);
+    let pack_digest = short_digest(&pin.asset_pack_digest);
     vec![
         (
             "committed",
@@ -287,17 +287,20 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("assets", format!("{} {pack_digest}", pin.asset_pack)),
         ("simulator", format!("MuJoCo {}", pin.mujoco_version)),
         ("renderer", pin.renderer.clone()),
-        ("fingerprint", prefix(&provenance.fingerprint)),
+        ("fingerprint", short_digest(&provenance.fingerprint)),
         ("machine", provenance.host.clone()),
         ("worker's program", provenance.program_version.clone()),
-        ("scene", prefix(&result.digests.scene)),
-        ("initial state's bytes", prefix(&result.digests.init_state)),
-        ("first frames", prefix(&result.digests.first_frame)),
+        ("scene", short_digest(&result.digests.scene)),
+        (
+            "initial state's bytes",
+            short_digest(&result.digests.init_state),
+        ),
+        ("first frames", short_digest(&result.digests.first_frame)),
     ]
 }
 
 /// Truncates a digest to its first 16 characters.
-fn prefix(digest: &str) -> String {
+fn short_digest(digest: &str) -> String {
     match digest.is_ascii() && digest.len() > 16 {
         true => format!("{}…", &digest[..16]),
         false => digest.to_owned(),

@@ -191,16 +191,16 @@ fn navigation_links(
     let current = link(requested, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
-            @if let Some(id) = previous { a rel="prev" href=(link(**id, replicate)) { "← " (number(**id)) } }
-            @if let Some(id) = next { a rel="next" href=(link(**id, replicate)) { (number(**id)) " →" } }
-            (choice("Level ", levels.collect(), &current))
-            (choice("Replicate ", replicates.collect(), &current))
+            @if let Some(id) = previous { a rel="prev" href=(link(**id, replicate)) { "← " (configuration_name(**id)) } }
+            @if let Some(id) = next { a rel="next" href=(link(**id, replicate)) { (configuration_name(**id)) " →" } }
+            (link_list("Level ", levels.collect(), &current))
+            (link_list("Replicate ", replicates.collect(), &current))
         }
     }
 }
 
 /// Renders links, given as name and address; nothing if there is only one link.
-fn choice(label: &str, links: Vec<(String, String)>, current_address: &str) -> Markup {
+fn link_list(label: &str, links: Vec<(String, String)>, current_address: &str) -> Markup {
     html! {
         @if links.len() > 1 {
             span {
@@ -214,7 +214,7 @@ fn choice(label: &str, links: Vec<(String, String)>, current_address: &str) -> M
     }
 }
 
-fn number(id: RolloutId) -> String {
+fn configuration_name(id: RolloutId) -> String {
     match id.config() {
         Some(config) => format!("configuration {config}"),
         None => format!("initial state {}", id.number()),

@@ -24,11 +24,11 @@ pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup
     html! {
         @for minimal in &answer.minimal {
             li {
-                @if !answer.start.is_empty() { "Under " (name(answer.start)) " it fails. " }
-                "Under " strong { (name(minimal.set)) } " it " (changed)
+                @if !answer.start.is_empty() { "Under " (subset_name(answer.start)) " it fails. " }
+                "Under " strong { (subset_name(minimal.set)) } " it " (changed)
                 // The first sentence says already that the rollout fails under the start.
                 @if answer.start.is_empty() || minimal.below != [answer.start] {
-                    ", and " (unchanged) " under " (names(&minimal.below))
+                    ", and " (unchanged) " under " (subset_names(&minimal.below))
                 }
                 @if minimal.is_established() {
                     ": all of these axes are needed."
@@ -41,8 +41,8 @@ pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup
         }
         @for pair in &answer.non_monotone {
             li {
-                "Further axes reverse this: under " (name(pair.superset)) " it " (unchanged)
-                ", although under " (name(pair.minimal)) " it " (changed) "."
+                "Further axes reverse this: under " (subset_name(pair.superset)) " it " (unchanged)
+                ", although under " (subset_name(pair.minimal)) " it " (changed) "."
             }
         }
     }
@@ -83,7 +83,7 @@ fn side_by_side(
     let sets = [minimal.set]
         .into_iter()
         .chain(minimal.below.iter().copied());
-    let shown: Vec<Film> = sets.filter_map(|set| film(lattice, set)).collect();
+    let shown: Vec<Film> = sets.filter_map(|set| find_film(lattice, set)).collect();
     let filmed: Vec<&Film> = shown.iter().filter(|film| film.is_filmed).collect();
     let is_shown = |set: &AxisSet| filmed.iter().any(|film| film.set == *set);
     let below: Vec<AxisSet> = minimal.below.iter().copied().filter(is_shown).collect();
@@ -92,8 +92,8 @@ fn side_by_side(
         h3 { "In films" }
         @if is_shown(&minimal.set) && !below.is_empty() {
             p {
-                "The same initial state and the same perturbations: under " (name(minimal.set))
-                " it " (changed) "; beside it, under " (names(&below)) ", it " (unchanged) "."
+                "The same initial state and the same perturbations: under " (subset_name(minimal.set))
+                " it " (changed) "; beside it, under " (subset_names(&below)) ", it " (unchanged) "."
             }
         }
         @if !filmed.is_empty() { div.rollouts.films { @for film in &filmed { (card(film)) } } }
@@ -103,7 +103,7 @@ fn side_by_side(
 }
 
 /// Returns a rollout with the known outcome of a subset, preferably a filmed one.
-fn film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
+fn find_film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
     let success = lattice.outcomes.verdict(set).success()?;
     let full = lattice.outcomes.full();
     let all = lattice.sources().flat_map(|source| {
@@ -208,7 +208,7 @@ const fn verbs(transition: Transition) -> (&'static str, &'static str) {
 }
 
 /// Names a subset: `camera and robot together`, `camera alone`, `no perturbation`.
-fn name(set: AxisSet) -> String {
+fn subset_name(set: AxisSet) -> String {
     let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
     match names.as_slice() {
         [] => "no perturbation".to_owned(),
@@ -218,7 +218,7 @@ fn name(set: AxisSet) -> String {
 }
 
 /// Joins several subsets: `camera alone; under robot alone`.
-fn names(sets: &[AxisSet]) -> String {
-    let names: Vec<String> = sets.iter().map(|set| name(*set)).collect();
+fn subset_names(sets: &[AxisSet]) -> String {
+    let names: Vec<String> = sets.iter().map(|set| subset_name(*set)).collect();
     names.join("; under ")
 }

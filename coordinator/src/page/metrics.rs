@@ -24,9 +24,11 @@ const COUNTER: &str = "counter";
 
 /// Serves `/metrics`.
 pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
-    let cached = page
-        .metrics
-        .get("", |cached| cached.at.elapsed() < PAGE_AGE, collect(&page));
+    let cached = page.metrics.get(
+        "",
+        |cached| cached.started.elapsed() < PAGE_AGE,
+        collect(&page),
+    );
     let kind = "text/plain; version=0.0.4; charset=utf-8";
     let headers = [
         (header::CONTENT_TYPE, kind),

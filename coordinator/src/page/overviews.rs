@@ -20,7 +20,8 @@ const MAX_DEPARTED: usize = 20;
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (workers, now) = (view.workers().await?, view.now);
-    let (alive, departed): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
+    let (alive, departed): (Vec<_>, Vec<_>) =
+        workers.into_iter().partition(|worker| worker.is_alive);
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {

@@ -32,7 +32,7 @@ type Entry<V> = Arc<tokio::sync::Mutex<Option<CachedValue<V>>>>;
 #[derive(Clone, Debug)]
 pub(super) struct CachedValue<V> {
     pub(super) value: V,
-    pub(super) at: Instant,
+    pub(super) started: Instant,
     pub(super) cost: Duration,
 }
 
@@ -61,12 +61,12 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
             return Ok(cached.value.clone());
         }
-        let at = Instant::now();
+        let started = Instant::now();
         let value = make.await?;
-        let cost = at.elapsed();
+        let cost = started.elapsed();
         *cached = Some(CachedValue {
             value: value.clone(),
-            at,
+            started,
             cost,
         });
         Ok(value)
@@ -94,7 +94,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
             return Ok(cached.value.clone());
         }
-        let at = Instant::now();
+        let started = Instant::now();
         let computation = read.await?;
         let permit = self.computing.clone().acquire_owned().await;
         let computed = tokio::task::spawn_blocking(move || {
@@ -102,8 +102,8 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
             let value = computation()?;
             *cached = Some(CachedValue {
                 value: value.clone(),
-                at,
-                cost: at.elapsed(),
+                started,
+                cost: started.elapsed(),
             });
             Ok(value)
         });

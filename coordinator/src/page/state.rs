@@ -107,7 +107,7 @@ impl Page {
         }
         let version = self.changes.version();
         let is_fresh = |cached: &CachedValue<Arc<Rendered>>| {
-            cached.at.elapsed() < PAGE_AGE && cached.value.version == version
+            cached.started.elapsed() < PAGE_AGE && cached.value.version == version
         };
         let make = async {
             let sheet = sheet.await?;
@@ -141,7 +141,7 @@ impl Page {
         let is_fresh = |cached: &CachedValue<(Editions, Arc<Document>)>| {
             cached.value.0 == editions
                 || (cached.value.0.0.is_of_same_campaign(&editions.0)
-                    && cached.at.elapsed() < cache_time(cached.cost))
+                    && cached.started.elapsed() < cache_time(cached.cost))
         };
         let computed_editions = editions.clone();
         let read = async {
@@ -173,7 +173,7 @@ impl Page {
             let mut pairs = cached.value.0.iter().zip(&editions);
             cached.value.0 == editions
                 || (pairs.all(|(cached, now)| cached.is_of_same_campaign(now))
-                    && cached.at.elapsed() < cache_time(cached.cost))
+                    && cached.started.elapsed() < cache_time(cached.cost))
         };
         let computed_editions = editions.clone();
         let read = async {

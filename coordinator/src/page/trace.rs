@@ -93,8 +93,8 @@ impl Extent {
 
 /// Renders the plot of a path, with the path of the nominal rollout, if given, beneath it.
 pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
-    let (above, height) = lines(path, extent);
-    let under = nominal.map(|nominal| lines(nominal, extent));
+    let (above, height) = polylines(path, extent);
+    let nominal_lines = nominal.map(|nominal| polylines(nominal, extent));
     let begin = path.first().map(|first| extent.project_from_above(*first));
     let end = path.last().map(|last| extent.project_from_above(*last));
     let bar = SCALE_BAR_M * extent.scale();
@@ -105,7 +105,7 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
             text.tiny.muted x="2" y="9" { "hand from above" }
             text.tiny.muted x=(LEFT) y="9" { "height" }
             line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + VIEW_SIDE) y2=(TOP + VIEW_SIDE) {}
-            @if let Some((above, height)) = &under {
+            @if let Some((above, height)) = &nominal_lines {
                 polyline.under points=(above) {}
                 polyline.under points=(height) {}
             }
@@ -121,7 +121,7 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
 }
 
 /// Returns the SVG points of a path's view from above and of its height.
-fn lines(path: &Path, extent: &Extent) -> (String, String) {
+fn polylines(path: &Path, extent: &Extent) -> (String, String) {
     let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
     let above = path
         .iter()

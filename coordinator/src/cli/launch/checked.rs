@@ -32,8 +32,8 @@ pub(super) fn slurm_word(
     value: Option<&String>,
 ) -> Result<Option<String>, CommandError> {
     let Some(value) = value else { return Ok(None) };
-    let plain = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
-    match !value.is_empty() && value.chars().all(plain) {
+    let is_plain_char = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
+    match !value.is_empty() && value.chars().all(is_plain_char) {
         true => Ok(Some(value.clone())),
         false => Err(usage(anyhow!(
             "use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/"

@@ -98,8 +98,8 @@ fn for_slurm(value: &str) -> String {
 
 /// Returns true if a value needs quotation marks neither for the shell nor for Slurm.
 fn is_plain(value: &str) -> bool {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-+=:,./@%".contains(c);
-    !value.is_empty() && value.chars().all(plain)
+    let is_plain_char = |c: char| c.is_ascii_alphanumeric() || "_-+=:,./@%".contains(c);
+    !value.is_empty() && value.chars().all(is_plain_char)
 }
 
 #[cfg(test)]
