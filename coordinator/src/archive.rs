@@ -28,7 +28,7 @@ use crate::reading::ReadError;
 pub use pack::{Package, package};
 pub use unpack::{Unpacked, unpack};
 
-/// Version of the archive format; archives with a newer one are rejected.
+/// Version of the archive format; archives of a newer format are rejected.
 const FORMAT: u32 = 1;
 /// Member that holds the table of contents.
 const CONTENTS_FILE: &str = "archive.json";
@@ -46,7 +46,7 @@ pub struct Contents {
     pub campaign: String,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Outcomes of the source campaign, if this campaign is derived from one.
+    /// Outcomes of the source campaign; `None` if this campaign is not derived.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
     /// Archives that were merged into this one; empty if `coordinator merge` did not write it.
@@ -76,7 +76,7 @@ pub struct Member {
     pub sha256: String,
 }
 
-/// Error of writing or reading an archive. `archive` names its file.
+/// Error of writing or reading an archive. `archive` is the name of the archive's file.
 #[derive(Debug, thiserror::Error)]
 pub enum ArchiveError {
     #[error("read archive {archive}: is it there, and may this user read it?")]

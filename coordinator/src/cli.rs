@@ -102,7 +102,7 @@ enum Command {
     /// Find the minimal subsets of the axes that cause emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
     /// Measure the radius at which each configuration's success turns to failure, and the radius at
-    /// which half of them fail.
+    /// which half of the configurations fail.
     Thresholds(thresholds::ThresholdsArguments),
     /// Report the effects of the axes alone and together in a campaign that ran every subset of
     /// them: success by subset, interactions, and each axis's share.

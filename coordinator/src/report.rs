@@ -146,8 +146,8 @@ async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRang
     })
 }
 
-/// Returns digests of the setups of a campaign's rollouts. They reveal whether rollouts of the same
-/// id in two campaigns are comparable.
+/// Returns digests of the setups of a campaign's rollouts. Rollouts of the same id in two campaigns
+/// are comparable if their digests are equal.
 ///
 /// # Errors
 /// If the database fails or holds a manifest row that cannot be parsed.

@@ -65,10 +65,10 @@ pub enum StorageError {
     Location { location: String },
     #[error("make folder {}: may this user write there?", path.display())]
     Folder { path: PathBuf, source: io::Error },
-    #[error("{doing} {key} at storage {location}: {problem}")]
+    #[error("{verb} {key} at storage {location}: {problem}")]
     Remote {
         /// Verb of the failed action, such as `fetch`.
-        doing: &'static str,
+        verb: &'static str,
         key: String,
         location: String,
         problem: String,
@@ -270,7 +270,7 @@ impl Storage {
         }
     }
 
-    /// Removes an object; a missing one is no error.
+    /// Removes an object; a missing object is no error.
     ///
     /// # Errors
     /// If the storage fails.
@@ -289,12 +289,12 @@ impl Storage {
 
     fn failed(
         &self,
-        doing: &'static str,
+        verb: &'static str,
         key: &str,
         error: &(dyn std::error::Error + 'static),
     ) -> StorageError {
         StorageError::Remote {
-            doing,
+            verb,
             key: key.to_owned(),
             location: self.location.clone(),
             problem: shortened(&transport::innermost(error), QUOTED_BYTES).to_owned(),

@@ -13,8 +13,8 @@ use super::line::is_finished;
 pub(super) struct PriorityArguments {
     /// Name of the campaign.
     campaign: String,
-    /// Priority from -100 to 100: campaigns with a higher one are leased first, those with equal
-    /// ones share the workers. A new campaign has priority 0 by default.
+    /// Priority from -100 to 100: campaigns with a higher priority are leased first, and campaigns
+    /// with equal priorities share the workers. A new campaign has priority 0 by default.
     #[arg(value_name = "N", allow_negative_numbers = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
     #[command(flatten)]

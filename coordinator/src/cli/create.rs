@@ -88,8 +88,8 @@ pub(super) struct CreateArguments {
     variants: VariantFlags,
     #[command(flatten)]
     stop: StopFlags,
-    /// Priority from -100 to 100: campaigns with a higher one are leased first, those with equal
-    /// ones share the workers.
+    /// Priority from -100 to 100: campaigns with a higher priority are leased first, and campaigns
+    /// with equal priorities share the workers.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
         hide_short_help = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
@@ -197,11 +197,11 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Ending early")]
 struct StopFlags {
-    /// Rule under which the campaign ends early, once it holds at every level: `width(M) < X` or
-    /// `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d or I. The rule
-    /// concerns only the configurations of this campaign: `I excludes 0` is evidence that a
-    /// complete run of them would have unequal numbers of emergent failures and compensated
-    /// successes. It is no evidence about other tasks or directions.
+    /// Rule under which the campaign ends early, as soon as the rule holds at every level:
+    /// `width(M) < X` or `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d
+    /// or I. The rule concerns only the configurations of this campaign: `I excludes 0` is evidence
+    /// that a complete run of these configurations would have unequal numbers of emergent failures
+    /// and compensated successes. It is no evidence about other tasks or directions.
     /// `M excludes X for new tasks` concerns tasks that were never run.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
@@ -222,8 +222,8 @@ struct StopFlags {
 struct DesignFlags {
     /// Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, or
     /// `none`. `latency`, appended after a comma, delays the policy's answers and is never
-    /// combined with other axes: by 1, 2 and 4 control steps at L1, L2 and L3, and by half the
-    /// radius at other levels.
+    /// combined with other axes: by 1, 2 and 4 control steps at L1, L2 and L3, and by R/2 at any
+    /// other radius R.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
     /// Further conditions of several axes: names joined by +, such as `camera+robot`; `pairs`; or
@@ -237,7 +237,7 @@ struct DesignFlags {
     /// Configurations: `0-9`, `0,3,5-7`. Those from 10 on are drawn from --design-seed.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
-    /// Nominal rollouts: `eval`, those of the configurations' initial states;
+    /// Nominal rollouts: `eval`, those from the configurations' initial states;
     /// `all`; or `none`.
     #[arg(long, value_parser = enum_parser::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,

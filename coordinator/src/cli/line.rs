@@ -13,7 +13,7 @@ const BAR_COLUMNS: usize = 16;
 const NAME_BYTES: usize = 18;
 
 /// Returns true if the campaign is cancelled or stopped early, or if every rollout is committed or
-/// in quarantine and none can be added.
+/// in quarantine and no rollout can be added.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
     let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
     is_over || (!status.may_grow && status.committed + status.quarantined >= status.total)

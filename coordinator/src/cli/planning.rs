@@ -36,7 +36,7 @@ struct PlannedLevel {
     new_tasks: DetectableDifferences,
     these_tasks: DetectableDifferences,
     /// Assumed R_d of the placebo level; `None` if the campaign has no placebo level, in which case
-    /// R_d is compared with another policy's.
+    /// R_d is compared with that of another policy.
     floor: Option<f64>,
     floor_configurations: Option<u32>,
 }

@@ -46,8 +46,7 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "SECS", default_value_t = 10,
         value_parser = number(1..=86_400_u32, "seconds"))]
     step_ceiling_secs: u32,
-    /// MiB that must be free on the data folder's disk; with less, nothing is
-    /// leased.
+    /// MiB that must be free on the data folder's disk; with less free space, nothing is leased.
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
         value_parser = number(0..=1_u64 << 40, "MiB"))]
     min_free_mib: u64,

@@ -1,4 +1,4 @@
-//! Paths of the release's other programs, which are installed in the same folder as this one.
+//! Paths of the release's other programs, which are installed in the same folder as this program.
 
 use std::path::PathBuf;
 

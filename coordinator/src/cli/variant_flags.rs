@@ -70,7 +70,8 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     dimensions: Vec<String>,
-    /// Variants of LIBERO-Plus of these difficulties, 1 to 5, or 0 for those without one.
+    /// Variants of LIBERO-Plus of these difficulties: 1 to 5, or 0 for variants without a
+    /// difficulty.
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,

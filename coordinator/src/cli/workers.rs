@@ -16,7 +16,7 @@ const LISTED_AFTER_DEPARTURE: Duration = Duration::from_secs(7 * 86_400);
 
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {
-    /// List departed workers, too; without --json, only those of the last week.
+    /// List departed workers, too; without --json, only those whose last call was within a week.
     #[arg(long)]
     all: bool,
     /// Print JSON, as docs/JSON.md describes it.

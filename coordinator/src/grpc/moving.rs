@@ -199,7 +199,7 @@ async fn receive(
     let mut file = tokio::fs::File::create(path).await.map_err(unwritable)?;
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
-        // Running campaigns need the remaining space for their results.
+        // The space that is still free must be left to running campaigns for their results.
         let room = Room::measure(folder, DEFAULT_MIN_FREE_MIB << 20);
         if room.free_bytes < room.needed_bytes {
             return Err(Status::resource_exhausted(format!(
@@ -273,7 +273,7 @@ fn archive_failed(error: ArchiveError) -> Status {
             invalid(chain(&error))
         }
         ArchiveError::Results(error) => failed(error),
-        // Not Unavailable, since clients retry that.
+        // The code is not Unavailable, upon which clients would retry.
         ArchiveError::NoRoom { .. } => Status::resource_exhausted(chain(&error)),
         error => unavailable(&error),
     }

@@ -43,7 +43,7 @@ pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
     id.parse().map_err(invalid)
 }
 
-/// Clamps the reported number of films in progress to the most slots that a worker can have.
+/// Clamps the reported number of films in progress to the maximum number of slots of a worker.
 pub(super) fn filming(count: u32) -> u32 {
     count.min(MAX_SLOTS)
 }
@@ -283,8 +283,8 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
     }
 }
 
-/// Truncates an error message and makes it printable. An empty one is replaced by a placeholder,
-/// since a quarantined job must show a reason.
+/// Truncates an error message and makes it printable. An empty message is replaced by a
+/// placeholder, since a quarantined job must show a reason.
 pub(super) fn error_text(error: &str) -> Cow<'_, str> {
     match shortened(error, MAX_ERROR_BYTES).trim() {
         "" => "no reason was given".into(),

@@ -1,4 +1,4 @@
-//! Start page: every campaign with its progress and the reasons why it makes none.
+//! Start page: every campaign with its progress, and the reason if it makes no progress.
 
 use maud::{Markup, html};
 use queue::read::{CampaignStatus, Source};
@@ -132,7 +132,8 @@ fn describe_pace(status: &CampaignStatus) -> String {
     }
 }
 
-/// Returns the source campaign while some of its rollouts lack an outcome, unless it is cancelled.
+/// Returns the source of a derived campaign while some rollouts of the source lack an outcome,
+/// unless the source is cancelled.
 fn awaited(status: &CampaignStatus) -> Option<&Source> {
     let source = status.source.as_ref();
     source.filter(|source| source.awaited > 0 && !source.is_cancelled)

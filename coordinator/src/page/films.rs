@@ -191,7 +191,7 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
         @if to_film.is_some() {
             p.muted {
                 "This command makes the films from the stored actions: "
-                // `page.js` replaces the address with the one that the browser uses.
+                // `page.js` replaces this address with the address that the browser uses.
                 code { "worker film --connect " span data-origin { "http://127.0.0.1:7411" } " --assets " (pack) }
             }
         }

@@ -31,7 +31,7 @@ struct Selection {
     choice: Option<&'static str>,
     /// Job id after which the list begins.
     after: i64,
-    /// Id of a single rollout to list instead; `None` lists all that match `choice`.
+    /// Id of a single rollout to list; `None` lists all rollouts that match `choice`.
     id: Option<String>,
 }
 
@@ -115,7 +115,7 @@ impl Selection {
     }
 }
 
-/// Converts a rollout id in the paper's spelling to the released one.
+/// Converts a rollout id in the paper's spelling to the released spelling.
 fn released_id(id: &str) -> String {
     let parsed: Result<RolloutId, _> = id.parse();
     parsed.map_or_else(|_| id.to_owned(), |id| id.to_string())

@@ -170,7 +170,7 @@ mod tests {
             let timed_out = tokio::time::timeout(Duration::from_millis(20), request()).await;
             assert!(timed_out.is_err(), "the computation is not finished");
         }
-        // Enough signals for every computation, had several been started.
+        // Sends enough signals for six computations, in case several were started.
         (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
         assert_eq!(request().await, Ok(0));
         assert_eq!(begun.load(Ordering::Relaxed), 1);

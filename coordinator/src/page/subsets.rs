@@ -25,7 +25,7 @@ impl Section {
     }
 }
 
-/// Renders the section. If no subset of the configuration was run, it is empty or, for a
+/// Renders the section. If no subset of the configuration was run, the section is empty or, for a
 /// transition, suggests `coordinator explain`.
 pub(super) async fn section(
     view: &mut View,
@@ -78,7 +78,7 @@ pub(super) async fn section(
                     "This configuration under every subset of the axes: none on top, all at the \
                     bottom, a line wherever one axis is added. Initial state and every perturbation \
                     are the same throughout. A node opens its rollout; a ring marks a subset that \
-                    changes the outcome although no smaller subset that was run changes it."
+                    changes the outcome, while no smaller subset that was run changes it."
                 }
             }
             (films.markup)

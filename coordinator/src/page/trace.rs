@@ -20,7 +20,7 @@ const VIEW_SIDE: f64 = 104.0;
 const TOP: f64 = 16.0;
 /// Left edge of the drawing of the height.
 const LEFT: f64 = 138.0;
-/// The scale bar, m.
+/// Length that the scale bar shows, m.
 const SCALE_BAR_M: f64 = 0.1;
 /// Least extent of a scale, m, so that the jitter of a resting hand is not magnified.
 const MIN_EXTENT_M: f64 = 0.1;

@@ -37,8 +37,8 @@ pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Submits all scripts but the coordinator's. A job starts only after the previously submitted job,
-/// since workers have no work until their gateway runs.
+/// Submits all scripts but the coordinator's. A job starts only once the previously submitted job
+/// has started, since workers have no work until their gateway runs.
 pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
     let mut previous_job: Option<String> = None;
     for Script { path, .. } in scripts.iter().skip(1) {

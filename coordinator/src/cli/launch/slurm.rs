@@ -71,8 +71,8 @@ pub(crate) struct SlurmArguments {
     /// again. [default: the partition's]
     #[arg(long, value_name = "TIME")]
     time: Option<TimeLimit>,
-    /// Seconds before its time limit at which a job is signalled to end; Slurm may send the signal
-    /// up to a minute earlier.
+    /// Number of seconds before its time limit at which a job is signalled to end; Slurm may send
+    /// the signal up to a minute earlier.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 60,
         value_parser = number(1..=65_535_u32, "seconds"))]
     ahead_secs: u32,
