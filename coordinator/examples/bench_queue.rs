@@ -163,13 +163,13 @@ async fn move_other_campaign(
     jobs: u64,
     step_secs: Arc<Mutex<Vec<[f64; 4]>>>,
 ) -> Result<()> {
-    let mut other = spec("other", jobs)?;
-    // Lower priority, so that the slots only run the first campaign.
-    other.priority = -1;
+    let mut campaign = spec("other", jobs)?;
+    // The priority is lower, so that the slots run only the first campaign.
+    campaign.priority = -1;
     let name = CampaignName::parse("other")?;
     loop {
         let folder = tempfile::tempdir()?;
-        let (_, created) = create(&queue, &other).await?;
+        let (_, created) = create(&queue, &campaign).await?;
         let began = Instant::now();
         let (copy, _) = queue.copy_campaign(&name, folder.path()).await?;
         let copied = began.elapsed().as_secs_f64();
@@ -309,13 +309,18 @@ fn report(
 fn percentiles(micros: &Mutex<Vec<u64>>) -> Value {
     let mut micros = micros.lock().expect("no slot panicked").clone();
     micros.sort_unstable();
-    let at = |share: f64| {
+    let quantile = |share: f64| {
         let index = (micros.len() as f64 * share) as usize;
         micros
             .get(index.min(micros.len().saturating_sub(1)))
             .map(|micros| *micros as f64 / 1e3)
     };
-    json!({"p50": at(0.5), "p90": at(0.9), "p99": at(0.99), "most": at(1.0)})
+    json!({
+        "p50": quantile(0.5),
+        "p90": quantile(0.9),
+        "p99": quantile(0.99),
+        "most": quantile(1.0),
+    })
 }
 
 fn record_latency(micros: &Mutex<Vec<u64>>, began: Instant) {
@@ -406,7 +411,7 @@ fn outcome(
             prompt: None,
         },
         provenance: Provenance {
-            // One machine per worker.
+            // Each worker counts as a machine.
             host: worker.0.clone(),
             pin: pin(),
             fingerprint: digest("fingerprint"),

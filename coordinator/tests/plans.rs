@@ -267,7 +267,7 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
     create("why", 0, &json!({"explains": {"campaign": "done"}})).await;
     let mut skipped = Vec::new();
     let mut has_result = false;
-    let other = loop {
+    let job_of_other_campaign = loop {
         let number = 100 + u32::try_from(skipped.len()).expect("few");
         let claimed = queue.claim(&claim(number, None), Duration::ZERO).await;
         let job = claimed.expect("an answer").job.expect("a job waits");
@@ -297,7 +297,9 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
 
     captured.lock().clear();
-    let skip = queue.skip_jobs(&other.0, &[other.1]).await;
+    let skip = queue
+        .skip_jobs(&job_of_other_campaign.0, &[job_of_other_campaign.1])
+        .await;
     assert_eq!(skip.expect("skipped"), 1);
     wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
@@ -315,10 +317,10 @@ async fn wait_for_queue_tasks(queue: &Queue) {
     for _ in 0..1_000 {
         let mut view = queue.view().await.expect("a view");
         let statuses = view.statuses().await.expect("statuses");
-        let why = statuses
+        let derived = statuses
             .iter()
             .find(|status| status.campaign.name.as_str() == "why");
-        if !why.expect("the campaign").may_grow {
+        if !derived.expect("the campaign").may_grow {
             return;
         }
         tokio::time::sleep(Duration::from_millis(10)).await;
@@ -397,7 +399,7 @@ async fn no_frequent_statement_walks_all_jobs() {
         "levels": ["L1", "L2", "L3"],
         "configs": [0, 1, 2],
     });
-    // Two campaigns, which share the workers.
+    // Creates two campaigns, which share the workers.
     for name in ["plans", "more"] {
         let mut spec = spec.clone();
         spec["name"] = name.into();

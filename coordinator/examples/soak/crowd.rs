@@ -267,7 +267,7 @@ impl Crowd {
     /// rollout's task.
     async fn roll_out(&self, client: &mut Client, lease: &wire::Lease) -> String {
         let row: ManifestRow = serde_json::from_str(&lease.manifest_row).expect("a row");
-        // 0.5 to 1.5 times the mean duration.
+        // The rollout takes 0.5 to 1.5 times the mean duration.
         let share = 0.5 + hash_fraction(&lease.attempt_id);
         tokio::time::sleep(self.rollout_duration.mul_f64(share)).await;
         let report = report(lease, &row);
@@ -346,8 +346,8 @@ fn registration(id: &str, slots: u32) -> wire::RegisterRequest {
     }
 }
 
-/// Returns the outcome of a rollout. A share of [`EMERGENT`] configurations fails if camera and
-/// sensor are both perturbed; everything else succeeds.
+/// Returns the outcome of a rollout. The share [`EMERGENT`] of the configurations fails if camera
+/// and sensor are both perturbed; all other rollouts succeed.
 fn succeeds(row: &ManifestRow) -> bool {
     let Some(config) = row.id.config() else {
         return true;

@@ -317,7 +317,7 @@ async fn an_expired_certificate_is_refused_at_once() {
 }
 
 #[test]
-fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
+fn non_loopback_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
@@ -336,7 +336,7 @@ fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
 #[test]
 fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
     /// User id of `nobody`.
-    const OTHER: u32 = 65_534;
+    const NOBODY: u32 = 65_534;
     if !rustix::process::geteuid().is_root() {
         println!(
             "skipped other_users_of_the_machine_are_refused_unless_insecure_loopback: not root"
@@ -350,8 +350,8 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
             .args(["campaign", "list", "--connect", &serve.url])
             .env_clear()
             .current_dir("/")
-            .uid(OTHER)
-            .gid(OTHER)
+            .uid(NOBODY)
+            .gid(NOBODY)
             .output()
             .expect("runs");
         let message = text(&listed.stderr);

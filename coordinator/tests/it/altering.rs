@@ -242,8 +242,8 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     alter(&bench, to_name("name", "first"))
         .await
         .expect("renamed");
-    let taken = bench.create_with_priority(&small_spec("name"), 1).await;
-    assert_eq!(taken.expect("created").jobs_added, 4);
+    let second = bench.create_with_priority(&small_spec("name"), 1).await;
+    assert_eq!(second.expect("created").jobs_added, 4);
     let lease = worker.claim_one().await;
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);

@@ -55,10 +55,10 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(path, expected);
     let stored = std::fs::read(bench.folder.path().join(&path)).expect("a file");
     assert_eq!(stored, pieces.concat());
-    let again = put(&mut worker, &lease, "video.mp4", &[vec![3; 10]])
+    let second_path = put(&mut worker, &lease, "video.mp4", &[vec![3; 10]])
         .await
         .expect("replaced");
-    assert_eq!(again, path);
+    assert_eq!(second_path, path);
     assert_eq!(
         std::fs::read(bench.folder.path().join(&path)).expect("a file"),
         [3; 10]

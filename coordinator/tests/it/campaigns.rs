@@ -16,12 +16,12 @@ async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_ref
     assert_eq!((first.jobs_added, first.jobs_total), (4, 4));
     // The order in which a set is written does not make the specification a different one.
     let reordered = with(spec.clone(), json!({"axes": ["sensor", "camera"]}));
-    let again = bench.create(&reordered).await.expect("the same");
-    assert_eq!((again.jobs_added, again.jobs_total), (0, 4));
+    let second = bench.create(&reordered).await.expect("the same");
+    assert_eq!((second.jobs_added, second.jobs_total), (0, 4));
 
-    let other = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
+    let different = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
     let refused = bench
-        .create(&other)
+        .create(&different)
         .await
         .expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
@@ -197,7 +197,7 @@ async fn a_database_of_a_newer_schema_is_refused_untouched() {
 }
 
 #[tokio::test]
-async fn a_data_folder_has_one_coordinator() {
+async fn a_second_coordinator_cannot_open_a_data_folder_in_use() {
     let bench = Bench::start().await;
     let error = Store::open(bench.folder.path()).await.expect_err("in use");
     assert!(matches!(error, OpenError::InUse { .. }));

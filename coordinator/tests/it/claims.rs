@@ -37,10 +37,10 @@ async fn claim_is_exclusive_under_concurrency() {
             }
         });
     }
-    let all: Vec<(i64, u32)> = claimants.join_all().await.concat();
-    assert_eq!(all.len() as u64, jobs);
-    assert!(all.iter().all(|(_, attempt)| *attempt == 1));
-    let distinct: BTreeSet<i64> = all.iter().map(|(job, _)| *job).collect();
+    let claimed_jobs: Vec<(i64, u32)> = claimants.join_all().await.concat();
+    assert_eq!(claimed_jobs.len() as u64, jobs);
+    assert!(claimed_jobs.iter().all(|(_, attempt)| *attempt == 1));
+    let distinct: BTreeSet<i64> = claimed_jobs.iter().map(|(job, _)| *job).collect();
     assert_eq!(distinct.len() as u64, jobs, "no job was leased twice");
 }
 
@@ -108,8 +108,12 @@ async fn a_worker_gets_jobs_of_its_warm_task_or_else_of_a_task_without_leases() 
         "t2",
         "the worker has compiled the scene of t2"
     );
-    let rest = first.claim_warm(64, "libero_object/2").await;
-    assert_eq!(rest.len(), 9, "the warm task is preferred, not required");
+    let remaining = first.claim_warm(64, "libero_object/2").await;
+    assert_eq!(
+        remaining.len(),
+        9,
+        "the warm task is preferred, not required"
+    );
 }
 
 /// Checks a campaign that is leased task by task, and one with a stop rule, which is leased in a
@@ -142,10 +146,18 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
             .iter()
             .all(|lease| rollout_id(lease).contains("/t1/"))
     );
-    let mut whole = bench.worker("b").await;
-    let rest = whole.claim(64).await;
-    assert_eq!(rest.len(), claimed.len(), "the jobs of t0 are still queued");
-    assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
+    let mut complete = bench.worker("b").await;
+    let remaining = complete.claim(64).await;
+    assert_eq!(
+        remaining.len(),
+        claimed.len(),
+        "the jobs of t0 are still queued"
+    );
+    assert!(
+        remaining
+            .iter()
+            .all(|lease| rollout_id(lease).contains("/t0/"))
+    );
 }
 
 /// Regression: a worker without LIBERO-Plus' task files was offered rollouts of these files again
@@ -194,11 +206,11 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
     };
     let listed = bench.operator().await.list_jobs(listed).await;
     assert_eq!(listed.expect("jobs").into_inner().jobs.len(), 4);
-    let mut whole = bench.worker("b").await;
-    let mut rest: Vec<String> = whole.claim(64).await.iter().map(rollout_id).collect();
-    rest.sort();
+    let mut complete = bench.worker("b").await;
+    let mut remaining: Vec<String> = complete.claim(64).await.iter().map(rollout_id).collect();
+    remaining.sort();
     assert_eq!(
-        rest,
+        remaining,
         [
             "goal/t8/plus:language_1/i00",
             "goal/t8/plus:level1_sample1/i00"
@@ -235,8 +247,8 @@ async fn campaigns_of_one_priority_progress_together() {
     }
     assert_eq!(names, ["older", "newer", "older", "newer"]);
     // Simulates several slots, which keep their leases.
-    let rest = worker.claim(8).await;
-    let count = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
+    let leases = worker.claim(8).await;
+    let count = |name: &str| leases.iter().filter(|lease| lease.campaign == name).count();
     assert_eq!((count("older"), count("newer")), (2, 2));
 }
 
@@ -335,9 +347,9 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     worker.release(&lease, reason).await;
     let sound = with(small_spec("sound"), policy("sound"));
     bench.create(&sound).await.expect("created");
-    let rest = worker.claim(64).await;
-    assert_eq!(rest.len(), 4);
-    assert!(rest.iter().all(|lease| lease.campaign == "sound"));
+    let leases = worker.claim(64).await;
+    assert_eq!(leases.len(), 4);
+    assert!(leases.iter().all(|lease| lease.campaign == "sound"));
 }
 
 #[tokio::test]

@@ -103,10 +103,10 @@ async fn every_column_with_an_instant_is_listed() {
     .await
     .expect("columns");
     pool.close().await;
-    let found = columns.iter().map(|(table, column)| (&**table, &**column));
+    let columns_in_schema = columns.iter().map(|(table, column)| (&**table, &**column));
     let named = INSTANTS.map(|(table, column, _)| (table, column));
     assert_eq!(
-        found.collect::<Vec<_>>(),
+        columns_in_schema.collect::<Vec<_>>(),
         named,
         "list new columns in INSTANTS"
     );
@@ -248,7 +248,7 @@ const OTHER_CLOCKS: [(&str, &str); 8] = [
 ];
 
 /// Collects the paths of Rust sources below a folder, except those of tests.
-fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+fn sources(folder: &Path, paths: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let entry = entry.expect("an entry");
         let (path, name) = (entry.path(), entry.file_name());
@@ -258,10 +258,10 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
         let is_hidden = name.as_encoded_bytes().starts_with(b".");
         if entry.file_type().expect("a type").is_dir() {
             if !is_left_out && !is_hidden {
-                sources(&path, found);
+                sources(&path, paths);
             }
         } else if path.extension().is_some_and(|extension| extension == "rs") {
-            found.push(path);
+            paths.push(path);
         }
     }
 }
@@ -288,14 +288,14 @@ fn every_file_that_reads_another_clock_is_listed() {
         .iter()
         .any(|word| text.contains(word))
     };
-    let found = files.iter().filter(|path| reads(path));
-    let mut found: Vec<&str> = found
+    let files_with_clocks = files.iter().filter(|path| reads(path));
+    let mut files_with_clocks: Vec<&str> = files_with_clocks
         .map(|path| path.strip_prefix(root).expect("a path below the root"))
         .map(|path| path.to_str().expect("UTF-8"))
         .collect();
-    found.sort_unstable();
+    files_with_clocks.sort_unstable();
     assert_eq!(
-        found,
+        files_with_clocks,
         OTHER_CLOCKS.map(|(file, _)| file),
         "list new files in OTHER_CLOCKS"
     );

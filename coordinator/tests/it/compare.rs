@@ -190,8 +190,8 @@ async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
         3,
         "configuration 0 is the same in both"
     );
-    let same = compared(&bench, ["a", "c"]).await.statistics;
-    assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
+    let same_seed = compared(&bench, ["a", "c"]).await.statistics;
+    assert_eq!((same_seed.shared(), same_seed.unpaired.len()), (6, 0));
 }
 
 /// The harness's successes take 120 steps and hold both predicates of the goal, its failures

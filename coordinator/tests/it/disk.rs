@@ -14,7 +14,7 @@ use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    // More than any disk has.
+    // Requires more free space than any disk has.
     let needed = ["--min-free-mib", "1099511627776"];
     let serve = Serve::start_with(folder.path(), &needed, Stdio::null());
     assert!(serve.command(&CREATE).status.success());

@@ -159,8 +159,8 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     // The latency axis is checked too: r20 is ten steps late.
     let axis = ["--axes", "camera,latency", "--levels", "r20"];
     let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
-    let rest = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
-    let refused = serve.command(&[&named[..], &rest, &axis].concat());
+    let rollouts = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
+    let refused = serve.command(&[&named[..], &rollouts, &axis].concat());
     let message = text(&refused.stderr);
     assert!(
         message.contains("`overlap:10` drops at least 10"),

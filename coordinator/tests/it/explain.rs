@@ -81,10 +81,10 @@ async fn planted_rules_are_found_again() {
     );
     assert_eq!(findings(&serve, "explain", &[])["complete"], json!(false));
 
-    let found = explained(&serve, &[]).await;
-    assert_eq!(found["transitions"], 6);
-    assert_eq!(found["explained"], 6);
-    let configurations = found["configurations"].as_array().expect("a list");
+    let findings_json = explained(&serve, &[]).await;
+    assert_eq!(findings_json["transitions"], 6);
+    assert_eq!(findings_json["explained"], 6);
+    let configurations = findings_json["configurations"].as_array().expect("a list");
     for (configuration, (task, start, minimal)) in configurations.iter().zip(EXPECTED) {
         let name = configuration["configuration"].as_str().expect("a name");
         assert!(name.starts_with(task), "{name}");
@@ -97,7 +97,7 @@ async fn planted_rules_are_found_again() {
         assert_eq!(open.map(Vec::len), Some(0), "{name} is established");
     }
     // At most a third of the subsets were run.
-    let rollouts = found["rollouts"].as_u64().expect("a number");
+    let rollouts = findings_json["rollouts"].as_u64().expect("a number");
     assert!(rollouts < 6 * 57 / 3, "{rollouts} rollouts");
 
     // Running all subsets shows further findings.
@@ -113,7 +113,7 @@ async fn planted_rules_are_found_again() {
     assert_eq!(non_monotone, &json!([pair]));
 
     // Creating the same campaign again adds no rollout; the text has the same findings.
-    assert_eq!(findings(&serve, "explain", &[]), found);
+    assert_eq!(findings(&serve, "explain", &[]), findings_json);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);
     for line in [
@@ -233,9 +233,12 @@ async fn an_explanation_stays_within_its_budget_and_completes_started_transition
     create(&serve);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
-    let found = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
-    assert!(found["rollouts"].as_u64() <= Some(60), "{found}");
-    let explained = found["explained"].as_u64().expect("a number");
+    let findings_json = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
+    assert!(
+        findings_json["rollouts"].as_u64() <= Some(60),
+        "{findings_json}"
+    );
+    let explained = findings_json["explained"].as_u64().expect("a number");
     assert!((1..6).contains(&explained), "{explained}");
 }
 

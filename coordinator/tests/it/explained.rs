@@ -37,14 +37,14 @@ async fn report_page_and_table_show_the_explanation() {
     let unexplained = "/campaigns/first/configurations/object/t1/combination/L2/c00";
     let hint = page(&serve, unexplained).await;
     assert!(hint.contains("coordinator explain first"), "{hint}");
-    let found = explained(&serve, &[]).await;
+    let findings = explained(&serve, &[]).await;
 
     let words = printed(&serve, &["report", "first-explained"]);
     assert!(words.contains("6 of 6 transitions explained"), "{words}");
     fits_a_terminal(&words);
     let json = printed(&serve, &["report", "first-explained", "--json"]);
     let json: Value = serde_json::from_str(&json).expect("JSON");
-    assert_eq!(json["reports"][0]["explanation"], found);
+    assert_eq!(json["reports"][0]["explanation"], findings);
 
     let csv = folder.path().join("subsets.csv");
     let parquet = folder.path().join("subsets.parquet");
@@ -169,9 +169,9 @@ async fn interactions_add_up_to_simultaneous_success() {
     run_all(&mut worker, outcome).await;
     let json = printed(&serve, &["interactions", "whole", "--json"]);
     let json: Value = serde_json::from_str(&json).expect("JSON");
-    let mut found = BTreeSet::new();
-    keys(&json, "", &mut found);
-    assert_eq!(found, documented("interactions"));
+    let mut printed_keys = BTreeSet::new();
+    keys(&json, "", &mut printed_keys);
+    assert_eq!(printed_keys, documented("interactions"));
     let level = &json["levels"][0];
     assert_eq!((&level["n"], &level["left_out"]), (&10.into(), &0.into()));
     let sum = |list: &str, value: &str| -> i64 {

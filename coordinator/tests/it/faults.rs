@@ -14,7 +14,7 @@ use crate::harness::{Bench, Worker, small_spec, with};
 /// Time after which every back-off is over, seconds.
 const PAST_BACKOFF_SECS: u64 = 70;
 
-/// A campaign of one rollout.
+/// Starts a coordinator with a campaign of one rollout.
 async fn one_job() -> Bench {
     let bench = Bench::start().await;
     let spec = with(
@@ -25,7 +25,7 @@ async fn one_job() -> Bench {
     bench
 }
 
-/// Fails the only job on a worker, which must be able to lease it.
+/// Claims the only job with a worker and reports a crash; returns the verdict.
 async fn fail_on(bench: &Bench, worker: &mut Worker) -> Released {
     bench.advance(PAST_BACKOFF_SECS).await;
     let lease = worker.claim_one().await;
@@ -421,10 +421,10 @@ async fn a_report_refused_by_the_database_affects_no_other_report() {
          BEGIN SELECT RAISE (ABORT, 'on purpose'); END",
         leases[1].job_id
     );
-    let made = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse))
+    let created = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse))
         .execute(&pool)
         .await;
-    made.expect("a trigger");
+    created.expect("a trigger");
     // While this transaction is open, the reports wait for the next one.
     let mut writing = pool
         .begin_with("BEGIN IMMEDIATE")

@@ -548,11 +548,11 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
             .await
             .expect("columns");
         let query = format!("SELECT '{table}: ' || {columns} FROM {table} ORDER BY 1");
-        let found: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
+        let table_rows: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
             .fetch_all(&pool)
             .await
             .expect("rows");
-        rows.extend(found);
+        rows.extend(table_rows);
     }
     pool.close().await;
     rows

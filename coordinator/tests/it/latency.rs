@@ -135,20 +135,20 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
     let thresholds = ["thresholds", "late", "--axes", "latency", "--create"];
-    let found = loop {
+    let findings = loop {
         run_all(&mut worker, outcome).await;
-        let found = json_of(&serve, &thresholds);
-        if found["complete"] == json!(true) {
-            break found;
+        let findings = json_of(&serve, &thresholds);
+        if findings["complete"] == json!(true) {
+            break findings;
         }
-        assert!(began.elapsed() < PATIENCE, "{found}");
+        assert!(began.elapsed() < PATIENCE, "{findings}");
         tokio::time::sleep(Duration::from_millis(50)).await;
     };
     assert_eq!(
-        (&found["looked_for"], &found["found"]),
+        (&findings["looked_for"], &findings["found"]),
         (&json!(4), &json!(4))
     );
-    for threshold in found["thresholds"].as_array().expect("a list") {
+    for threshold in findings["thresholds"].as_array().expect("a list") {
         assert_eq!(threshold["condition"], "latency");
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
         assert_eq!(

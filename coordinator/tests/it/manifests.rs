@@ -188,7 +188,7 @@ async fn an_imported_manifest_is_run_unchanged() {
     let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
     let mut rows = rows(&all);
     // The rows are a configuration's language row and its nominal row. The nominal row comes last,
-    // and its id has another spelling than the released one.
+    // and its id is spelled differently than in released manifests.
     rows.retain(|row| {
         let id = row["rollout_id"].as_str().expect("text");
         id == "goal/t7/language/L3/c02" || id.starts_with("goal/t7/clean/")

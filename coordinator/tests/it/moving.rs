@@ -139,7 +139,7 @@ pub(crate) fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
     entries.map(member).collect()
 }
 
-/// Writes an archive of these members. With `recompute_contents`, its table of contents is computed
+/// Writes an archive of `members`. With `recompute_contents`, the table of contents is computed
 /// from the members.
 pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], recompute_contents: bool) {
     let mut members = members.to_vec();
@@ -229,7 +229,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
             .expect("JSON");
     let status = status.to_string();
     assert!(status.contains("\"priority\":7"), "{status}");
-    // The workers that made the results are not workers of this coordinator.
+    // The workers that reported the results are not alive at this coordinator.
     let workers = target.succeed(&["workers", "--all", "--json"]);
     let workers: Value = serde_json::from_str(&workers).expect("JSON");
     let workers = workers["workers"].as_array().expect("workers");
@@ -341,22 +341,22 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         write(&bad, &altered, true);
         refused(&["archive.json"]);
     }
-    let mut more = sound.clone();
-    more.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
-    write(&bad, &more, false);
+    let mut with_extra_member = sound.clone();
+    with_extra_member.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
+    write(&bad, &with_extra_member, false);
     refused(&["does not list"]);
-    write(&bad, &more, true);
+    write(&bad, &with_extra_member, true);
     refused(&["no film of this campaign"]);
     // A browser would run scripts in the first two of these files if the coordinator served them.
     for page in ["page.html", "film.mp4.svg", ".mp4", "a b.mp4"] {
-        more.pop();
-        more.push((format!("artifacts/moved/{page}"), vec![1]));
-        write(&bad, &more, true);
+        with_extra_member.pop();
+        with_extra_member.push((format!("artifacts/moved/{page}"), vec![1]));
+        write(&bad, &with_extra_member, true);
         refused(&["archive.json", page, "no film of this campaign"]);
     }
-    more.pop();
-    more.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
-    write(&bad, &more, true);
+    with_extra_member.pop();
+    with_extra_member.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
+    write(&bad, &with_extra_member, true);
     refused(&["coordinator.sqlite", "its films differ"]);
 
     // In these archives, the table of contents matches the altered members.
@@ -558,8 +558,8 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     assert!(message.contains(name), "{message}");
 
     // A campaign of that name with other outcomes is not accepted as the source.
-    let mut other = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
-    other.run(3, "").await;
-    let message = other.refused(&["campaign", "import", &path]);
+    let mut other_target = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
+    other_target.run(3, "").await;
+    let message = other_target.refused(&["campaign", "import", &path]);
     assert!(message.contains("other outcomes here"), "{message}");
 }

@@ -467,7 +467,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
 /// job and attempt number, so that a slot that still ran an old rollout committed it into the new
 /// campaign. Now each lease has an attempt id, and job ids are never reused.
 #[tokio::test]
-async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
+async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("before")).await.expect("created");
     let mut slot = bench.worker("a").await;

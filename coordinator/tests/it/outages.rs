@@ -61,9 +61,9 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
         0
     );
 
-    let others = worker.claim(64).await;
-    assert_eq!(others.len(), 8);
-    assert!(others.iter().all(|lease| lease.policy == "sound"));
+    let sound_leases = worker.claim(64).await;
+    assert_eq!(sound_leases.len(), 8);
+    assert!(sound_leases.iter().all(|lease| lease.policy == "sound"));
     let idle = worker.claim_response("").await.idle_reason;
     assert!(
         idle.contains("`fragile`") && idle.contains("simulated failure"),
@@ -79,8 +79,8 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let status = bench.status("first").await;
     assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
-    let others = worker.claim(64).await;
-    assert!(others.iter().all(|lease| lease.policy == "sound"));
+    let sound_leases = worker.claim(64).await;
+    assert!(sound_leases.iter().all(|lease| lease.policy == "sound"));
     let resumed = bench.change("first", Change::Resume).await;
     resumed.expect("resumed");
     assert_eq!(bench.status("first").await.policy_retry_secs, Some(0.0));
@@ -90,7 +90,7 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
 }
 
 #[tokio::test]
-async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
+async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_its_other_jobs() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -122,7 +122,7 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
 }
 
 #[tokio::test]
-async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
+async fn a_failed_probe_doubles_the_pause_and_a_crashed_probe_is_replaced() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     let first = worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -270,7 +270,7 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
     }
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
-        // Longer than the longest back-off, shorter than twice that.
+        // The interval is longer than the longest back-off, and shorter than twice that back-off.
         bench.advance(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;

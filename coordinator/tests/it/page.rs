@@ -93,7 +93,7 @@ pub(crate) async fn http(url: &str, request: &str) -> Answer {
     answer.await.expect("an answer")
 }
 
-/// Returns a campaign with two results and two queued jobs.
+/// Starts a coordinator with a campaign that has two results and two queued jobs.
 async fn half_finished() -> Bench {
     let bench = Bench::start().await;
     bench.create(&small_spec("begun")).await.expect("created");
@@ -172,8 +172,8 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
         assert_eq!(answer.header("cache-control"), Some("no-store"));
         // A browser that already has the page does not get it again.
         let tag = answer.header("etag").expect("a tag");
-        let again = http(&bench.url, &format!("GET {address}\nif-none-match: {tag}")).await;
-        assert_eq!((again.code, again.body.len()), (304, 0), "{address}");
+        let second = http(&bench.url, &format!("GET {address}\nif-none-match: {tag}")).await;
+        assert_eq!((second.code, second.body.len()), (304, 0), "{address}");
     }
 }
 
@@ -196,7 +196,7 @@ async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
     let bench = half_finished().await;
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
-        // Longer than the back-off of a failed rollout.
+        // Waits longer than the back-off of a failed rollout.
         bench.advance(10).await;
         let lease = worker.claim_one().await;
         worker.release(&lease, Reason::PolicyMisbehaved).await;
@@ -316,9 +316,9 @@ async fn a_video_is_sent_whole_and_in_ranges() {
         Some("bytes 100000-100009/200000")
     );
     assert_eq!(part.body, film[100_000..100_010]);
-    let beyond = http(&bench.url, &format!("GET {address}\nrange: bytes=200000-")).await;
+    let beyond_end = http(&bench.url, &format!("GET {address}\nrange: bytes=200000-")).await;
     assert_eq!(
-        (beyond.code, beyond.header("content-range")),
+        (beyond_end.code, beyond_end.header("content-range")),
         (416, Some("bytes */200000"))
     );
 

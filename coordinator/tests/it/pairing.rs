@@ -21,7 +21,8 @@ async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
     (bench, worker, lease)
 }
 
-/// Commits a result with an altered provenance and asserts that it is refused with these words.
+/// Commits a result with an altered provenance, and asserts that the result is refused and that the
+/// explanation contains all `words`.
 async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str]) {
     let (bench, mut worker, lease) = commit_siblings().await;
     let mut report = worker.report(&lease, true);
@@ -297,9 +298,9 @@ async fn digests_and_realised_values_are_stored_with_the_result() {
 #[tokio::test]
 async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     let (bench, mut worker, lease) = commit_siblings().await;
-    let good = worker.report(&lease, true);
+    let valid = worker.report(&lease, true);
     let mut check = async |alter: &dyn Fn(&mut wire::CommitRequest), word: &str| {
-        let mut request = good.clone();
+        let mut request = valid.clone();
         alter(&mut request);
         let refused = worker.service.commit(request).await.expect_err(word);
         assert_eq!(refused.code(), Code::InvalidArgument);

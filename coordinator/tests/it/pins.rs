@@ -27,16 +27,18 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
     let mut first = bench.worker_on("a", "primitives").await;
-    let mut other = bench.worker_on("b", "libero").await;
+    let mut second = bench.worker_on("b", "libero").await;
     // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
-    let (lease, other_lease) = (first.claim_one().await, other.claim_one().await);
+    let (lease, other_lease) = (first.claim_one().await, second.claim_one().await);
     assert_eq!(bench.status("pinned").await.live_workers, 2);
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
     // The other worker's result is refused without a charge to its job or worker.
-    let (verdict, detail) = other.commit_request(other.report(&other_lease, true)).await;
+    let (verdict, detail) = second
+        .commit_request(second.report(&other_lease, true))
+        .await;
     assert_eq!(verdict, Verdict::Unpaired);
-    let response = other.claim_response("").await;
+    let response = second.claim_response("").await;
     assert!(response.lease.is_none());
     for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
         assert!(detail.contains(word), "{detail}");
@@ -53,13 +55,13 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
     let mut first = bench.worker_with_renderer("a", "primitives", "one").await;
-    let mut other = bench
+    let mut second = bench
         .worker_with_renderer("b", "primitives", "another")
         .await;
     let lease = first.claim_one().await;
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     for warm in ["", "libero_object/0"] {
-        let response = other.claim_response(warm).await;
+        let response = second.claim_response(warm).await;
         assert!(response.lease.is_none());
         for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
             assert!(response.idle_reason.contains(word), "{response:?}");
@@ -88,7 +90,7 @@ async fn a_result_that_is_refused_pins_nothing() {
 /// Replaced weights or another `--execute` make a different policy: the campaign's jobs wait until
 /// the measured policy is back, and no attempt is charged.
 #[tokio::test]
-async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
+async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
     for (difference, replace) in [
         ("execute is `1` now and was `8`", replace_execute as Replace),
         (

@@ -218,7 +218,7 @@ async fn a_killed_coordinator_continues_after_a_restart() {
 /// Regression: sweeps a second apart were taken for a suspension, so that leases of two seconds or
 /// less never expired.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_shortest_leases_expire_too() {
+async fn leases_of_one_and_two_seconds_expire() {
     for secs in ["1", "2"] {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let serve = Serve::start_with(folder.path(), &["--lease-secs", secs], Stdio::null());
@@ -228,15 +228,15 @@ async fn the_shortest_leases_expire_too() {
         assert_eq!(held.len(), 14);
         let mut other = serve.worker("other").await;
         let began = Instant::now();
-        let taken = loop {
+        let new_lease = loop {
             if let Some(lease) = other.claim(1).await.pop() {
                 break lease;
             }
             assert!(began.elapsed() < Duration::from_secs(20), "{secs} s");
             tokio::time::sleep(Duration::from_millis(50)).await;
         };
-        let lost = held.iter().find(|lease| lease.job_id == taken.job_id);
-        let late = silent.commit(lost.expect("a lost lease"), true).await;
+        let old_lease = held.iter().find(|lease| lease.job_id == new_lease.job_id);
+        let late = silent.commit(old_lease.expect("a lost lease"), true).await;
         assert_eq!(late, Verdict::Stale);
     }
 }
@@ -364,8 +364,8 @@ fn an_unreachable_coordinator_is_named_after_retries() {
 
 #[test]
 fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let address = taken.local_addr().expect("an address").to_string();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = listener.local_addr().expect("an address").to_string();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().to_str().expect("UTF-8");
     let error = &fail(
@@ -466,16 +466,16 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     std::fs::write(&spec, &printed.stdout).expect("written");
     let spec = spec.to_str().expect("UTF-8");
     succeed(serve.command(&create));
-    let again = serve.command(&["campaign", "create", "--spec", spec]);
-    let output = text(&again.stdout);
+    let output_of_spec = serve.command(&["campaign", "create", "--spec", spec]);
+    let output = text(&output_of_spec.stdout);
     assert!(
         output.contains("exists already, with this specification"),
         "{output}{}",
-        text(&again.stderr)
+        text(&output_of_spec.stderr)
     );
     // A specification that is read from this text is printed as the same text.
-    let again = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
-    assert_eq!(text(&again.stdout), text(&printed.stdout));
+    let output_of_spec = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
+    assert_eq!(text(&output_of_spec.stdout), text(&printed.stdout));
 }
 
 #[test]

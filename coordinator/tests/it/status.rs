@@ -120,8 +120,8 @@ async fn the_policy_of_a_deleted_campaign_is_no_longer_listed() {
         names.collect::<Vec<_>>()
     };
     assert_eq!(listed().await, ["expert", "gone"]);
-    let done = bench.delete("deleted", "deleted").await;
-    done.expect("deleted");
+    let deletion = bench.delete("deleted", "deleted").await;
+    deletion.expect("deleted");
     assert_eq!(listed().await, ["expert"]);
 }
 
@@ -183,8 +183,8 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let bottleneck = "bottleneck: the policy's server, which answers no faster. More slots do not \
                  help; 2 slots would suffice";
     assert!(printed.contains(bottleneck), "{printed}");
-    let wrong = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
-    assert_eq!(wrong.status.code(), Some(2));
+    let invalid_rate = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
+    assert_eq!(invalid_rate.status.code(), Some(2));
     let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
     assert_eq!(no_dry_run.status.code(), Some(2));
 }

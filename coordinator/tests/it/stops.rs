@@ -233,7 +233,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     // Commits all rollouts of the next configuration, which does not count, and then the last
     // rollout that counts.
     let leases = worker.claim(10).await;
-    let beyond = id(&leases[9]);
+    let later_configuration = id(&leases[9]);
     for lease in leases.iter().rev() {
         let committed = worker.commit(lease, succeeds(&id(lease))).await;
         assert_eq!(committed, Verdict::Accepted);
@@ -274,13 +274,14 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     assert_eq!(measured["looked_for"], planted.configurations);
     assert_eq!(measured["found"], planted.configurations);
     let is_of_later_configuration = |threshold: &Value| {
-        let number = beyond.config().map(Value::from);
-        threshold["task"] == json!(beyond.task()) && Some(&threshold["config"]) == number.as_ref()
+        let number = later_configuration.config().map(Value::from);
+        threshold["task"] == json!(later_configuration.task())
+            && Some(&threshold["config"]) == number.as_ref()
     };
     let thresholds = measured["thresholds"].as_array().expect("thresholds");
     assert!(
         !thresholds.iter().any(is_of_later_configuration),
-        "{beyond} does not count"
+        "{later_configuration} does not count"
     );
     for name in ["early-thresholds", "early-explained", "early"] {
         succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
@@ -293,11 +294,11 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
 async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Value {
     let began = Instant::now();
     loop {
-        let found = printed(serve, &[arguments, &["--create", "--json"]].concat());
-        if found["complete"] == true && found["rollouts"].as_u64() > Some(0) {
-            return found;
+        let findings = printed(serve, &[arguments, &["--create", "--json"]].concat());
+        if findings["complete"] == true && findings["rollouts"].as_u64() > Some(0) {
+            return findings;
         }
-        assert!(began.elapsed() < PATIENCE, "{found}");
+        assert!(began.elapsed() < PATIENCE, "{findings}");
         for lease in worker.claim(64).await {
             let committed = worker.commit(&lease, succeeds(&id(&lease))).await;
             assert_eq!(committed, Verdict::Accepted);
@@ -374,8 +375,8 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     }
     let serve = Serve::start(folder.path());
     assert_eq!(stopped(&serve, "early").await["early_stop"], expected);
-    let found = serve.command(&report).stdout;
-    assert!(found == expected_report, "{}", text(&found));
+    let final_report = serve.command(&report).stdout;
+    assert!(final_report == expected_report, "{}", text(&final_report));
 }
 
 /// Returns a campaign whose stop rule is never met; the rule only gives it a random order.
@@ -402,10 +403,10 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     }
     let rule = "difference excludes 0";
     #[rustfmt::skip]
-    let found = printed(&serve, &[
+    let comparison = printed(&serve, &[
         "compare", "strong", "weak", "--sequential", "--stop", rule, "--json",
     ]);
-    let sequential = &found["sequential"];
+    let sequential = &comparison["sequential"];
     assert_eq!(sequential["rule"], rule);
     let cells = sequential["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 4);
@@ -422,8 +423,8 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
         assert!((2..20).contains(&after), "{cell}");
     }
     // The result is also printed as text without being requested.
-    let found = serve.command(&["compare", "strong", "weak"]);
-    let words = text(&found.stdout);
+    let comparison = serve.command(&["compare", "strong", "weak"]);
+    let words = text(&comparison.stdout);
     assert!(
         words.contains("20 of 40") && words.contains("seed 7"),
         "{words}"

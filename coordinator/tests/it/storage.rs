@@ -228,12 +228,12 @@ async fn check_film_lifecycle(
 #[tokio::test(flavor = "multi_thread")]
 async fn films_are_stored_in_another_folder() {
     let folder = tempfile::tempdir().expect("a folder");
-    let place = folder.path().join("films");
+    let storage_folder = folder.path().join("films");
     let stored = || {
-        let campaign = std::fs::read_dir(place.join("artifacts/filmed"));
+        let campaign = std::fs::read_dir(storage_folder.join("artifacts/filmed"));
         campaign.map_or(0, Iterator::count)
     };
-    check_film_lifecycle(&place.display().to_string(), &[], &stored).await;
+    check_film_lifecycle(&storage_folder.display().to_string(), &[], &stored).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -69,12 +69,15 @@ async fn planted_thresholds_are_found_again() {
         json!(false)
     );
 
-    let found = measured(&serve, &[]).await;
+    let findings_json = measured(&serve, &[]).await;
     let mut printed = BTreeSet::new();
-    keys(&found, "", &mut printed);
+    keys(&findings_json, "", &mut printed);
     assert_eq!(printed, documented("thresholds"));
-    assert_eq!([&found["looked_for"], &found["found"]], [30, 30]);
-    for threshold in list(&found, "thresholds") {
+    assert_eq!(
+        [&findings_json["looked_for"], &findings_json["found"]],
+        [30, 30]
+    );
+    for threshold in list(&findings_json, "thresholds") {
         let number = |key: &str| threshold[key].as_f64();
         let [condition, task] = ["condition", "task"].map(|key| threshold[key].as_str());
         let (condition, task) = (condition.expect("a name"), task.expect("a name"));
@@ -102,7 +105,7 @@ async fn planted_thresholds_are_found_again() {
             }
         }
     }
-    for curve in list(&found, "curves") {
+    for curve in list(&findings_json, "curves") {
         assert_eq!([&curve["n"], &curve["nominal_fails"]], [10, 1]);
         assert_eq!(curve["points"][0]["survival"], json!(0.9));
         let half = &curve["half_success"];
@@ -131,7 +134,7 @@ async fn planted_thresholds_are_found_again() {
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
     // Creating the same campaign again adds no rollout; text and figures show the same findings.
-    assert_eq!(findings(&serve, "thresholds", &[]), found);
+    assert_eq!(findings(&serve, "thresholds", &[]), findings_json);
     let figures = folder.path().join("figures");
     let figures = figures.to_string_lossy();
     let output = serve.command(&["thresholds", "first", "--figures", &figures]);
@@ -184,12 +187,12 @@ async fn language_is_measured_at_its_own_levels_only() {
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/4",
         "--levels", "L2", "--configs", "0", "--axes", "camera,language",
     ]));
-    let found = measured(
+    let findings_json = measured(
         &serve,
         &["--axes", "language,simultaneous", "--tolerance", "0.1"],
     )
     .await;
-    assert_eq!(found["rollouts"], 4);
+    assert_eq!(findings_json["rollouts"], 4);
     let jobs = serve.command(&["jobs", "list", "first-thresholds"]);
     for level in ["L1", "L3"] {
         for condition in ["language", "combination"] {
@@ -271,10 +274,16 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
 async fn thresholds_stay_within_their_budget() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
-    let found = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
-    assert!(found["rollouts"].as_u64() <= Some(100), "{found}");
+    let findings_json = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
+    assert!(
+        findings_json["rollouts"].as_u64() <= Some(100),
+        "{findings_json}"
+    );
     // Four configurations, each with three conditions and at most 24 rollouts.
-    assert_eq!([&found["found"], &found["beyond_budget"]], [12, 18]);
+    assert_eq!(
+        [&findings_json["found"], &findings_json["beyond_budget"]],
+        [12, 18]
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

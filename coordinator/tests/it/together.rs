@@ -61,24 +61,28 @@ async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
 async fn batched_reports_each_get_their_own_verdict() {
     let (bench, mut worker, leases) = twelve_leases().await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let good: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
+    let accepted: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
         .iter()
         .map(|index| &leases[*index])
         .map(|lease| (worker.report(lease, true), Verdict::Accepted))
         .collect();
-    let mut moved = worker.report(&leases[3], true);
-    moved.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
+    let mut unpaired = worker.report(&leases[3], true);
+    unpaired
+        .provenance
+        .as_mut()
+        .expect("provenance")
+        .scene_digest = sha("moved");
     worker.release(&leases[9], Reason::Draining).await;
     let stale = worker.report(&leases[9], true);
-    let again = worker.report(&leases[0], true);
+    let duplicate = worker.report(&leases[0], true);
     let divergent = worker.report(&leases[0], false);
     let not_accepted = [
-        (again, Verdict::Duplicate),
+        (duplicate, Verdict::Duplicate),
         (divergent, Verdict::Divergent),
-        (moved, Verdict::Unpaired),
+        (unpaired, Verdict::Unpaired),
         (stale, Verdict::Stale),
     ];
-    let mixed: Vec<_> = good.into_iter().chain(not_accepted).collect();
+    let mixed: Vec<_> = accepted.into_iter().chain(not_accepted).collect();
     let requests = mixed.iter().map(|(report, _)| {
         let (mut worker, report) = (worker.clone(), report.clone());
         async move { worker.commit_request(report).await.0 }

@@ -339,7 +339,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
 #[tokio::test]
 async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     let folder = Bench::start().await.stop().await;
-    let made = schema(folder.path()).await;
+    let expected = schema(folder.path()).await;
     let pool = open_database(folder.path()).await;
     sqlx::raw_sql(
         "DELETE FROM _sqlx_migrations WHERE version = 4;
@@ -352,6 +352,6 @@ async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     pool.close().await;
     let clock = Arc::new(ManualClock::at(UnixMillis(NOW_MS)));
     let folder = Bench::start_in(folder, clock).await.stop().await;
-    assert_eq!(schema(folder.path()).await, made);
+    assert_eq!(schema(folder.path()).await, expected);
     assert_eq!(check(folder.path()).await.expect("a database"), []);
 }
