@@ -80,7 +80,7 @@ async fn main() -> Result<()> {
     )
     .await?;
     let (jobs, expand_secs) = create(&queue, &spec("bench", arguments.jobs)?).await?;
-    let moved = Arc::new(Mutex::new(Vec::new()));
+    let step_secs = Arc::new(Mutex::new(Vec::new()));
 
     let mut background = JoinSet::new();
     for worker in 0..arguments.slots.div_ceil(arguments.slots_per_worker) {
@@ -99,7 +99,7 @@ async fn main() -> Result<()> {
         background.spawn(move_other_campaign(
             queue.clone(),
             arguments.beside,
-            moved.clone(),
+            step_secs.clone(),
         ));
     }
 
@@ -129,7 +129,8 @@ async fn main() -> Result<()> {
         expand_secs,
         &folder,
     )?;
-    report["beside_create_copy_delete_import_secs"] = json!(*moved.lock().expect("nothing panics"));
+    report["beside_create_copy_delete_import_secs"] =
+        json!(*step_secs.lock().expect("nothing panics"));
     println!("{}", serde_json::to_string_pretty(&report)?);
     queue.close().await?;
     Ok(())
@@ -160,15 +161,15 @@ async fn create(queue: &Queue, campaign: &NewCampaign) -> Result<(u64, f64)> {
 async fn move_other_campaign(
     queue: Arc<Queue>,
     jobs: u64,
-    moved: Arc<Mutex<Vec<[f64; 4]>>>,
+    step_secs: Arc<Mutex<Vec<[f64; 4]>>>,
 ) -> Result<()> {
-    let mut other = spec("other", jobs)?;
-    // Lower priority, so that the slots only run the first campaign.
-    other.priority = -1;
+    let mut campaign = spec("other", jobs)?;
+    // The priority is lower, so that the slots run only the first campaign.
+    campaign.priority = -1;
     let name = CampaignName::parse("other")?;
     loop {
         let folder = tempfile::tempdir()?;
-        let (_, created) = create(&queue, &other).await?;
+        let (_, created) = create(&queue, &campaign).await?;
         let began = Instant::now();
         let (copy, _) = queue.copy_campaign(&name, folder.path()).await?;
         let copied = began.elapsed().as_secs_f64();
@@ -180,8 +181,8 @@ async fn move_other_campaign(
         let imported = began.elapsed().as_secs_f64();
         copy.close().await?;
         queue.delete_campaign(&name).await?;
-        let mut moved = moved.lock().expect("nothing panics");
-        moved.push([created, copied, deleted, imported]);
+        let mut step_secs = step_secs.lock().expect("nothing panics");
+        step_secs.push([created, copied, deleted, imported]);
     }
 }
 
@@ -251,7 +252,7 @@ async fn first_failure(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
     std::future::pending().await
 }
 
-/// Counts the rollouts committed in each second until all are.
+/// Counts the rollouts committed in each second until all jobs are committed.
 async fn watch(measured: &Measured, jobs: u64) -> Vec<u64> {
     let mut seconds = Vec::new();
     let mut before = 0;
@@ -273,9 +274,10 @@ fn report(
     expand_secs: f64,
     folder: &Path,
 ) -> Result<Value> {
-    // Leaves out the ramp-up of the first seconds and the tail of the last ones.
-    let inner = &seconds[2.min(seconds.len())..seconds.len().saturating_sub(3).max(2)];
-    let mut sorted = inner.to_vec();
+    // Leaves out the first two seconds, in which the slots start, and the last three, in which the
+    // jobs run out.
+    let middle = &seconds[2.min(seconds.len())..seconds.len().saturating_sub(3).max(2)];
+    let mut sorted = middle.to_vec();
     sorted.sort_unstable();
     let database = std::fs::metadata(folder.join(DATABASE_FILE))?.len();
     let log = std::fs::metadata(folder.join(format!("{DATABASE_FILE}-wal")))?.len();
@@ -289,7 +291,7 @@ fn report(
         "expand_secs": expand_secs,
         "elapsed_secs": elapsed.as_secs_f64(),
         "committed_per_sec": {
-            "mean": inner.iter().sum::<u64>() as f64 / inner.len().max(1) as f64,
+            "mean": middle.iter().sum::<u64>() as f64 / middle.len().max(1) as f64,
             "least": sorted.first(),
             "median": sorted.get(sorted.len() / 2),
             "most": sorted.last(),
@@ -307,13 +309,18 @@ fn report(
 fn percentiles(micros: &Mutex<Vec<u64>>) -> Value {
     let mut micros = micros.lock().expect("no slot panicked").clone();
     micros.sort_unstable();
-    let at = |share: f64| {
-        let place = (micros.len() as f64 * share) as usize;
+    let quantile = |share: f64| {
+        let index = (micros.len() as f64 * share) as usize;
         micros
-            .get(place.min(micros.len().saturating_sub(1)))
+            .get(index.min(micros.len().saturating_sub(1)))
             .map(|micros| *micros as f64 / 1e3)
     };
-    json!({"p50": at(0.5), "p90": at(0.9), "p99": at(0.99), "most": at(1.0)})
+    json!({
+        "p50": quantile(0.5),
+        "p90": quantile(0.9),
+        "p99": quantile(0.99),
+        "most": quantile(1.0),
+    })
 }
 
 fn record_latency(micros: &Mutex<Vec<u64>>, began: Instant) {
@@ -369,8 +376,8 @@ fn pin() -> Pin {
     }
 }
 
-/// Returns the report of a rollout with a random outcome, and with the digests and realised values
-/// of its sibling rollouts.
+/// Returns the report of a rollout with a random outcome. Digests and realised values equal those
+/// of the other rollouts from the same initial state.
 fn outcome(
     worker: &WorkerId,
     job: &Assigned,
@@ -381,7 +388,7 @@ fn outcome(
     let mut realised = Realised::default();
     for axis in row.perturbation.axes() {
         let parameters = row.perturbation.values(axis);
-        // The number of elements of four lights.
+        // The lighting axis has this number of elements in a scene with four lights.
         realised.add(axis, parameters, vec![0.1; 48]);
     }
     CommitReport {
@@ -404,7 +411,7 @@ fn outcome(
             prompt: None,
         },
         provenance: Provenance {
-            // One machine per worker.
+            // Each worker counts as a machine.
             host: worker.0.clone(),
             pin: pin(),
             fingerprint: digest("fingerprint"),

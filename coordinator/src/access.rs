@@ -1,6 +1,6 @@
 //! Access table of the coordinator: maps each path to a gRPC call or a page, and to the roles that
-//! may access it. Calls not listed here require the operator role, so that new calls are closed by
-//! default.
+//! may access it. A call that is not listed here requires the operator role, so that a new call is
+//! closed to viewers and workers by default.
 
 use transport::{Allowed, Resource, Role};
 
@@ -8,7 +8,7 @@ use transport::{Allowed, Resource, Role};
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
 pub(crate) const LOG_IN: &str = "/login";
 
-/// Path prefix of the calls for workers.
+/// Path prefix of the worker service's calls.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
 /// Read-only calls of the operator service.
 const READ_ONLY_CALLS: [&str; 8] = [

@@ -28,13 +28,14 @@ use crate::reading::ReadError;
 pub use pack::{Package, package};
 pub use unpack::{Unpacked, unpack};
 
-/// Version of the archive format; archives with a newer one are rejected.
+/// Version of the archive format; archives of a newer format are rejected.
 const FORMAT: u32 = 1;
 /// Member that holds the table of contents.
 const CONTENTS_FILE: &str = "archive.json";
 /// Prefix of temporary folders for campaigns being exported or imported.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
+/// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
     pub format: u32,
@@ -45,13 +46,13 @@ pub struct Contents {
     pub campaign: String,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Outcomes of the source campaign, if this campaign is derived from one.
+    /// Outcomes of the source campaign; `None` if this campaign is not derived.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
-    /// Archives that were merged into this one; empty unless merged.
+    /// Archives that were merged into this one; empty if `coordinator merge` did not write it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub merged_from: Vec<MergedArchive>,
-    /// The other members, in order.
+    /// Members after the table of contents, in order.
     pub members: Vec<Member>,
 }
 
@@ -65,6 +66,7 @@ pub struct MergedArchive {
     pub database: String,
 }
 
+/// File in an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
     pub name: String,
@@ -74,7 +76,7 @@ pub struct Member {
     pub sha256: String,
 }
 
-/// Error of writing or reading an archive. `archive` names its file.
+/// Error of writing or reading an archive. `archive` is the name of the archive's file.
 #[derive(Debug, thiserror::Error)]
 pub enum ArchiveError {
     #[error("read archive {archive}: is it there, and may this user read it?")]

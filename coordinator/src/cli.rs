@@ -102,7 +102,7 @@ enum Command {
     /// Find the minimal subsets of the axes that cause emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
     /// Measure the radius at which each configuration's success turns to failure, and the radius at
-    /// which half of them fail.
+    /// which half of the configurations fail.
     Thresholds(thresholds::ThresholdsArguments),
     /// Report the effects of the axes alone and together in a campaign that ran every subset of
     /// them: success by subset, interactions, and each axis's share.
@@ -164,12 +164,12 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
     terminal::log(default_level);
     let runtime = Runtime::new().context("start the asynchronous runtime");
     let runtime = runtime.map_err(CommandError::Failure);
-    let done = runtime.and_then(|runtime| runtime.block_on(execute(arguments.command)));
-    let (error, code) = match done {
+    let outcome = runtime.and_then(|runtime| runtime.block_on(execute(arguments.command)));
+    let (error, code) = match outcome {
         Ok(()) => return ExitCode::SUCCESS,
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),
-        Err(CommandError::Judged) => return ExitCode::FAILURE,
+        Err(CommandError::FaultsPrinted) => return ExitCode::FAILURE,
     };
     if terminal::reader_is_gone(&*error) {
         return ExitCode::SUCCESS;

@@ -16,7 +16,7 @@ use transport::{
 
 /// Default time for which a command retries an unreachable coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);
-/// First and longest pause between retries; each pause doubles the one before.
+/// First and longest pause between retries; each pause is twice the previous one.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 /// Timeout of one connection attempt.
@@ -120,7 +120,7 @@ impl Client {
     pub async fn next<T>(&self, answer: &mut Streaming<T>) -> Result<Option<T>, ClientError> {
         match answer.message().await {
             Ok(next) => Ok(next),
-            Err(status) => Err(self.failed(&status, self.peer.diagnose(&status).await)),
+            Err(status) => Err(self.call_error(&status, self.peer.diagnose(&status).await)),
         }
     }
 
@@ -145,7 +145,7 @@ impl Client {
                 None => status.code() == Code::Unavailable,
             };
             if !is_transient || Instant::now() + pause > deadline {
-                return Err(self.failed(&status, trouble));
+                return Err(self.call_error(&status, trouble));
             }
             if !is_reported {
                 is_reported = true;
@@ -164,7 +164,9 @@ impl Client {
         }
     }
 
-    fn failed(&self, status: &Status, trouble: Option<ConnectError>) -> ClientError {
+    /// Converts the status of a failed call to an error; `trouble` describes why the coordinator
+    /// could not be reached.
+    fn call_error(&self, status: &Status, trouble: Option<ConnectError>) -> ClientError {
         if let Some(trouble) = trouble {
             return ClientError::Unreachable {
                 url: self.url.clone(),

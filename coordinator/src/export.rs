@@ -62,8 +62,8 @@ pub async fn lines(
 ) -> Result<impl Stream<Item = Result<String, ReadError>> + Send + use<>, QueueError> {
     let campaign = queue.view().await?.campaign(name).await?;
     // Last row of the previous page; `None` once the last page was read.
-    let first: Option<(String, u32)> = Some((String::new(), 0));
-    let pages = stream::try_unfold((queue, first), move |(queue, last)| async move {
+    let before_first_row: Option<(String, u32)> = Some((String::new(), 0));
+    let pages = stream::try_unfold((queue, before_first_row), move |(queue, last)| async move {
         let Some((rollout_id, replicate)) = last else {
             return Ok::<_, ReadError>(None);
         };
@@ -85,11 +85,11 @@ pub async fn lines(
 }
 
 fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
-    let in_row = |error: serde_json::Error| ReadError::Row {
+    let row_error = |error: serde_json::Error| ReadError::Row {
         rollout_id: result.rollout_id.clone(),
         source: error.into(),
     };
-    let row: ManifestRow = serde_json::from_str(&result.manifest_row).map_err(in_row)?;
+    let row: ManifestRow = serde_json::from_str(&result.manifest_row).map_err(row_error)?;
     let task = row.id.task();
     serde_json::to_string(&ExportRow {
         rollout_id: row.id,
@@ -111,11 +111,11 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         goal_predicates: result.goal_predicates,
         goal_at_end: result.goal_at_end,
         goal_at_most: result.goal_at_most,
-        // Other rollouts' prompts follow from their ids.
+        // The prompt of a rollout that is not a variant follows from its id.
         prompt: result
             .prompt
             .as_deref()
             .filter(|_| row.id.variant().is_some()),
     })
-    .map_err(in_row)
+    .map_err(row_error)
 }

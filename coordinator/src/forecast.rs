@@ -8,9 +8,10 @@ use terminal::{counted, wrapped};
 
 use crate::words::duration_text;
 
-/// Share of waiting in a rollout's time from which the text explains it, percent.
+/// Share of waiting in a rollout's time from which the text explains the waiting, percent.
 const LARGE_WAITING_PERCENT: f64 = 20.0;
 
+/// Converts a forecast to its gRPC message.
 pub fn message(forecast: Forecast) -> ForecastResponse {
     ForecastResponse {
         workers: forecast.workers,
@@ -68,7 +69,7 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
     )];
     let measured_policies = match forecast.is_of_policy {
         true => format!("of {policy}"),
-        false => format!("of other policies; none of {policy} was"),
+        false => format!("of other policies, since {policy} has none"),
     };
     lines.push(format!(
         "measured on {} {measured_policies}",
@@ -82,7 +83,7 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
     }
     match &forecast.speed {
         Some(speed) => {
-            lines.push(parts(speed));
+            lines.push(phase_shares(speed));
             lines.extend(bottleneck(speed, forecast.slots));
         }
         None => lines.push(
@@ -90,13 +91,13 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
         ),
     }
     let first = wrapped("", 2, &lines.remove(0));
-    let others = lines.iter().map(|line| wrapped("  ", 4, line));
-    let wrapped_lines: Vec<String> = [first].into_iter().chain(others).collect();
+    let indented = lines.iter().map(|line| wrapped("  ", 4, line));
+    let wrapped_lines: Vec<String> = [first].into_iter().chain(indented).collect();
     wrapped_lines.join("\n")
 }
 
-/// Describes the mean time of a rollout and its share by phase.
-pub fn parts(speed: &Speed) -> String {
+/// Describes the mean time of a rollout and the share of each phase in it.
+pub fn phase_shares(speed: &Speed) -> String {
     let spans = [
         ("physics", speed.physics_secs),
         ("drawing", speed.drawing_secs),
@@ -130,7 +131,7 @@ pub fn parts(speed: &Speed) -> String {
 }
 
 /// Describes the bottleneck of rollouts on `slots` slots and the effect of more slots; `None` if
-/// unknown.
+/// the bottleneck is unknown.
 pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough = speed.enough_slots?;
     let enough_duration = duration_text(speed.enough_slots_secs?);
@@ -242,7 +243,7 @@ mod tests {
 
     #[test]
     fn a_large_share_of_waiting_is_explained() {
-        let small = parts(&measured(Bottleneck::Slots).speed.expect("a speed"));
+        let small = phase_shares(&measured(Bottleneck::Slots).speed.expect("a speed"));
         assert!(small.contains("waiting 10 %; mean"), "{small}");
         let mostly_waiting = Speed {
             physics_secs: 3.0,
@@ -250,15 +251,15 @@ mod tests {
             ..Speed::default()
         };
         assert!(
-            parts(&mostly_waiting).contains("waiting 25 % (for cores, "),
+            phase_shares(&mostly_waiting).contains("waiting 25 % (for cores, "),
             "{}",
-            parts(&mostly_waiting)
+            phase_shares(&mostly_waiting)
         );
     }
 
     #[test]
-    fn parts_of_rollouts_without_duration_have_finite_shares() {
-        let speed = Speed::default();
-        assert!(parts(&speed).contains("physics 0 %"), "{}", parts(&speed));
+    fn phase_shares_of_rollouts_without_duration_are_0_percent() {
+        let text = phase_shares(&Speed::default());
+        assert!(text.contains("physics 0 %"), "{text}");
     }
 }

@@ -1,5 +1,5 @@
 //! gRPC services: validate requests, call the queue, and convert its results and errors to messages
-//! and statuses. Scheduling decisions are the queue's.
+//! and statuses. The queue makes all scheduling decisions.
 
 mod backup;
 mod detached;

@@ -13,7 +13,7 @@ use crate::storage::{Storage, StorageError};
 
 /// Interval between two scans for films.
 const SCAN_INTERVAL: Duration = Duration::from_secs(2);
-/// Concurrent uploads: the storage's latency exceeds the transfer time of a film.
+/// Number of concurrent uploads, since the storage's latency exceeds the transfer time of a film.
 const CONCURRENCY: usize = 8;
 /// Longest pause between retries while the storage fails.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);
@@ -51,34 +51,36 @@ async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
         .map_err(|error| describe(&error))?;
     // Started transfers run to their end, so that the storage keeps no partial upload; after a
     // failure of the storage no further transfer starts.
-    let is_down = AtomicBool::new(false);
+    let storage_failed = AtomicBool::new(false);
     let moves = stream::iter(films).map(|film| {
-        let is_down = &is_down;
+        let storage_failed = &storage_failed;
         async move {
-            if is_down.load(Ordering::Relaxed) {
+            if storage_failed.load(Ordering::Relaxed) {
                 return Ok(());
             }
             let moved = move_film(queue, storage, &film).await;
-            // A failure of one file does not stop the other transfers; a failure of the storage
-            // does.
+            // Only a failure of the storage stops the other transfers; a failure of one file does
+            // not.
             if let Err(MoveError::Storage(_)) = moved {
-                is_down.store(true, Ordering::Relaxed);
+                storage_failed.store(true, Ordering::Relaxed);
             }
             moved
         }
     });
     let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(CONCURRENCY).collect().await;
     let mut failed: Vec<MoveError> = moved.into_iter().filter_map(Result::err).collect();
-    if let Some(down) = failed
+    if let Some(index) = failed
         .iter()
         .position(|error| matches!(error, MoveError::Storage(_)))
     {
-        return Err(failed.swap_remove(down).into_words());
+        return Err(failed.swap_remove(index).into_message());
     }
     // Retries the removal of deleted campaigns' folders from the storage.
     let removed = queue.finish_removals().await;
     removed.map_err(|error| describe(&error))?;
-    failed.pop().map_or(Ok(()), |error| Err(error.into_words()))
+    failed
+        .pop()
+        .map_or(Ok(()), |error| Err(error.into_message()))
 }
 
 enum MoveError {
@@ -89,16 +91,16 @@ enum MoveError {
 }
 
 impl MoveError {
-    fn into_words(self) -> String {
-        let (Self::File(words) | Self::Storage(words)) = self;
-        words
+    fn into_message(self) -> String {
+        let (Self::File(message) | Self::Storage(message)) = self;
+        message
     }
 
     fn from_storage(error: &StorageError) -> Self {
-        let words = transport::chain(error);
+        let message = transport::chain(error);
         match error {
-            StorageError::File { .. } => Self::File(words),
-            _ => Self::Storage(words),
+            StorageError::File { .. } => Self::File(message),
+            _ => Self::Storage(message),
         }
     }
 }

@@ -15,9 +15,9 @@ use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
 
-/// Reads the current results of a campaign. Results of another realisation mode than the
-/// campaign's, which a commit refuses, are treated as missing and counted in `left_out`: the modes
-/// perturb differently and must not be pooled.
+/// Reads the current results of a campaign. A result of a realisation mode other than the
+/// campaign's is treated as missing and counted in `left_out`: the modes perturb differently and
+/// must not be pooled. The queue refuses to commit such results.
 ///
 /// # Errors
 /// If the database fails or holds a value that cannot be parsed.
@@ -126,7 +126,8 @@ async fn derived(
     }))
 }
 
-/// Returns a campaign's stop rule and whether it has stopped; `None` without a rule.
+/// Returns a campaign's stop rule and whether the campaign has stopped early; `None` if it has no
+/// rule.
 async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<EarlyStop>, ReadError> {
     let early = view.early_stop(campaign).await?;
     Ok(early.map(|early| EarlyStop {
@@ -135,6 +136,7 @@ async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<Early
     }))
 }
 
+/// Counts the executed actions with a component outside [-1, 1].
 async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRange, ReadError> {
     let (actions, of_actions, rollouts) = view.clipped_actions(campaign.id).await?;
     Ok(BeyondRange {
@@ -144,8 +146,8 @@ async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRang
     })
 }
 
-/// Returns digests of the setups of a campaign's rollouts. They reveal whether rollouts of the same
-/// id in two campaigns are comparable.
+/// Returns digests of the setups of a campaign's rollouts. Rollouts of the same id in two campaigns
+/// are comparable if their digests are equal.
 ///
 /// # Errors
 /// If the database fails or holds a manifest row that cannot be parsed.
@@ -174,8 +176,9 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
             setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
         }
-        // The digest leaves out the state's slot in the design and the paraphrase's name, which the
-        // policy never observes, and the execution model, which a report compares by itself.
+        // The digest leaves out the initial state's slot in the design and the paraphrase's name,
+        // which the policy never observes, and the execution model, which a report compares
+        // separately.
         let observed = ManifestRow {
             init_slot: 0,
             variant_id: None,

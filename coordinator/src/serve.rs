@@ -33,6 +33,8 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// would stall 16 times per chunk.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
+
+/// Configuration of a coordinator.
 pub struct Config {
     pub data: PathBuf,
     /// Durations of leases, heartbeats and timeouts.
@@ -159,8 +161,8 @@ impl Coordinator {
                 mirror::run(queue.clone(), storage),
             );
         }
-        // A task of its own, since a sweep waits for the database writer while connections and
-        // signals must not.
+        // The sweep is a separate task, since it waits for the database writer, for which the
+        // handling of connections and signals must not wait.
         background.spawn("the sweep", sweep(queue.clone(), self.min_free_bytes));
         let routes = Routes::from(page::merge_routes(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {

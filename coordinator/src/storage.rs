@@ -28,7 +28,7 @@ const RETRY_FOR: Duration = Duration::from_secs(20);
 /// Longest quotation of the storage's error message, bytes; responses may have any length.
 const QUOTED_BYTES: usize = 500;
 
-/// Folder, or bucket with a key prefix.
+/// Storage of films and archives: a folder, or a bucket with a key prefix.
 #[derive(Clone, Debug)]
 pub struct Storage {
     store: Arc<dyn ObjectStore>,
@@ -38,7 +38,7 @@ pub struct Storage {
     location: String,
 }
 
-/// Object, or a range of one, being read.
+/// Object, or byte range of an object, that is being read.
 #[derive(Debug)]
 pub struct ObjectRange {
     /// Byte range within the object.
@@ -60,15 +60,15 @@ impl std::fmt::Debug for BoxedBytes {
 #[derive(Debug, thiserror::Error)]
 pub enum StorageError {
     #[error(
-        "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server of one's own"
+        "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server other than AWS"
     )]
     Location { location: String },
     #[error("make folder {}: may this user write there?", path.display())]
     Folder { path: PathBuf, source: io::Error },
-    #[error("{doing} {key} at storage {location}: {problem}")]
+    #[error("{verb} {key} at storage {location}: {problem}")]
     Remote {
         /// Verb of the failed action, such as `fetch`.
-        doing: &'static str,
+        verb: &'static str,
         key: String,
         location: String,
         problem: String,
@@ -133,7 +133,8 @@ impl Storage {
         })
     }
 
-    /// Opens the storage of an object's address; returns it with the object's key.
+    /// Opens the storage that holds the object at `address`; returns the storage and the object's
+    /// key.
     ///
     /// # Errors
     /// If the address is invalid or names no object.
@@ -163,8 +164,8 @@ impl Storage {
             source,
         };
         let mut from = tokio::fs::File::open(file).await.map_err(unreadable)?;
-        let at = self.key(key);
-        let mut to = BufWriter::new(self.store.clone(), at.clone());
+        let full_key = self.key(key);
+        let mut to = BufWriter::new(self.store.clone(), full_key.clone());
         let copied = tokio::io::copy(&mut from, &mut to).await;
         let copied = match copied {
             Ok(bytes) => to.shutdown().await.map(|()| bytes),
@@ -175,7 +176,7 @@ impl Storage {
             }
         };
         let bytes = copied.map_err(|error| self.failed("store", key, &error))?;
-        let stored = self.store.head(&at).await;
+        let stored = self.store.head(&full_key).await;
         let stored = stored.map_err(|error| self.failed("find", key, &error))?;
         match stored.size == bytes {
             true => Ok(()),
@@ -231,14 +232,14 @@ impl Storage {
             range,
             ..GetOptions::default()
         };
-        let found = match self.store.get_opts(&self.key(key), options).await {
-            Ok(found) => found,
+        let response = match self.store.get_opts(&self.key(key), options).await {
+            Ok(response) => response,
             Err(object_store::Error::NotFound { .. }) => return Ok(None),
             Err(error) => return Err(self.failed("fetch", key, &error)),
         };
-        let (range, size_bytes) = (found.range.clone(), found.meta.size);
+        let (range, size_bytes) = (response.range.clone(), response.meta.size);
         let (storage, key) = (self.clone(), key.to_owned());
-        let bytes = found
+        let bytes = response
             .into_stream()
             .map_err(move |error| storage.failed("fetch", &key, &error));
         Ok(Some(ObjectRange {
@@ -253,10 +254,10 @@ impl Storage {
     /// # Errors
     /// If the storage fails.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
-        let at = self.key(folder);
+        let prefix = self.key(folder);
         let all = self
             .store
-            .list(Some(&at))
+            .list(Some(&prefix))
             .map_ok(|object| object.location)
             .boxed();
         let removed = self
@@ -269,7 +270,7 @@ impl Storage {
         }
     }
 
-    /// Removes an object; a missing one is no error.
+    /// Removes an object; a missing object is no error.
     ///
     /// # Errors
     /// If the storage fails.
@@ -280,19 +281,20 @@ impl Storage {
         }
     }
 
-    fn key(&self, below: &str) -> Key {
-        let parts = below.split('/').filter(|part| !part.is_empty());
+    /// Returns the full key of a path within the storage.
+    fn key(&self, path: &str) -> Key {
+        let parts = path.split('/').filter(|part| !part.is_empty());
         parts.fold(self.prefix.clone(), |key, part| key.join(part))
     }
 
     fn failed(
         &self,
-        doing: &'static str,
+        verb: &'static str,
         key: &str,
         error: &(dyn std::error::Error + 'static),
     ) -> StorageError {
         StorageError::Remote {
-            doing,
+            verb,
             key: key.to_owned(),
             location: self.location.clone(),
             problem: shortened(&transport::innermost(error), QUOTED_BYTES).to_owned(),
@@ -319,9 +321,9 @@ mod tests {
     #[tokio::test]
     async fn an_object_of_another_size_is_refused_before_it_is_written() {
         let folder = tempfile::tempdir().expect("a folder");
-        let place = folder.path().join("storage");
-        let storage = Storage::open(&place.display().to_string()).expect("opens");
-        let film = std::fs::File::create(place.join("a.mp4")).expect("a file");
+        let storage_folder = folder.path().join("storage");
+        let storage = Storage::open(&storage_folder.display().to_string()).expect("opens");
+        let film = std::fs::File::create(storage_folder.join("a.mp4")).expect("a file");
         film.set_len(1 << 20).expect("a sparse file");
         let into = folder.path().join("fetched");
         let refused = storage.fetch("a.mp4", Some(7), &into).await;

@@ -15,10 +15,11 @@ const ACTION_BYTES_PER_STEP: f64 = 28.0;
 /// Fraction of configurations whose outcome simultaneous perturbation changed in the paper: 1,417
 /// of 8,400 over seven policies and three levels (table of paired outcomes, b + c).
 const PAPER_CHANGED_SHARE: f64 = 0.17;
-/// Largest such fraction of one policy at one level: 134 of 400.
+/// Largest fraction of such configurations for one policy at one level: 134 of 400.
 const PAPER_MAX_CHANGED_SHARE: f64 = 0.34;
 
-/// Describes the disk space and time of a campaign's videos; `None` if it records none.
+/// Describes the disk space and time of a campaign's videos; `None` if the campaign records no
+/// videos.
 pub fn describe(campaign: &NewCampaign) -> Option<String> {
     let steps = campaign.step_budget as f64;
     let videos = |share: f64| {

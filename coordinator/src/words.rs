@@ -52,11 +52,11 @@ pub fn rfc3339(at: UnixMillis) -> String {
 
 /// Describes the assets, simulator, renderer and program of a worker; empty values are left out.
 pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> String {
-    let named = |prefix: &str, version: &str| match version {
+    let labelled = |prefix: &str, version: &str| match version {
         "" => String::new(),
         version => format!("{prefix} {version}"),
     };
-    let (mujoco, program) = (named("MuJoCo", mujoco), named("program", program));
+    let (mujoco, program) = (labelled("MuJoCo", mujoco), labelled("program", program));
     let parts = [pack, &mujoco, renderer, &program];
     let present: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
     present.join(", ")

@@ -1,7 +1,7 @@
 //! Query plans: the cost of workers' calls, pages, metrics and the queue's own tasks does not
 //! depend on the size of a campaign. Every statement is captured, and SQLite's plan for it walks an
-//! index or a table of a few rows, never all jobs or results. A separate process, so that no
-//! statements of other tests are captured.
+//! index or a table of a few rows, never all jobs or results. The tests run in a separate process,
+//! so that no statements of other tests are captured.
 
 use std::collections::BTreeSet;
 use std::fmt::Debug;
@@ -45,8 +45,8 @@ const SMALL_INDICES: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "j
 /// Indices that frequent statements must walk.
 const REQUIRED_INDICES: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
-/// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why
-/// it may.
+/// Evidence that a loop of the table in docs/ARCHITECTURE.md does not walk all jobs of a campaign,
+/// or the reason why it may.
 enum Walks {
     /// Part of a statement that must be captured.
     Captured(&'static str),
@@ -87,8 +87,8 @@ const LOOPS: [(&str, Walks); 11] = [
 
 /// Returns the first column of the table of loops.
 fn documented_loops() -> Vec<&'static str> {
-    let map = include_str!("../../docs/ARCHITECTURE.md");
-    let table = map
+    let page = include_str!("../../docs/ARCHITECTURE.md");
+    let table = page
         .split_once("| loop | when | rows | walks |")
         .expect("the table")
         .1;
@@ -104,7 +104,8 @@ fn documented_loops() -> Vec<&'static str> {
 #[derive(Clone, Default)]
 struct CapturedStatements(Arc<Mutex<BTreeSet<String>>>);
 
-struct Text<'a>(&'a CapturedStatements);
+/// Visitor that records the statement in the fields of an sqlx event.
+struct StatementVisitor<'a>(&'a CapturedStatements);
 
 impl CapturedStatements {
     fn lock(&self) -> MutexGuard<'_, BTreeSet<String>> {
@@ -115,14 +116,14 @@ impl CapturedStatements {
 impl<S: tracing::Subscriber> Layer<S> for CapturedStatements {
     fn on_event(&self, event: &tracing::Event<'_>, _: Context<'_, S>) {
         if event.metadata().target() == "sqlx::query" {
-            event.record(&mut Text(self));
+            event.record(&mut StatementVisitor(self));
         }
     }
 }
 
-impl Visit for Text<'_> {
+impl Visit for StatementVisitor<'_> {
     fn record_str(&mut self, field: &Field, value: &str) {
-        // A short statement is its own summary.
+        // The summary of a short statement is the whole statement.
         let is_cut = field.name() == "summary" && value.ends_with('…');
         if ["summary", "db.statement"].contains(&field.name()) && !is_cut {
             self.0.lock().insert(value.trim().to_owned());
@@ -241,7 +242,7 @@ async fn call_everything(queue: &Queue, clock: &ManualClock) {
 }
 
 /// Returns the statements that are executed when a rollout is settled while other campaigns are
-/// finished or waiting: an explaining one, one with a stop rule and one that is filmed.
+/// finished or waiting: an explaining campaign, a campaign with a stop rule and a filmed campaign.
 async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BTreeSet<String> {
     let name = |name: &str| CampaignName::parse(name).expect("a name");
     let create = async |name: &str, priority: i32, fields: &serde_json::Value| {
@@ -266,7 +267,7 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
     create("why", 0, &json!({"explains": {"campaign": "done"}})).await;
     let mut skipped = Vec::new();
     let mut has_result = false;
-    let other = loop {
+    let job_of_other_campaign = loop {
         let number = 100 + u32::try_from(skipped.len()).expect("few");
         let claimed = queue.claim(&claim(number, None), Duration::ZERO).await;
         let job = claimed.expect("an answer").job.expect("a job waits");
@@ -296,7 +297,9 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
 
     captured.lock().clear();
-    let skip = queue.skip_jobs(&other.0, &[other.1]).await;
+    let skip = queue
+        .skip_jobs(&job_of_other_campaign.0, &[job_of_other_campaign.1])
+        .await;
     assert_eq!(skip.expect("skipped"), 1);
     wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
@@ -314,10 +317,10 @@ async fn wait_for_queue_tasks(queue: &Queue) {
     for _ in 0..1_000 {
         let mut view = queue.view().await.expect("a view");
         let statuses = view.statuses().await.expect("statuses");
-        let why = statuses
+        let derived = statuses
             .iter()
             .find(|status| status.campaign.name.as_str() == "why");
-        if !why.expect("the campaign").may_grow {
+        if !derived.expect("the campaign").may_grow {
             return;
         }
         tokio::time::sleep(Duration::from_millis(10)).await;
@@ -345,7 +348,7 @@ async fn inspect_plan(
     for line in plan(connection, statement).await {
         let words: Vec<&str> = line.split_whitespace().collect();
         let index = words.iter().position(|word| *word == "INDEX");
-        let index = index.and_then(|place| words.get(place + 1)).copied();
+        let index = index.and_then(|position| words.get(position + 1)).copied();
         walked.extend(index.map(str::to_owned));
         let is_scan = words[0] == "SCAN" && words[1] != "CONSTANT";
         // `json_each` walks values that the statement itself contains.
@@ -371,7 +374,7 @@ async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> V
                 "sqlite_autoindex_result",
             ]
             .iter()
-            .any(|start| word.starts_with(start))
+            .any(|prefix| word.starts_with(prefix))
         });
         index.is_some_and(|index| !SMALL_INDICES.contains(&index))
             && line.ends_with("(campaign_id=?)")
@@ -396,7 +399,7 @@ async fn no_frequent_statement_walks_all_jobs() {
         "levels": ["L1", "L2", "L3"],
         "configs": [0, 1, 2],
     });
-    // Two campaigns, which share the workers.
+    // Creates two campaigns, which share the workers.
     for name in ["plans", "more"] {
         let mut spec = spec.clone();
         spec["name"] = name.into();
@@ -447,8 +450,7 @@ async fn no_frequent_statement_walks_all_jobs() {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
-    // Regression: finished campaigns were counted, derived and scanned
-    // again.
+    // Regression: finished campaigns were counted, derived and scanned again.
     assert!(frequent.len() >= 15, "{frequent:#?}");
     for part in [
         "FROM derivation d JOIN",
@@ -462,9 +464,9 @@ async fn no_frequent_statement_walks_all_jobs() {
         );
     }
     for statement in frequent.iter().filter(is_inspected) {
-        let is_outcomes = statement.contains("LEFT JOIN result r");
+        let reads_outcomes = statement.contains("LEFT JOIN result r");
         assert!(
-            !is_outcomes,
+            !reads_outcomes,
             "a finished campaign is read again by\n{statement}"
         );
         let (mut faults, _) = inspect_plan(&mut connection, statement).await;

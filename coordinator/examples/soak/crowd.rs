@@ -41,7 +41,8 @@ type Client = WorkerServiceClient<Connection>;
 /// Simulated workers and the counts of their calls.
 pub(crate) struct Crowd {
     coordinator: CoordinatorAccess,
-    rollout: Duration,
+    /// Mean duration of a rollout.
+    rollout_duration: Duration,
     /// Latencies of claims since the last [`Crowd::take_claims`], seconds.
     claims: Shared<Vec<f64>>,
     accepted: AtomicU64,
@@ -70,7 +71,8 @@ impl Worker {
         format!("worker-{:04}.{start}", self.number)
     }
 
-    /// Restarts the worker under a new id, unless another slot has already done so since `start`.
+    /// Restarts the worker under a new id, unless another of its slots has already done so.
+    /// `start` is the number of restarts that the caller knows of.
     fn start_again(&self, start: u32) {
         let order = Ordering::SeqCst;
         let started = self.starts.compare_exchange(start, start + 1, order, order);
@@ -84,7 +86,7 @@ impl Crowd {
     pub(crate) fn start(coordinator: CoordinatorAccess, arguments: &Arguments) -> Arc<Crowd> {
         let crowd = Arc::new(Crowd {
             coordinator,
-            rollout: arguments.rollout(),
+            rollout_duration: arguments.rollout_duration(),
             claims: Shared::default(),
             accepted: AtomicU64::new(0),
             refused: AtomicU64::new(0),
@@ -167,7 +169,7 @@ impl Crowd {
     async fn send_heartbeats(self: Arc<Self>, worker: Arc<Worker>) {
         let mut client = worker.client.clone();
         let held = &worker.held;
-        let mut since = Instant::now();
+        let mut last_sent = Instant::now();
         while !self.is_stopped() {
             let start = worker.starts.load(Ordering::SeqCst);
             let id = worker.id(start);
@@ -178,11 +180,11 @@ impl Crowd {
                 }
                 continue;
             }
-            if since.elapsed() < HEARTBEAT {
+            if last_sent.elapsed() < HEARTBEAT {
                 tokio::time::sleep(PAUSE / 4).await;
                 continue;
             }
-            since = Instant::now();
+            last_sent = Instant::now();
             let attempts = held.lock().expect("no panic").clone();
             let progress = attempts.into_iter().map(|attempt_id| wire::Progress {
                 attempt_id,
@@ -212,9 +214,9 @@ impl Crowd {
     async fn run_slot(self: Arc<Self>, worker: Arc<Worker>, slot: u32) {
         let mut client = worker.client.clone();
         let held = &worker.held;
-        // Staggered start, as in a cluster.
+        // The slots start one after the other, as in a cluster.
         let name = format!("{} {slot}", worker.number);
-        tokio::time::sleep(self.rollout.mul_f64(hash_fraction(&name))).await;
+        tokio::time::sleep(self.rollout_duration.mul_f64(hash_fraction(&name))).await;
         let mut claims = 0_u64;
         let mut warm = String::new();
         while !self.is_stopped() {
@@ -265,9 +267,9 @@ impl Crowd {
     /// rollout's task.
     async fn roll_out(&self, client: &mut Client, lease: &wire::Lease) -> String {
         let row: ManifestRow = serde_json::from_str(&lease.manifest_row).expect("a row");
-        // 0.5 to 1.5 times the mean duration.
+        // The rollout takes 0.5 to 1.5 times the mean duration.
         let share = 0.5 + hash_fraction(&lease.attempt_id);
-        tokio::time::sleep(self.rollout.mul_f64(share)).await;
+        tokio::time::sleep(self.rollout_duration.mul_f64(share)).await;
         let report = report(lease, &row);
         while !self.is_stopped() {
             match client.commit(report.clone()).await {
@@ -290,6 +292,7 @@ impl Crowd {
         row.id.task().to_string()
     }
 
+    /// Simulates `worker film`: requests films to make, and uploads videos.
     async fn film(self: Arc<Self>, mut client: Client) {
         while !self.is_stopped() {
             let request = wire::NextFilmRequest {
@@ -343,16 +346,16 @@ fn registration(id: &str, slots: u32) -> wire::RegisterRequest {
     }
 }
 
-/// Returns the outcome of a rollout. A share of [`EMERGENT`] configurations fails if camera and
-/// sensor are both perturbed; everything else succeeds.
+/// Returns the outcome of a rollout. The share [`EMERGENT`] of the configurations fails if camera
+/// and sensor are both perturbed; all other rollouts succeed.
 fn succeeds(row: &ManifestRow) -> bool {
     let Some(config) = row.id.config() else {
         return true;
     };
     let axes = row.axes();
     let name = format!("{} {} {config}", row.id.task(), row.id.level());
-    let is_both = axes.contains(Axis::Camera) && axes.contains(Axis::Sensor);
-    !(is_both && hash_fraction(&name) < EMERGENT)
+    let has_both_axes = axes.contains(Axis::Camera) && axes.contains(Axis::Sensor);
+    !(has_both_axes && hash_fraction(&name) < EMERGENT)
 }
 
 fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {

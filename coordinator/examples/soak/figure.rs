@@ -12,10 +12,10 @@ const GAP: f64 = 26.0;
 const COLOURS: [&str; 3] = ["#1f5fa8", "#c4511d", "#3a7d44"];
 
 /// Label and value of a curve; `None` for samples without a measurement.
-type Line = (&'static str, fn(&Sample) -> Option<f64>);
+type Curve = (&'static str, fn(&Sample) -> Option<f64>);
 
 /// Panels: title with unit, and curves.
-const PANELS: [(&str, &[Line]); 6] = [
+const PANELS: [(&str, &[Curve]); 6] = [
     (
         "claims, ms",
         &[
@@ -56,22 +56,22 @@ const PANELS: [(&str, &[Line]); 6] = [
 /// Returns the figure as SVG.
 pub(crate) fn draw(samples: &[Sample]) -> String {
     let height = PANELS.len() as f64 * (PANEL + GAP) + 2.0 * GAP;
-    let until = samples.last().map_or(1.0, |sample| sample.at).max(1.0);
-    let x = |at: f64| LEFT + at / until * (WIDTH - LEFT - RIGHT);
+    let duration = samples.last().map_or(1.0, |sample| sample.at).max(1.0);
+    let x = |at: f64| LEFT + at / duration * (WIDTH - LEFT - RIGHT);
     let mut svg = format!(
         "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {WIDTH} {height}' \
          font-family='sans-serif' font-size='12'>\n\
          <rect width='100%' height='100%' fill='white'/>\n"
     );
-    for (number, (title, lines)) in PANELS.iter().enumerate() {
+    for (number, (title, curves)) in PANELS.iter().enumerate() {
         let top = GAP + number as f64 * (PANEL + GAP);
         let values = || {
-            lines
+            curves
                 .iter()
-                .flat_map(|line| samples.iter().filter_map(line.1))
+                .flat_map(|curve| samples.iter().filter_map(curve.1))
         };
-        let most = values().fold(0.0, f64::max).max(1e-9);
-        let y = |value: f64| top + PANEL - value / most * PANEL;
+        let max_value = values().fold(0.0, f64::max).max(1e-9);
+        let y = |value: f64| top + PANEL - value / max_value * PANEL;
         let bottom = top + PANEL;
         // Writing to a string cannot fail.
         let _ = writeln!(
@@ -84,10 +84,10 @@ pub(crate) fn draw(samples: &[Sample]) -> String {
             top + 14.0,
             LEFT - 6.0,
             top + 10.0,
-            number_text(most),
+            number_text(max_value),
             LEFT - 6.0,
         );
-        for (place, ((name, value), colour)) in lines.iter().zip(COLOURS).enumerate() {
+        for (index, ((name, value), colour)) in curves.iter().zip(COLOURS).enumerate() {
             let points = samples
                 .iter()
                 .filter_map(|sample| Some((sample.at, value(sample)?)));
@@ -99,7 +99,7 @@ pub(crate) fn draw(samples: &[Sample]) -> String {
                 "<polyline points='{}' fill='none' stroke='{colour}' stroke-width='1.3'/>\n\
                  <text x='8' y='{:.1}' fill='{colour}'>{name}</text>",
                 points.join(" "),
-                top + 32.0 + 16.0 * place as f64
+                top + 32.0 + 16.0 * index as f64
             );
         }
         for sample in samples {
@@ -122,7 +122,7 @@ pub(crate) fn draw(samples: &[Sample]) -> String {
         height - GAP,
         WIDTH - RIGHT,
         height - GAP,
-        until / 60.0
+        duration / 60.0
     );
     svg
 }

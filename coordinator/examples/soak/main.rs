@@ -3,9 +3,9 @@
 //! and commit; gRPC, TLS, tokens, sockets and the coordinator process are real.
 //!
 //! Four campaigns share the jobs: one is only measured, one may stop early, one films the
-//! configurations whose outcome changes, and one explains the outcomes of the filmed one. Page,
-//! metrics and status are requested throughout. The coordinator is killed once, and its database is
-//! once replaced by a backup.
+//! configurations whose outcome changes, and one explains the outcomes of the filmed campaign.
+//! Page, metrics and status are requested throughout. The coordinator is killed once, and its
+//! database is replaced once by a backup.
 //!
 //! Prints a line every few seconds, draws a figure, and exits with code 1 if something grew or a
 //! rollout was lost.
@@ -34,7 +34,7 @@ const DESIGN: u64 = 10_400;
 const KILL: f64 = 0.4;
 const BACK_UP: f64 = 0.6;
 const RESTORE: f64 = 0.7;
-/// Longest duration of the test, as a multiple of the planned one.
+/// Longest duration of the test, as a multiple of the planned duration.
 const PATIENCE: f64 = 3.0;
 
 /// Run a crowd of slots against one coordinator, and detect resources that keep growing.
@@ -58,13 +58,13 @@ pub(crate) struct Arguments {
 }
 
 impl Arguments {
-    fn planned(&self) -> Duration {
+    fn planned_duration(&self) -> Duration {
         Duration::from_secs_f64(self.minutes * 60.0)
     }
 
     /// Returns the mean duration of a rollout with which all jobs take as long as planned.
-    fn rollout(&self) -> Duration {
-        self.planned()
+    fn rollout_duration(&self) -> Duration {
+        self.planned_duration()
             .mul_f64(f64::from(self.slots) / self.jobs as f64)
     }
 }
@@ -89,14 +89,15 @@ async fn run(arguments: &Arguments) -> Result<()> {
         "{} slots of {} workers, rollouts of {:.2} s",
         arguments.slots,
         arguments.workers,
-        arguments.rollout().as_secs_f64()
+        arguments.rollout_duration().as_secs_f64()
     );
     let crowd = Crowd::start(server.access(), arguments);
     let watch = Watch::start(server.access(), crowd.clone());
     let began = Instant::now();
-    let share = || began.elapsed().as_secs_f64() / arguments.planned().as_secs_f64();
-    let wait_until = async |at: f64| {
-        while share() < at && !crowd.is_finished() {
+    let elapsed_fraction =
+        || began.elapsed().as_secs_f64() / arguments.planned_duration().as_secs_f64();
+    let wait_until = async |fraction: f64| {
+        while elapsed_fraction() < fraction && !crowd.is_finished() {
             tokio::time::sleep(Duration::from_millis(200)).await;
         }
     };

@@ -52,7 +52,8 @@ impl Server {
         let certificate = certificate.signed_by(&key, &issuer)?;
         std::fs::write(folder.join("cert.pem"), certificate.pem())?;
         write_private(&folder.join("key.pem"), &key.serialize_pem())?;
-        // Reserves a port, since restarts must listen on the same one.
+        // The port is chosen here, since the coordinator must listen on the same port after each
+        // restart.
         let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
         let folder = folder.to_owned();
         let mut server = Server {
@@ -61,7 +62,7 @@ impl Server {
             address,
             starts: 1,
         };
-        server.wait_until_it_listens()?;
+        server.wait_until_listening()?;
         Ok(server)
     }
 
@@ -102,7 +103,7 @@ impl Server {
         Ok(backup)
     }
 
-    /// Kills the coordinator, replaces the database by the backup and starts again.
+    /// Kills the coordinator, replaces the database by the backup and starts the coordinator again.
     pub(crate) fn restore(&mut self, backup: &Path) -> Result<()> {
         self.child.kill().context("kill the coordinator")?;
         self.child.wait()?;
@@ -168,15 +169,15 @@ impl Server {
     fn start_again(&mut self) -> Result<()> {
         self.child = spawn(&self.folder, self.address, self.starts)?;
         self.starts += 1;
-        self.wait_until_it_listens()
+        self.wait_until_listening()
     }
 
-    fn wait_until_it_listens(&mut self) -> Result<()> {
+    fn wait_until_listening(&mut self) -> Result<()> {
         let began = Instant::now();
         while std::net::TcpStream::connect(self.address).is_err() {
-            let ended = self.child.try_wait()?;
+            let exit_status = self.child.try_wait()?;
             ensure!(
-                ended.is_none(),
+                exit_status.is_none(),
                 "start the coordinator; see {}",
                 self.log().display()
             );
@@ -197,10 +198,10 @@ impl Server {
             .arg("--token-file")
             .arg(self.folder.join("operator"))
             .output()?;
-        let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+        let error_text = String::from_utf8_lossy(&output.stderr).into_owned();
         ensure!(
             output.status.success(),
-            "run `coordinator {}`: {complaint}",
+            "run `coordinator {}`: {error_text}",
             arguments.join(" ")
         );
         Ok(String::from_utf8_lossy(&output.stdout).into_owned())

@@ -19,7 +19,8 @@ use super::server::CoordinatorAccess;
 
 /// Interval between two samples.
 const INTERVAL: Duration = Duration::from_secs(5);
-/// Interval between two requests of one kind, as from many browsers together.
+/// Interval between two requests for pages, for metrics or for the status. It is short, to simulate
+/// many browsers.
 const REQUEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Pages that are requested in turn.
 const PAGES: [&str; 4] = ["/", "/campaigns/measured", "/campaigns/filmed", "/workers"];
@@ -152,9 +153,9 @@ fn sample(
     let mut claims = crowd.take_claims();
     claims.sort_by(f64::total_cmp);
     let quantile = |share: f64| {
-        let place = (claims.len() as f64 * share) as usize;
+        let index = (claims.len() as f64 * share) as usize;
         claims
-            .get(place.min(claims.len().saturating_sub(1)))
+            .get(index.min(claims.len().saturating_sub(1)))
             .copied()
     };
     let mut followed = followed.lock().expect("no panic");
@@ -249,8 +250,8 @@ async fn request_status(coordinator: CoordinatorAccess, longest: LongestLatencie
     }
 }
 
-/// Compares the last third of the samples with the second: a quantity that still grows then is
-/// taken to grow without bound.
+/// Compares the last third of the samples with the second third: a quantity that still grows in the
+/// last third is assumed to grow without bound.
 ///
 /// # Errors
 /// If a quantity grew beyond its tolerance.
@@ -268,7 +269,7 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or_default()
     };
-    let grown = |part: &[Sample], value: fn(&Sample) -> f64| {
+    let growth_per_result = |part: &[Sample], value: fn(&Sample) -> f64| {
         let results = |sample: &Sample| sample.accepted as f64;
         let result_count = results(&part[part.len() - 1]) - results(&part[0]);
         (value(&part[part.len() - 1]) - value(&part[0])) / result_count.max(1.0)
@@ -303,8 +304,8 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
         ),
         (
             "log, KiB a result",
-            grown(before, log),
-            grown(last, log),
+            growth_per_result(before, log),
+            growth_per_result(last, log),
             2.0,
             0.01,
         ),

@@ -1,4 +1,5 @@
-//! Exhaustive access test: the gate must admit exactly the requests that the tables below allow.
+//! Exhaustive access test: the server must admit exactly the requests that the expectations below
+//! allow.
 
 use tonic::codegen::http::{Method, Request};
 
@@ -12,15 +13,16 @@ use walk::{Credentials, OPERATOR, Sender, Table, calls_of, guarded, is_call, ope
 
 const TABLE: Table = (resource, Some(LOG_IN));
 
-/// Returns all calls with the roles that may make them, from the proto file and unknown services.
+/// Returns all calls of the proto file, and three calls that it lacks, with the roles that may make
+/// them.
 fn calls() -> Vec<(String, Vec<Role>)> {
     let proto = include_str!("../../../proto/rollout/coordinator/v1/coordinator.proto");
     let mut calls = Vec::new();
     for (service, name) in calls_of(proto) {
-        let reads = ["Get", "List", "Report", "Export", "Forecast"]
+        let is_read_only = ["Get", "List", "Report", "Export", "Forecast"]
             .iter()
-            .any(|start| name.starts_with(start));
-        let roles = match (service.as_str(), reads) {
+            .any(|prefix| name.starts_with(prefix));
+        let roles = match (service.as_str(), is_read_only) {
             ("WorkerService", _) => vec![Role::Worker],
             (_, true) => vec![Role::Viewer, Role::Operator],
             (_, false) => vec![Role::Operator],
@@ -47,19 +49,20 @@ async fn access_follows_the_table_for_every_combination_of_headers() {
     let mut requests = 0;
     for (security, cookie) in [(&open, None), (&guarded, Some(cookie.as_str()))] {
         for (path, roles) in calls() {
-            let table = |request: &Request<()>, sender, content: Option<&str>, credentials| {
-                let is_allowed = match credentials {
-                    Credentials::Token(role) => roles.contains(&role),
-                    _ => false,
+            let is_admitted =
+                |request: &Request<()>, sender, content: Option<&str>, credentials| {
+                    let is_allowed = match credentials {
+                        Credentials::Token(role) => roles.contains(&role),
+                        _ => false,
+                    };
+                    is_call(request, sender, content) && (cookie.is_none() || is_allowed)
                 };
-                is_call(request, sender, content) && (cookie.is_none() || is_allowed)
-            };
-            requests += walk(&path, TABLE, security, cookie, table).await;
+            requests += walk(&path, TABLE, security, cookie, is_admitted).await;
         }
         for (path, _) in page::routes() {
-            let is_open = ["/login", "/logout", "/style.css", "/page.js", "/icon.svg"];
-            let is_open = is_open.contains(&path);
-            let table = |request: &Request<()>, sender, _: Option<&str>, credentials| {
+            let public_paths = ["/login", "/logout", "/style.css", "/page.js", "/icon.svg"];
+            let is_public = public_paths.contains(&path);
+            let is_admitted = |request: &Request<()>, sender, _: Option<&str>, credentials| {
                 let is_trusted_sender =
                     matches!(sender, Sender::Program | Sender::OwnPage | Sender::Person)
                         || (sender == Sender::Link
@@ -68,10 +71,10 @@ async fn access_follows_the_table_for_every_combination_of_headers() {
                     credentials,
                     Credentials::Token(Role::Operator | Role::Viewer) | Credentials::Session
                 );
-                is_trusted_sender && (cookie.is_none() || is_open || may_read)
+                is_trusted_sender && (cookie.is_none() || is_public || may_read)
             };
             let path = path.replace("{name}", "a.b").replace("{*rollout}", "c/d.e");
-            requests += walk(&path, TABLE, security, cookie, table).await;
+            requests += walk(&path, TABLE, security, cookie, is_admitted).await;
         }
     }
     assert!(

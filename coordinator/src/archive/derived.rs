@@ -1,4 +1,5 @@
-//! Members derived from a campaign's rows, and the comparison of an archived one with a fresh one.
+//! Members of an archive that are computed from the campaign's rows, and the comparison of such a
+//! member in an imported archive with the member computed from the imported rows.
 
 use std::collections::BTreeMap;
 
@@ -60,8 +61,9 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
     ])
 }
 
-/// Returns the path of the first difference between an archived JSON text and a fresh one; `None`
-/// if they agree. Keys that only the fresh one has are ignored, since a later release may add some.
+/// Returns the path of the first difference between an archived JSON text and a newly computed one;
+/// `None` if the two agree. Keys that only the new text has are ignored, since a later release may
+/// add keys.
 pub(super) fn difference(archived: &str, fresh: &str) -> Option<String> {
     let read = |text| serde_json::from_str::<Value>(text);
     match (read(archived), read(fresh)) {
@@ -82,10 +84,9 @@ fn first_difference(archived: &Value, fresh: &Value, place: &str) -> Option<Stri
             })
         }
         (Value::Array(archived), Value::Array(fresh)) if archived.len() == fresh.len() => {
-            let pairs = archived.iter().zip(fresh).enumerate();
-            let mut pairs = pairs.map(|(at, (archived, fresh))| (at, archived, fresh));
-            pairs.find_map(|(at, archived, fresh)| {
-                first_difference(archived, fresh, &format!("{place}[{at}]"))
+            let mut pairs = archived.iter().zip(fresh).enumerate();
+            pairs.find_map(|(index, (archived, fresh))| {
+                first_difference(archived, fresh, &format!("{place}[{index}]"))
             })
         }
         _ => (archived != fresh).then(|| match place {

@@ -22,24 +22,24 @@ pub struct Package {
 }
 
 /// Prepares a campaign's archive: derives members from its rows, closes its database and lists all
-/// files. `film` maps a film's name to its path; films whose files are missing are left out.
+/// files. `film_path` maps a film's name to its path; films whose files are missing are left out.
 ///
 /// # Errors
 /// If the results cannot be read, or a file cannot be read or written.
 pub async fn package(
     campaign: Portable,
-    film: impl Fn(&str) -> PathBuf,
+    film_path: impl Fn(&str) -> PathBuf,
     source: Option<SourceOutcomes>,
     merged_from: Vec<MergedArchive>,
 ) -> Result<Package, ArchiveError> {
     let mut members: Vec<(String, PathBuf)> = Vec::new();
     let mut missing = Vec::new();
-    for film_file in campaign.films().await? {
-        let name = film_file.path.rsplit('/').next().unwrap_or_default();
-        let path = film(name);
+    for film in campaign.films().await? {
+        let name = film.path.rsplit('/').next().unwrap_or_default();
+        let path = film_path(name);
         match path.is_file() {
-            true => members.push((film_file.path, path)),
-            false => missing.push(film_file.path),
+            true => members.push((film.path, path)),
+            false => missing.push(film.path),
         }
     }
     if !missing.is_empty() {
@@ -71,7 +71,8 @@ pub async fn package(
     Ok(Package { contents, files })
 }
 
-/// Writes the derived members beside the database and computes size and digest of every file.
+/// Writes the derived members beside the database. Returns all members with their paths, sizes and
+/// digests.
 fn list_members(
     folder: &Path,
     derived_members: Derived,
@@ -112,33 +113,35 @@ impl Package {
     /// # Errors
     /// If `out` fails, or a file has changed since it was listed.
     pub fn write(&self, out: impl Write, archive: &Path) -> Result<(), ArchiveError> {
-        let failed = |source| ArchiveError::Write {
+        let write_error = |source| ArchiveError::Write {
             path: archive.to_owned(),
             source,
         };
         // Fast compression, since films are compressed already and rows compress well at any level.
         let mut tar = Builder::new(GzEncoder::new(out, Compression::fast()));
-        let list = serde_json::to_vec_pretty(&self.contents);
-        let list = list.map_err(|error| ArchiveError::Json {
+        let contents = serde_json::to_vec_pretty(&self.contents);
+        let contents = contents.map_err(|error| ArchiveError::Json {
             member: CONTENTS_FILE,
             source: error.into(),
         })?;
-        let mut head = header(list.len() as u64);
-        tar.append_data(&mut head, CONTENTS_FILE, list.as_slice())
-            .map_err(failed)?;
+        let mut tar_header = header(contents.len() as u64);
+        tar.append_data(&mut tar_header, CONTENTS_FILE, contents.as_slice())
+            .map_err(write_error)?;
         for (member, path) in self.contents.members.iter().zip(&self.files) {
             let file = File::open(path).map_err(input_error(path))?;
             let mut file = Digesting::new(file.take(member.bytes));
-            let mut head = header(member.bytes);
-            tar.append_data(&mut head, &member.name, &mut file)
-                .map_err(failed)?;
+            let mut tar_header = header(member.bytes);
+            tar.append_data(&mut tar_header, &member.name, &mut file)
+                .map_err(write_error)?;
             if file.finish() != (member.bytes, member.sha256.clone()) {
                 let changed = io::Error::other("it has changed since it was listed");
                 return Err(input_error(path)(changed));
             }
         }
         let finished = tar.into_inner().and_then(GzEncoder::finish);
-        finished.and_then(|mut out| out.flush()).map_err(failed)
+        finished
+            .and_then(|mut out| out.flush())
+            .map_err(write_error)
     }
 }
 

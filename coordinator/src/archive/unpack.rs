@@ -1,7 +1,7 @@
 //! Reads and verifies archives from untrusted sources. Nothing is written before the table of
-//! contents has declared all sizes and the disk has room for them, and no member may exceed its
-//! declared size. Entries are read raw: the `tar` crate would otherwise resolve long names and
-//! extended headers in memory, whatever size they claim.
+//! contents has declared the sizes of all members and the disk has room for them, and no member may
+//! exceed its declared size. Entries are read raw: the `tar` crate would otherwise load long names
+//! and extended headers into memory, however large they claim to be.
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Read};
@@ -25,14 +25,14 @@ const MAX_CONTENTS_BYTES: u64 = 64 << 20;
 const MAX_RATIO: u64 = 100;
 /// Total size of the members up to which any compression ratio is accepted, bytes.
 const SMALL_BYTES: u64 = 64 << 20;
-/// Most padding after the last member, bytes. Programs pad archives to a few kilobytes.
+/// Largest padding after the last member, bytes. Tar programs pad archives to a few kilobytes.
 const MAX_PADDING_BYTES: u64 = 1 << 20;
 const FILM_SUFFIX: &str = ".mp4";
 
 /// Problem reported for a file that is not an archive at all.
 const NO_TAR: &str = "it is not a compressed tar archive";
 
-/// Members that every archive has, in order.
+/// First members after the table of contents, in order; every archive has them.
 const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
 
 /// Verified campaign from an archive.
@@ -55,7 +55,7 @@ type Members<'a> = Entries<'a, Compressed>;
 /// See [`ArchiveError`]. Members unpacked before the error remain in `into`.
 pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
-    let read = move || ArchiveReader { archive: &archive }.members(&path, &folder);
+    let read = move || ArchiveReader { archive: &archive }.unpack_members(&path, &folder);
     let read = tokio::task::spawn_blocking(read).await;
     let contents = read.map_err(|_| ArchiveError::Panicked {
         archive: name.to_owned(),
@@ -73,8 +73,10 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
         member: member.to_owned(),
         problem: problem.to_owned(),
     };
-    let found = &campaign.campaign;
-    if (found.name.as_str(), &found.spec_digest) != (&contents.campaign, &contents.spec_digest) {
+    let unpacked = &campaign.campaign;
+    if (unpacked.name.as_str(), &unpacked.spec_digest)
+        != (&contents.campaign, &contents.spec_digest)
+    {
         return Err(altered(DATABASE_FILE, "it holds another campaign"));
     }
     let films = campaign.films().await?.into_iter();
@@ -82,7 +84,10 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let listed = contents.members[MEMBERS.len()..].iter();
     let listed: Vec<(String, u64)> = listed.map(|film| (film.name.clone(), film.bytes)).collect();
     if films != listed {
-        return Err(altered(DATABASE_FILE, "it lists other films"));
+        return Err(altered(
+            DATABASE_FILE,
+            "its films differ from those in archive.json",
+        ));
     }
     for (member, fresh) in derived::derive(&campaign).await? {
         let path = into.join(member);
@@ -107,7 +112,7 @@ struct ArchiveReader<'a> {
 
 impl ArchiveReader<'_> {
     /// Unpacks every member and checks it against the table of contents.
-    fn members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
+    fn unpack_members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
         let unreadable = |source| ArchiveError::Read {
             archive: self.archive.to_owned(),
             source,
@@ -117,10 +122,10 @@ impl ArchiveReader<'_> {
         let mut tar = Archive::new(GzDecoder::new(BufReader::new(opened)));
         let entries = tar.entries().map_err(|_| self.not_an_archive(NO_TAR))?;
         let mut entries = entries.raw(true);
-        let contents = self.list(&mut entries)?;
+        let contents = self.read_contents(&mut entries)?;
         self.check_room(&contents, compressed_bytes, into)?;
         for member in &contents.members {
-            self.member(&mut entries, member, into)?;
+            self.unpack_member(&mut entries, member, into)?;
         }
         if let Some(next) = entries.next() {
             next.map_err(|error| self.read_error("its end", error))?;
@@ -130,15 +135,15 @@ impl ArchiveReader<'_> {
             ));
         }
         // The gzip trailer holds the checksum, so the stream must be read to its very end.
-        let mut rest = tar.into_inner().take(MAX_PADDING_BYTES);
-        let read = io::copy(&mut rest, &mut io::sink());
+        let mut padding = tar.into_inner().take(MAX_PADDING_BYTES);
+        let read = io::copy(&mut padding, &mut io::sink());
         read.map_err(|error| self.read_error("its end", error))?;
-        let mut trailing = [0];
-        if rest.limit() == 0 {
+        if padding.limit() == 0 {
             return Err(self.altered("its end", "data follows the last member"));
         }
-        let compression = rest.into_inner();
-        match compression.into_inner().read(&mut trailing) {
+        let mut compressed = padding.into_inner().into_inner();
+        let mut byte_after_gzip = [0];
+        match compressed.read(&mut byte_after_gzip) {
             Ok(0) => Ok(contents),
             Ok(_) => Err(self.altered("its end", "data follows the last member")),
             Err(error) => Err(self.read_error("its end", error)),
@@ -146,7 +151,7 @@ impl ArchiveReader<'_> {
     }
 
     /// Reads the table of contents, which is the first member.
-    fn list(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
+    fn read_contents(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
         /// Version fields, parsed first so that a newer format is reported as such.
         #[derive(Deserialize)]
         struct Versions {
@@ -197,7 +202,8 @@ impl ArchiveReader<'_> {
         Ok(contents)
     }
 
-    /// Checks that the members are those of an archive and that no path leads out of the folder.
+    /// Checks that the members are [`MEMBERS`] and then films of the campaign, and that no member's
+    /// path leads out of the folder.
     fn check_names(&self, contents: &Contents) -> Result<(), ArchiveError> {
         let refused = |problem: String| Err(self.altered(CONTENTS_FILE, &problem));
         if let Err(error) = CampaignName::parse(&contents.campaign) {
@@ -229,8 +235,8 @@ impl ArchiveReader<'_> {
     ) -> Result<(), ArchiveError> {
         let sizes = contents.members.iter().map(|member| member.bytes);
         let total = sizes.fold(0, u64::saturating_add);
-        let most = compressed_bytes.saturating_mul(MAX_RATIO);
-        if total > most.max(SMALL_BYTES) {
+        let max_total = compressed_bytes.saturating_mul(MAX_RATIO);
+        if total > max_total.max(SMALL_BYTES) {
             let problem = format!(
                 "it claims {} MiB of members in {} KiB of archive",
                 total >> 20,
@@ -264,7 +270,7 @@ impl ArchiveReader<'_> {
     }
 
     /// Unpacks the next entry, which must be `member`, and verifies its size and digest.
-    fn member(
+    fn unpack_member(
         &self,
         entries: &mut Members<'_>,
         member: &Member,
@@ -272,20 +278,21 @@ impl ArchiveReader<'_> {
     ) -> Result<(), ArchiveError> {
         let name = shorten(&member.name);
         let displaced = || self.altered(name, "another member is in its place");
-        let mut entry = self.next(entries, name)?;
-        let mut found = entry.path_bytes().into_owned();
+        let mut entry = self.next_entry(entries, name)?;
+        let mut entry_name = entry.path_bytes().into_owned();
         // GNU tar stores a name that is too long for the header in a preceding entry.
         if entry.header().entry_type() == EntryType::GNULongName {
             if entry.size() > member.name.len() as u64 + 1 {
                 return Err(displaced());
             }
-            found.clear();
-            let read = entry.read_to_end(&mut found);
+            entry_name.clear();
+            let read = entry.read_to_end(&mut entry_name);
             read.map_err(|error| self.read_error(name, error))?;
-            found.pop_if(|last| *last == 0);
-            entry = self.next(entries, name)?;
+            entry_name.pop_if(|last| *last == 0);
+            entry = self.next_entry(entries, name)?;
         }
-        if found != member.name.as_bytes() || entry.header().entry_type() != EntryType::Regular {
+        if entry_name != member.name.as_bytes() || entry.header().entry_type() != EntryType::Regular
+        {
             return Err(displaced());
         }
         if entry.size() != member.bytes {
@@ -293,9 +300,9 @@ impl ArchiveReader<'_> {
         }
         let path = into.join(&member.name);
         let written = write(&path, entry);
-        let (bytes, sha256) = written.map_err(|failed| match failed {
-            Failed::Reading(error) => self.read_error(name, error),
-            Failed::Writing(source) => ArchiveError::Write {
+        let (bytes, sha256) = written.map_err(|error| match error {
+            CopyError::Read(error) => self.read_error(name, error),
+            CopyError::Write(source) => ArchiveError::Write {
                 path: path.clone(),
                 source,
             },
@@ -309,8 +316,9 @@ impl ArchiveReader<'_> {
         Ok(())
     }
 
-    /// Returns the next raw entry.
-    fn next<'a>(
+    /// Returns the next raw entry; `member` is the expected member in the error of an archive that
+    /// has no further entry.
+    fn next_entry<'a>(
         &self,
         entries: &mut Members<'a>,
         member: &str,
@@ -340,7 +348,8 @@ impl ArchiveReader<'_> {
         }
     }
 
-    /// Classifies a read error: an OS error concerns the file, any other its content.
+    /// Classifies a read error: an error of the operating system means that the file cannot be
+    /// read; any other error, that the file's content is damaged.
     fn read_error(&self, member: &str, error: io::Error) -> ArchiveError {
         let archive = self.archive.to_owned();
         match error.raw_os_error() {
@@ -356,27 +365,28 @@ impl ArchiveReader<'_> {
     }
 }
 
-enum Failed {
-    Reading(io::Error),
-    Writing(io::Error),
+/// Error of copying a member out of the archive.
+enum CopyError {
+    Read(io::Error),
+    Write(io::Error),
 }
 
 /// Writes a file; returns its size and SHA-256, hex.
-fn write(path: &Path, from: impl Read) -> Result<(u64, String), Failed> {
+fn write(path: &Path, from: impl Read) -> Result<(u64, String), CopyError> {
     let folder = path.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder).map_err(Failed::Writing)?;
-    let file = File::create_new(path).map_err(Failed::Writing)?;
+    std::fs::create_dir_all(folder).map_err(CopyError::Write)?;
+    let file = File::create_new(path).map_err(CopyError::Write)?;
     let copied = copy_digesting(from, &file).map_err(|error| match error.raw_os_error() {
-        Some(_) => Failed::Writing(error),
-        None => Failed::Reading(error),
+        Some(_) => CopyError::Write(error),
+        None => CopyError::Read(error),
     })?;
-    file.sync_all().map_err(Failed::Writing)?;
+    file.sync_all().map_err(CopyError::Write)?;
     Ok(copied)
 }
 
-/// Returns true if this program could have generated the film name, which has a colon for rollouts
-/// of LIBERO's family and of suite files. Another extension could make a browser render the file as
-/// a page, and other characters could form a path.
+/// Returns true if `file` is a name that this program gives to films. Names of films of LIBERO's
+/// family and of suite files contain a colon. Any other extension is refused, since a browser could
+/// render the file as a page, and so is any other character, since it could form a path.
 fn is_film(file: &str) -> bool {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-:".contains(&byte);
     file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)

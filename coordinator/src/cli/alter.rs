@@ -13,8 +13,8 @@ use super::line::is_finished;
 pub(super) struct PriorityArguments {
     /// Name of the campaign.
     campaign: String,
-    /// Priority from -100 to 100: campaigns with a higher one are leased first, those with equal
-    /// ones share the workers. A new campaign has priority 0 by default.
+    /// Priority from -100 to 100: campaigns with a higher priority are leased first, and campaigns
+    /// with equal priorities share the workers. A new campaign has priority 0 by default.
     #[arg(value_name = "N", allow_negative_numbers = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
     #[command(flatten)]
@@ -27,8 +27,8 @@ pub(super) struct EndpointArguments {
     campaign: String,
     /// URL of the gateway, or of the policy itself.
     url: String,
-    /// Name of the policy at the new endpoint, if it differs; allowed only while the campaign has
-    /// no result.
+    /// Name of the policy at the new endpoint, if the name changes, too; allowed only while the
+    /// campaign has no result.
     #[arg(long)]
     policy: Option<String>,
     #[command(flatten)]
@@ -47,9 +47,9 @@ pub(super) struct MoveArguments {
 
 #[derive(Args, Debug)]
 pub(super) struct RenameArguments {
-    /// Name of the campaign.
+    /// Current name of the campaign.
     campaign: String,
-    /// Its new name.
+    /// New name of the campaign.
     name: String,
     #[command(flatten)]
     connection: Connection,
@@ -88,7 +88,7 @@ pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), Comman
     let moved: Vec<&CampaignStatus> = campaigns.iter().filter(is_moved).collect();
     if moved.is_empty() {
         return Ok(print_line(&format!(
-            "no campaign measures a policy at {}",
+            "no unfinished campaign measures a policy at {}",
             arguments.from
         ))?);
     }
@@ -128,7 +128,8 @@ pub(super) async fn rename(arguments: RenameArguments) -> Result<(), CommandErro
     };
     alter(&arguments.connection, request).await?;
     Ok(print_line(&format!(
-        "campaign {} is called {}; its page has moved, its files have not",
+        "campaign {} is now called {}; the address of its page has changed, the folder of its \
+         files has not",
         arguments.campaign, arguments.name
     ))?)
 }

@@ -35,8 +35,9 @@ pub(super) enum CommandError {
     Usage(anyhow::Error),
     /// The command failed; exit code 1.
     Failure(anyhow::Error),
-    /// A check found faults and has printed them already; exit code 1 without a further message.
-    Judged,
+    /// The command found faults and has printed them already; exit code 1 without a further
+    /// message.
+    FaultsPrinted,
 }
 
 /// Prints a line to standard output.
@@ -62,7 +63,7 @@ pub(super) fn failure(error: impl Into<anyhow::Error>) -> CommandError {
 impl Connection {
     /// Returns a client that retries for `--retry-secs`.
     pub(super) fn client(&self) -> Result<Client, CommandError> {
-        self.patient_client(Duration::from_secs(self.retry_secs))
+        self.client_retrying_for(Duration::from_secs(self.retry_secs))
     }
 
     /// Returns the credentials for a campaign's policy, from the files given for the coordinator.
@@ -83,7 +84,7 @@ impl Connection {
     }
 
     /// Returns a client that retries an unreachable coordinator for `retry_for`.
-    pub(super) fn patient_client(&self, retry_for: Duration) -> Result<Client, CommandError> {
+    pub(super) fn client_retrying_for(&self, retry_for: Duration) -> Result<Client, CommandError> {
         // The operator role includes everything that a viewer may read.
         let access = self.access.access(&[Role::Operator, Role::Viewer]);
         let access = access.map_err(failure)?;

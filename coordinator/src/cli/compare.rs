@@ -13,9 +13,9 @@ use super::command::{CommandError, Connection, print_line, usage};
 pub(super) struct CompareArguments {
     #[command(flatten)]
     sources: Sources,
-    /// Fail unless confidence sequences, which hold at any look, can be computed: both campaigns
-    /// were created with `--stop` and ran in the same order. Without this flag, confidence
-    /// sequences are reported whenever they can be computed.
+    /// Fail unless confidence sequences, which stay valid however often they are looked at, can be
+    /// computed: both campaigns were created with `--stop` and ran in the same order. Without this
+    /// flag, confidence sequences are reported whenever they can be computed.
     #[arg(long)]
     sequential: bool,
     /// Report the number of configurations after which a rule about the `difference` was met, such
@@ -110,8 +110,8 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     {
         if arguments.sequential || arguments.stop.is_some() {
             return Err(usage(anyhow!(
-                "follow the difference: campaigns of LIBERO's family run in no drawn order; omit \
-                 --sequential and --stop"
+                "compute confidence sequences of the difference: they need campaigns that run in a \
+                 random order, which those of LIBERO's family do not; omit --sequential and --stop"
             )));
         }
         let text = match arguments.json {

@@ -7,7 +7,7 @@ use super::command::{CommandError, print};
 
 #[derive(Args, Debug)]
 pub(super) struct CompletionsArguments {
-    /// The shell.
+    /// Shell for which the script is printed.
     shell: Shell,
 }
 

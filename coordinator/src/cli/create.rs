@@ -93,8 +93,8 @@ pub(super) struct CreateArguments {
     variants: VariantFlags,
     #[command(flatten)]
     stop: StopFlags,
-    /// Priority from -100 to 100: campaigns with a higher one are leased first, those with equal
-    /// ones share the workers.
+    /// Priority from -100 to 100: campaigns with a higher priority are leased first, and campaigns
+    /// with equal priorities share the workers.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
         hide_short_help = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
@@ -170,9 +170,10 @@ struct SpecFlags {
     execution: Option<String>,
 }
 
-/// Checks an execution model; the contents of its file, if it names one, are not checked.
+/// Checks the text of an execution model. If the text names a file of latencies, the file is not
+/// read.
 fn execution_text(text: &str) -> Result<String, ExecutionError> {
-    // A delay of 0 takes the place of the file, which is read later.
+    // A delay of 0 stands for the latencies of the file, which `execution` reads.
     let (model, file) = text.split_once(":@").unwrap_or((text, ""));
     let checked = match file {
         "" => model.to_owned(),
@@ -182,8 +183,8 @@ fn execution_text(text: &str) -> Result<String, ExecutionError> {
     Ok(text.to_owned())
 }
 
-/// Returns the execution model that a flag names. `@FILE` is replaced by the latencies that the
-/// file holds.
+/// Returns the execution model that the text of `--execution` describes. `@FILE` is replaced by the
+/// latencies in the file.
 fn execution(text: &str) -> anyhow::Result<Execution> {
     let Some((model, file)) = text.split_once(":@") else {
         return Ok(text.parse()?);
@@ -201,11 +202,11 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Ending early")]
 struct StopFlags {
-    /// Rule under which the campaign ends early, once it holds at every level: `width(M) < X` or
-    /// `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d or I. The rule
-    /// concerns only the configurations of this campaign: `I excludes 0` is evidence that a
-    /// complete run of them would have unequal numbers of emergent failures and compensated
-    /// successes. It is no evidence about other tasks or directions.
+    /// Rule under which the campaign ends early, as soon as the rule holds at every level:
+    /// `width(M) < X` or `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d
+    /// or I. The rule concerns only the configurations of this campaign: `I excludes 0` is evidence
+    /// that a complete run of these configurations would have unequal numbers of emergent failures
+    /// and compensated successes. It is no evidence about other tasks or directions.
     /// `M excludes X for new tasks` concerns tasks that were never run.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
@@ -213,21 +214,21 @@ struct StopFlags {
     #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
-    /// Strata of that order: `suites` or `tasks`, one configuration of each per round; for rules
-    /// about new tasks `whole_tasks`, one whole task of every suite per round.
+    /// Strata of the random order: `suites` or `tasks`, one configuration of each stratum per
+    /// round; for rules about new tasks `whole_tasks`, one whole task of every suite per round.
     #[arg(long, requires = "stop", value_parser = enum_parser::<Strata>(STRATA),
         hide_short_help = true)]
     stop_strata: Option<Strata>,
 }
 
-/// The flags for the design, which a manifest replaces.
+/// The flags for a design, which conflict with `--manifest`.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
     /// Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, or
     /// `none`. `latency`, appended after a comma, delays the policy's answers and is never
-    /// combined with other axes: by 1, 2 and 4 control steps at L1, L2 and L3, and by half the
-    /// radius at other levels.
+    /// combined with other axes: by 1, 2 and 4 control steps at L1, L2 and L3, and by R/2 at any
+    /// other radius R.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
     /// Further conditions of several axes: names joined by +, such as `camera+robot`; `pairs`; or
@@ -241,7 +242,7 @@ struct DesignFlags {
     /// Configurations: `0-9`, `0,3,5-7`. Those from 10 on are drawn from --design-seed.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
-    /// Nominal rollouts: `eval`, those of the configurations' initial states;
+    /// Nominal rollouts: `eval`, those from the configurations' initial states;
     /// `all`; or `none`.
     #[arg(long, value_parser = enum_parser::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
@@ -283,9 +284,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         .collect();
     let unknown_length = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
-        let client = arguments.connection.patient_client(Duration::ZERO)?;
-        let earlier = arguments.planning_from.as_deref();
-        let planning = Planning::compute(&campaign, earlier, &arguments.connection).await?;
+        let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
+        let planning_from = arguments.planning_from.as_deref();
+        let planning = Planning::compute(&campaign, planning_from, &arguments.connection).await?;
         let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);
@@ -326,8 +327,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     print_video_estimate(&campaign)
 }
 
-/// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
-/// could not report the length of its answers.
+/// Prints the execution model of the rollouts unless it is `wait`, and first `unknown_length`, the
+/// warning that the length of the policy's answers is unknown.
 fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
     if let Some(unknown_length) = unknown_length {
         print_line(&wrapped("", 2, unknown_length))?;
@@ -337,8 +338,10 @@ fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<
     };
     let milliseconds = |steps: u16| u32::from(steps) * 1000 / CONTROL_HZ;
     let delay_text = match (delays.shortest(), delays.longest()) {
-        (first, last) if first == last => format!("{} ms", milliseconds(first)),
-        (first, last) => format!("{} to {} ms", milliseconds(first), milliseconds(last)),
+        (shortest, longest) if shortest == longest => format!("{} ms", milliseconds(shortest)),
+        (shortest, longest) => {
+            format!("{} to {} ms", milliseconds(shortest), milliseconds(longest))
+        }
     };
     print_line(&format!(
         "execution model {execution}: an answer takes effect after {delay_text}"
@@ -437,15 +440,15 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let mut given = arguments.design.axes.clone();
+    let mut axis_names = arguments.design.axes.clone();
     let is_latency = |name: &String| name == "latency";
-    let latency = given.iter().any(is_latency);
-    given.retain(|name| !is_latency(name));
-    let axes = match given.join(",").as_str() {
+    let latency = axis_names.iter().any(is_latency);
+    axis_names.retain(|name| !is_latency(name));
+    let axes = match axis_names.join(",").as_str() {
         "metric" => Axis::METRIC.to_vec(),
         "all" => Axis::ALL.to_vec(),
         "none" | "" => Vec::new(),
-        _ => parse_names(&given)?,
+        _ => parse_names(&axis_names)?,
     };
     // A design without axes has no perturbation to which a level could apply.
     let levels: Vec<Level> = match axes.is_empty() && !latency {
@@ -480,10 +483,11 @@ fn placebo(flags: &DesignFlags) -> anyhow::Result<Placebo> {
     })
 }
 
-/// Parses `--subsets`; `pairs` and `all` stand for the subsets of `axes` with several axes.
+/// Parses `--subsets`. `all` stands for the proper subsets of `axes` with two or more axes, `pairs`
+/// for those with two.
 fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName> {
-    let several = |set: &AxisSet| set.len() > 1 && *set != axes;
-    let all = axes.subsets().into_iter().filter(several);
+    let is_proper_combination = |set: &AxisSet| set.len() > 1 && *set != axes;
+    let all = axes.subsets().into_iter().filter(is_proper_combination);
     match given.join(",").as_str() {
         "all" => Ok(all.collect()),
         "pairs" => Ok(all.filter(|set| set.len() == 2).collect()),
@@ -491,7 +495,7 @@ fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName>
     }
 }
 
-/// Parses `--tasks`: what [`select_tasks`] accepts, and ranges such as `libero_object/0-3`.
+/// Parses `--tasks`: the selections of [`select_tasks`], and ranges such as `libero_object/0-3`.
 fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     let mut tasks = Vec::new();
     for text in given {

@@ -19,17 +19,17 @@ use super::forecast;
 /// Interval between two fetches of the findings.
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Campaign whose rollouts follow from those of another, to be shown, proposed or created.
+/// Derived campaign to be shown, proposed or created.
 pub(super) struct DerivedCampaign<'a> {
-    /// Name of the campaign that it follows from.
+    /// Name of the source campaign, from whose outcomes the rollouts follow.
     pub(super) source: &'a str,
     pub(super) name: &'a str,
-    /// Subcommand that creates and shows it.
+    /// Subcommand that creates and shows the campaign.
     pub(super) command: &'a str,
     /// Singular noun for a subject of the campaign: `transition` or `threshold`.
     pub(super) subject: &'a str,
     pub(super) rollouts: Rollouts,
-    /// `None` if it records as its source does.
+    /// Rollouts to film; `None` stands for the setting of the source campaign.
     pub(super) record: Option<Record>,
     /// True if flags were given that apply only to a campaign to be created.
     pub(super) has_creation_flags: bool,
@@ -49,8 +49,9 @@ pub(super) struct CreateFlags {
 }
 
 impl DerivedCampaign<'_> {
-    /// Creates or proposes the campaign as the flags request; `prospect` computes its size from
-    /// its source. Returns false if there are no findings to show, because it was only proposed.
+    /// Creates or proposes the campaign as the flags request; `prospect` computes the campaign's
+    /// size from the source's results. Returns false if the campaign was only proposed, so that
+    /// there are no findings to show.
     pub(super) async fn create_or_propose(
         &self,
         client: &Client,
@@ -80,8 +81,8 @@ impl DerivedCampaign<'_> {
         let prospect = prospect(&client.report(self.source).await?)?;
         let proposal = self.proposal(client, &source, &prospect).await;
         if !flags.create {
-            let created = format!("nothing was created; `{command} --create` creates the campaign");
-            print_line(&format!("{proposal}\n{created}"))?;
+            let hint = format!("nothing was created; `{command} --create` creates the campaign");
+            print_line(&format!("{proposal}\n{hint}"))?;
             return Ok(false);
         }
         self.create(client, &source).await?;
@@ -91,7 +92,7 @@ impl DerivedCampaign<'_> {
         Ok(true)
     }
 
-    /// Returns true if the campaign exists and follows from its source in the same way.
+    /// Returns true if a campaign of this name, of the same kind and with the same source exists.
     async fn exists(&self, client: &Client) -> Result<bool, CommandError> {
         let campaigns = client.list_campaigns().await?;
         if !campaigns.iter().any(|status| status.campaign == self.name) {
@@ -156,14 +157,14 @@ impl DerivedCampaign<'_> {
                 source.campaign
             ),
         };
-        let first = format!(
+        let size = format!(
             "campaign {} takes at most {} for {}{open}",
             self.name,
             counted(prospect.rollouts(), "rollout"),
             counted(prospect.subjects, self.subject)
         );
-        let first = terminal::wrapped("", 2, &first);
-        format!("{first}\n{}", forecast::describe(&forecast, &source.policy))
+        let size = terminal::wrapped("", 2, &size);
+        format!("{size}\n{}", forecast::describe(&forecast, &source.policy))
     }
 }
 
@@ -186,11 +187,11 @@ pub(super) async fn poll_findings<T>(
 ) -> Result<T, CommandError> {
     let mut printed = String::new();
     loop {
-        let found = fetch().await?;
-        if !until_complete || is_complete(&found) {
-            return Ok(found);
+        let findings = fetch().await?;
+        if !until_complete || is_complete(&findings) {
+            return Ok(findings);
         }
-        let text = text(&found);
+        let text = text(&findings);
         let summary = text.lines().next().unwrap_or_default();
         if summary != printed {
             eprintln!("{summary}");

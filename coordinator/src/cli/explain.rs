@@ -87,18 +87,19 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     {
         return Ok(());
     }
-    let found = async || {
+    let fetch = async || {
         let subject = client.report(&name).await?;
-        let found = Findings::of(&subject).map_err(usage)?;
+        let findings = Findings::of(&subject).map_err(usage)?;
         let no_findings =
             || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
-        Ok(found.ok_or_else(no_findings)?)
+        Ok(findings.ok_or_else(no_findings)?)
     };
-    let is_complete = |found: &Findings| found.complete;
-    let found = derived::poll_findings(arguments.watch, found, is_complete, Findings::text).await?;
+    let is_complete = |findings: &Findings| findings.complete;
+    let findings =
+        derived::poll_findings(arguments.watch, fetch, is_complete, Findings::text).await?;
     let text = match arguments.json {
-        true => found.json().map_err(anyhow::Error::from)?,
-        false => found.text(),
+        true => findings.json().map_err(anyhow::Error::from)?,
+        false => findings.text(),
     };
     Ok(print_line(text.trim_end())?)
 }

@@ -57,7 +57,7 @@ pub(super) fn read_manifest(path: &Path) -> Result<Vec<ManifestRow>, CommandErro
     Ok(rows?)
 }
 
-/// Name of a path in messages.
+/// Returns the name of an input for messages.
 pub(super) fn input_name(path: &Path) -> String {
     match is_standard_input(path) {
         true => "standard input".to_owned(),
@@ -149,14 +149,15 @@ mod tests {
     #[test]
     fn a_link_in_place_of_a_partial_file_is_replaced_and_not_followed() {
         let folder = tempfile::tempdir().expect("a folder");
-        let other = folder.path().join("other");
-        std::fs::write(&other, "of somebody").expect("written");
+        let linked = folder.path().join("linked");
+        std::fs::write(&linked, "another program's").expect("written");
         let path = folder.path().join("report.json");
         let partial = folder.path().join("report.json.partial");
-        std::os::unix::fs::symlink(&other, &partial).expect("a link");
+        std::os::unix::fs::symlink(&linked, &partial).expect("a link");
         write_atomically(&path, b"{}").expect("written");
         assert_eq!(std::fs::read(&path).expect("read"), b"{}");
         assert!(!path.is_symlink() && !partial.exists());
-        assert_eq!(std::fs::read(&other).expect("read"), b"of somebody");
+        let linked = std::fs::read(&linked).expect("read");
+        assert_eq!(linked, b"another program's");
     }
 }

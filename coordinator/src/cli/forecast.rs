@@ -15,7 +15,7 @@ use super::json;
 use super::planning::Planning;
 
 /// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
-/// forecast, since the rest of a dry run needs no coordinator.
+/// forecast, since the other parts of a dry run need no coordinator.
 pub(super) async fn request(
     client: &Client,
     campaign: &NewCampaign,
@@ -36,13 +36,13 @@ pub(super) async fn request_for_suites(
     rollouts: impl IntoIterator<Item = (&str, u64)>,
     policy_rate: Option<f64>,
 ) -> Result<ForecastResponse, String> {
-    let of_suite = |(suite, rollouts): (&str, u64)| SuiteRollouts {
+    let to_message = |(suite, rollouts): (&str, u64)| SuiteRollouts {
         suite: suite.to_owned(),
         rollouts,
     };
     let request = ForecastRequest {
         policy: policy.to_owned(),
-        rollouts: rollouts.into_iter().map(of_suite).collect(),
+        rollouts: rollouts.into_iter().map(to_message).collect(),
         policy_rate,
     };
     let answer = client.call(request, Service::forecast).await;

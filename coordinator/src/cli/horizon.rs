@@ -1,5 +1,6 @@
 //! Length of a policy's answers, as its endpoint describes it. A campaign whose execution model
-//! drops every action of an answer is refused at its creation, if the policy is served by then.
+//! drops every action of an answer is refused at its creation, provided that the policy can be
+//! reached at that time.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -13,12 +14,13 @@ use transport::{Access, parse_endpoint};
 
 use super::command::{CommandError, Connection, usage};
 
-/// Longest wait for a description: a policy may be served later than its campaign is created.
+/// Longest wait for the policy's description. It is short, since a campaign may be created before
+/// its policy is served.
 const DEADLINE: Duration = Duration::from_secs(3);
 
-/// Refuses a campaign under `overlap`, or with the latency axis, if its delays are as long as its
-/// policy's answers in one of the suites. Returns a sentence if the policy cannot be reached; the
-/// first rollout then fails if the delays are too long.
+/// Refuses a campaign under `overlap`, or with the latency axis, if its delays are at least as long
+/// as its policy's answers in one of the suites. Returns a warning if the policy cannot be reached;
+/// if the delays are too long, the campaign's first rollout then fails.
 pub(super) async fn check(
     spec: &CampaignSpec,
     suites: impl IntoIterator<Item = &str>,
@@ -60,25 +62,25 @@ pub(super) async fn check(
     Ok(None)
 }
 
-/// Returns the models under which rollouts of a campaign drop actions: its own, if that is
-/// `overlap`, and those of the latency axis, the longest delay last.
+/// Returns the execution models under which rollouts of a campaign drop actions: the campaign's
+/// own model, if that is `overlap`, and those of the latency axis, the longest delay last.
 fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
     let levels: BTreeSet<Level> = match &spec.rollouts {
         Rollouts::Design(design) if design.latency => design.levels.iter().copied().collect(),
         Rollouts::Manifest(rows) => {
             let ids = rows.iter().map(|row| row.id);
-            let late = ids.filter(|id| id.condition() == Condition::Latency);
-            late.map(|id| id.level()).collect()
+            let latency_ids = ids.filter(|id| id.condition() == Condition::Latency);
+            latency_ids.map(|id| id.level()).collect()
         }
         _ => BTreeSet::new(),
     };
-    let late = levels.into_iter().filter_map(|level| {
+    let latency_models = levels.into_iter().filter_map(|level| {
         let delays = Delays::fixed(delay_at(level)?)?;
         Some(Execution::Overlap { delays, rtc: false })
     });
     let model = Some(spec.execution.clone());
     let model = model.filter(|model| matches!(model, Execution::Overlap { .. }));
-    model.into_iter().chain(late).collect()
+    model.into_iter().chain(latency_models).collect()
 }
 
 /// Returns the largest number of actions of an answer, from the policy's description. The error is

@@ -21,10 +21,10 @@ pub(super) struct InteractionsArguments {
 pub(super) async fn interactions(arguments: InteractionsArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let subject = client.report(&arguments.campaign).await?;
-    let found = AxisInteractions::of(&subject).map_err(anyhow::Error::from)?;
+    let interactions = AxisInteractions::of(&subject).map_err(anyhow::Error::from)?;
     let text = match arguments.json {
-        true => found.json().map_err(anyhow::Error::from)?,
-        false => found.text(),
+        true => interactions.json().map_err(anyhow::Error::from)?,
+        false => interactions.text(),
     };
     Ok(print_line(text.trim_end())?)
 }

@@ -129,27 +129,27 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         level: arguments.level.unwrap_or_default(),
         ..ListJobsRequest::default()
     };
-    let mut left = arguments.limit;
+    let mut remaining = arguments.limit;
     let mut listed = json::Jobs {
         jobs: Vec::new(),
         is_truncated: false,
     };
     loop {
         // The request asks for one job more than is shown, to detect whether further jobs exist.
-        request.limit = left.min(PAGE_JOBS) + 1;
+        request.limit = remaining.min(PAGE_JOBS) + 1;
         let page = client.call(request.clone(), Service::list_jobs);
         let page = page.await?.jobs;
         let shown = page.iter().take(request.limit as usize - 1);
         for job in shown {
             match arguments.json {
                 true => listed.jobs.push(json::Job::from_message(job)),
-                false => print_line(&line(job))?,
+                false => print_line(&summary_line(job))?,
             }
             request.after_job_id = job.job_id;
-            left -= 1;
+            remaining -= 1;
         }
         let is_last = page.len() < request.limit as usize;
-        if !is_last && left > 0 {
+        if !is_last && remaining > 0 {
             continue;
         }
         listed.is_truncated = !is_last;
@@ -221,7 +221,7 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
     })
 }
 
-fn name(job: &Job) -> String {
+fn replicate_name(job: &Job) -> String {
     rollout_name(&job.rollout_id, job.replicate)
 }
 
@@ -248,8 +248,8 @@ fn describe_state(job: &Job) -> String {
     }
 }
 
-fn line(job: &Job) -> String {
-    let mut line = format!("{:<36} {}", name(job), describe_state(job));
+fn summary_line(job: &Job) -> String {
+    let mut line = format!("{:<36} {}", replicate_name(job), describe_state(job));
     if job.charged_attempts > 0 {
         line.push_str(&format!(", {} charged", job.charged_attempts));
     }
@@ -262,7 +262,7 @@ fn line(job: &Job) -> String {
 fn describe_job(details: &GetJobResponse) -> String {
     let job = details.job.clone().unwrap_or_default();
     let mut lines = vec![
-        format!("{}  (job {})", name(&job), job.job_id),
+        format!("{}  (job {})", replicate_name(&job), job.job_id),
         format!("  now            {}", describe_state(&job)),
         format!(
             "  attempts       {}, of which {} are charged",

@@ -13,14 +13,14 @@ const BAR_COLUMNS: usize = 16;
 const NAME_BYTES: usize = 18;
 
 /// Returns true if the campaign is cancelled or stopped early, or if every rollout is committed or
-/// in quarantine and none can be added.
+/// in quarantine and no rollout can be added.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
     let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
     is_over || (!status.may_grow && status.committed + status.quarantined >= status.total)
 }
 
-/// Formats name, progress bar, counts, rate and ETA in one line. The bar takes the columns that are
-/// left. Progress counts committed rollouts; rollouts in quarantine do not count.
+/// Formats name, progress bar, counts, rate and ETA in one line. The bar takes the columns that the
+/// text leaves free. Progress counts committed rollouts, not those in quarantine.
 pub(super) fn line(status: &CampaignStatus) -> String {
     let done = status.committed;
     let percent = (done * 100).checked_div(status.total).unwrap_or(0);
@@ -52,8 +52,9 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     format!("{name} {bar} {counts}")
 }
 
-/// Describes an early stop and the rollouts that it saved; `None` if none happened.
-fn stopped(status: &CampaignStatus) -> Option<String> {
+/// Describes an early stop and the rollouts that it saved; `None` if the campaign did not stop
+/// early.
+fn describe_early_stop(status: &CampaignStatus) -> Option<String> {
     let early = status.early_stop.as_ref()?;
     let configurations = [early.used?.into(), early.configurations.into()];
     let rollouts = [status.queued, status.total];
@@ -64,8 +65,9 @@ fn stopped(status: &CampaignStatus) -> Option<String> {
     ))
 }
 
-/// Describes what keeps a campaign from progressing and faults that need its operator.
-pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
+/// Describes the reasons why a campaign makes no progress, an early stop, and faults that need the
+/// operator's attention; `None` if there is nothing to describe.
+pub(super) fn operator_notes(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
     if status.policy_paused {
         notes.push(format!(
@@ -75,7 +77,7 @@ pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     } else if !status.waiting_reason.is_empty() {
         notes.push(status.waiting_reason.clone());
     }
-    notes.extend(stopped(status));
+    notes.extend(describe_early_stop(status));
     if !status.mixed_fingerprints.is_empty() {
         notes.push(status.mixed_fingerprints.clone());
     }
@@ -115,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_fits_eighty_columns_whatever_the_numbers() {
+    fn a_line_with_large_numbers_fits_eighty_columns() {
         let status = CampaignStatus {
             campaign: "a-very-long-campaign-name-that-goes-on-and-on".to_owned(),
             leased: 2_000,
@@ -155,12 +157,12 @@ mod tests {
         assert!(is_finished(&stopped));
         assert!(line(&stopped).ends_with("40%  stopped early"));
         assert_eq!(
-            attention(&stopped).expect("a note"),
+            operator_notes(&stopped).expect("a note"),
             "stopped early after 8 of 20 configurations: width(I) < 0.2; saved 83 rollouts (59 %)"
         );
     }
 
-    /// Regression: such a campaign read "0/0 0%  finished" before its first rollout.
+    /// Regression: the line of a derived campaign read "0/0 0%  finished" before its first rollout.
     #[test]
     fn a_derived_campaign_without_rollouts_is_not_finished() {
         let mut waiting = CampaignStatus {
@@ -175,7 +177,8 @@ mod tests {
         assert!(is_finished(&waiting) && line(&waiting).ends_with("finished"));
     }
 
-    /// Regression: 137 of 140 with three in quarantine read "140/140 100%  finished".
+    /// Regression: with 137 of 140 rollouts committed and three in quarantine, the line read
+    /// "140/140 100%  finished".
     #[test]
     fn quarantined_rollouts_are_not_progress_and_are_named_at_the_end() {
         let status = CampaignStatus {
@@ -190,7 +193,7 @@ mod tests {
             line(&status),
             "demo ███████████████░ 137/140 97%  finished but for 3 in quarantine"
         );
-        let note = attention(&status).expect("a note");
+        let note = operator_notes(&status).expect("a note");
         assert!(note.contains("coordinator jobs list demo --state quarantined"));
     }
 

@@ -1,4 +1,4 @@
-//! `coordinator campaign archive|import` and `coordinator merge`: campaigns in one file.
+//! `coordinator campaign archive|import` and `coordinator merge`: campaigns as archive files.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use coordinator::client::Service;
 use coordinator::storage::Storage;
 use proto::coordinator::{ArchiveCampaignRequest, ImportCampaignResponse, ImportChunk};
 use queue::ids::CampaignName;
-use queue::{DATABASE_FILE, MergeError, Merged, merge as merge_halves};
+use queue::{DATABASE_FILE, MergeError, Merged, merge as merge_campaigns};
 use tempfile::TempDir;
 use terminal::counted;
 use tokio::fs::File;
@@ -45,7 +45,7 @@ pub(super) struct ArchiveArguments {
 pub(super) struct ImportArguments {
     /// The archive, on this machine or at s3://BUCKET/….
     file: PathBuf,
-    /// New name of the campaign, if its own is taken on this coordinator.
+    /// New name of the campaign, if this coordinator already has a campaign of the archived name.
     #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
     #[command(flatten)]
@@ -60,7 +60,7 @@ pub(super) struct MergeArguments {
     /// Archive to write.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
-    /// Name of the merged campaign [default: that of the first one]
+    /// Name of the merged campaign. [default: the name in the first archive]
     #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
 }
@@ -75,8 +75,8 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
         campaign: arguments.campaign.clone(),
     };
     let mut chunks = client.call(request, Service::archive_campaign).await?;
-    let stored = Stored::from_argument(&arguments.output)?;
-    let output = stored
+    let remote = RemoteObject::from_argument(&arguments.output)?;
+    let output = remote
         .as_ref()
         .map_or(&arguments.output, |object| &object.file);
     let mut file = AtomicFile::create(output)?;
@@ -87,8 +87,8 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
         size_bytes += chunk.data.len();
     }
     file.finish()?;
-    if let Some(stored) = &stored {
-        let put = stored.storage.put(&stored.name, &stored.file).await;
+    if let Some(remote) = &remote {
+        let put = remote.storage.put(&remote.name, &remote.file).await;
         put.map_err(failure)?;
     }
     let (name, path) = (&arguments.campaign, arguments.output.display());
@@ -99,18 +99,18 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
 
 pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let stored = Stored::from_argument(&arguments.file)?;
-    if let Some(stored) = &stored {
-        let fetched = stored.storage.fetch(&stored.name, None, &stored.file).await;
+    let remote = RemoteObject::from_argument(&arguments.file)?;
+    if let Some(remote) = &remote {
+        let fetched = remote.storage.fetch(&remote.name, None, &remote.file).await;
         if !fetched.map_err(failure)? {
-            let (name, location) = (&stored.name, stored.storage.location());
+            let (name, location) = (&remote.name, remote.storage.location());
             let error = anyhow!("there is no such object");
             return Err(usage(
                 error.context(format!("fetch {name} from {location}")),
             ));
         }
     }
-    let path = stored
+    let path = remote
         .as_ref()
         .map_or(&arguments.file, |object| &object.file);
     // An unreadable file is a usage error; it is detected before the coordinator is contacted.
@@ -120,15 +120,15 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
             source: error,
         })
     })?;
-    let first = ImportChunk {
+    let first_chunk = ImportChunk {
         name: arguments
             .name
             .map_or_else(String::new, |name| name.to_string()),
         archive: arguments.file.display().to_string(),
         data: Vec::new(),
     };
-    let send = async |service: &mut Service, first| send(service, path, first).await;
-    let imported = client.call(first, send).await?;
+    let send = async |service: &mut Service, first_chunk| send(service, path, first_chunk).await;
+    let imported = client.call(first_chunk, send).await?;
     Ok(print_line(&format!(
         "campaign {} imported: {}, {} and {}",
         imported.campaign,
@@ -140,7 +140,8 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
 
 pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError> {
     let output = &arguments.output;
-    // The archives are unpacked beside the output file, on whose disk there must be room anyway.
+    // The archives are unpacked beside the output file, since its disk needs free space for the
+    // merged archive anyway.
     let parent_folder = match output.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
@@ -158,15 +159,15 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     let mut merged = Merged::default();
     let mut repeated = 0;
     for (number, path) in archives {
-        let other = read_archive(path, &folder, number).await?;
-        inputs.push(describe_input(&other));
+        let next = read_archive(path, &folder, number).await?;
+        inputs.push(describe_input(&next));
         let into = folder.path().join(format!("merged-{number}"));
         let name = arguments.name.as_ref();
-        let done = merge_halves(&combined.campaign, &other.campaign, &into, name).await;
-        let (campaign, counts) = done.map_err(|error| merge_error(error, first, path))?;
+        let result = merge_campaigns(&combined.campaign, &next.campaign, &into, name).await;
+        let (campaign, counts) = result.map_err(|error| merge_error(error, first, path))?;
         repeated += counts.both;
         merged = counts;
-        move_films(&into, &campaign, [&combined, &other]).await?;
+        move_films(&into, &campaign, [&combined, &next]).await?;
         combined = Unpacked {
             campaign,
             contents: combined.contents,
@@ -194,11 +195,12 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     ))?)
 }
 
-/// Uploads an archive; every retry of the call starts from the beginning of the file.
+/// Uploads an archive after `first_chunk`, which holds no data but the names. Every retry of the
+/// call starts from the beginning of the file.
 async fn send(
     service: &mut Service,
     path: &Path,
-    first: ImportChunk,
+    first_chunk: ImportChunk,
 ) -> Result<Response<ImportCampaignResponse>, Status> {
     let file = File::open(path).await?;
     let chunks = ReaderStream::with_capacity(file, CHUNK_BYTES);
@@ -207,29 +209,29 @@ async fn send(
         data: data.into(),
         ..ImportChunk::default()
     });
-    let chunks = tokio_stream::iter([first]).chain(chunks);
+    let chunks = tokio_stream::iter([first_chunk]).chain(chunks);
     service.import_campaign(chunks).await
 }
 
 /// Object in remote storage, with the local temporary file that is uploaded to it or downloaded
 /// from it.
-struct Stored {
+struct RemoteObject {
     storage: Storage,
     name: String,
     file: PathBuf,
     _folder: TempDir,
 }
 
-impl Stored {
+impl RemoteObject {
     /// Returns the remote object that an argument names; `None` if it names a local file.
-    fn from_argument(given: &Path) -> Result<Option<Stored>, CommandError> {
-        let address = given.to_string_lossy();
+    fn from_argument(argument: &Path) -> Result<Option<RemoteObject>, CommandError> {
+        let address = argument.to_string_lossy();
         if !Storage::is_remote(&address) {
             return Ok(None);
         }
         let (storage, name) = Storage::of_object(&address).map_err(usage)?;
         let folder = tempfile::tempdir().context("make a temporary folder")?;
-        Ok(Some(Stored {
+        Ok(Some(RemoteObject {
             storage,
             name,
             file: folder.path().join("archive.tar.gz"),
@@ -251,7 +253,7 @@ async fn read_archive(
     })
 }
 
-/// Describes an input archive for the contents of the merged archive.
+/// Describes an input archive for the table of contents of the merged archive.
 fn describe_input(archive: &Unpacked) -> MergedArchive {
     let members = &archive.contents.members;
     let database = members.iter().find(|member| member.name == DATABASE_FILE);

@@ -55,7 +55,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
         None => prompt(name)?,
     };
     if confirmed != *name {
-        let error = anyhow!("`{confirmed}` is not its name; nothing was deleted");
+        let error = anyhow!("`{confirmed}` is not the campaign's name; nothing was deleted");
         return Err(usage(error.context(format!("delete campaign `{name}`"))));
     }
     let client = arguments.connection.client()?;

@@ -24,7 +24,8 @@ pub(super) struct Planning {
     levels: Vec<PlannedLevel>,
 }
 
-/// Smallest detectable differences at one level, as fractions; absent ones are not detectable.
+/// Smallest detectable differences at one level, as fractions. An absent value means that no
+/// difference is detectable.
 #[derive(Debug, Serialize)]
 struct PlannedLevel {
     level: Level,
@@ -35,12 +36,13 @@ struct PlannedLevel {
     new_tasks: DetectableDifferences,
     these_tasks: DetectableDifferences,
     /// Assumed R_d of the placebo level; `None` if the campaign has no placebo level, in which case
-    /// R_d is compared with another policy's.
+    /// R_d is compared with that of another policy.
     floor: Option<f64>,
     floor_configurations: Option<u32>,
 }
 
-/// Smallest detectable differences for one target of inference, new tasks or these tasks.
+/// Smallest detectable differences for one target of inference: new tasks, or the campaign's own
+/// tasks.
 #[derive(Debug, Serialize)]
 struct DetectableDifferences {
     difference: Option<f64>,
@@ -49,40 +51,40 @@ struct DetectableDifferences {
 }
 
 impl From<Detectable> for DetectableDifferences {
-    fn from(found: Detectable) -> Self {
+    fn from(detectable: Detectable) -> Self {
         Self {
-            difference: found.difference,
-            i: found.i,
-            r_d: found.r_d,
+            difference: detectable.difference,
+            i: detectable.i,
+            r_d: detectable.r_d,
         }
     }
 }
 
 impl Planning {
-    /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows, or
-    /// from the student's published outcomes if `earlier` is `None`.
+    /// Plans a campaign from the outcomes of `planning_from`, a campaign or a folder of result
+    /// rows; `None` stands for the student's published outcomes.
     pub(super) async fn compute(
         campaign: &NewCampaign,
-        earlier: Option<&str>,
+        planning_from: Option<&str>,
         connection: &Connection,
     ) -> Result<Planning, CommandError> {
-        let (assumed_from, assumed) = match earlier {
+        let (assumed_from, assumed) = match planning_from {
             None => (STUDENT.to_owned(), Assumed::STUDENT.to_vec()),
-            Some(earlier) => {
-                let path = Path::new(earlier);
+            Some(name) => {
+                let path = Path::new(name);
                 let subject = match path.exists() {
                     true => report::import(path).map_err(usage)?,
-                    false => connection.client()?.report(earlier).await?,
+                    false => connection.client()?.report(name).await?,
                 };
                 let assumed = Assumed::of(&subject.counted()).map_err(usage)?;
                 if Assumed::nearest(&assumed, Level::L2).is_none() {
                     return Err(usage(anyhow!(
-                        "plan from {earlier}: no configuration has an outcome under each axis \
+                        "plan from {name}: no configuration has an outcome under each axis \
                          alone and under all axes simultaneously; name a campaign or a folder \
                          with such outcomes"
                     )));
                 }
-                (format!("those of {earlier}"), assumed)
+                (format!("those of {name}"), assumed)
             }
         };
         Ok(Planning {
@@ -197,16 +199,17 @@ fn describe_level(planned: &PlannedLevel) -> String {
         ),
         _ => "from another policy's".to_owned(),
     };
-    let these = &planned.these_tasks;
+    let own_tasks = &planned.these_tasks;
     format!(
         "{level}, {configurations} of {tasks}: for new tasks, a difference of two policies (A - B) \
-         of {} points, I {} from 0, R_d {} {against}; for these tasks only {}, {} and {}",
+         of {} points, I {} from 0, R_d {} {against}; for the campaign's own tasks only, {}, {} \
+         and {}",
         points(*difference),
         points(*i),
         points(*r_d),
-        points(these.difference),
-        points(these.i),
-        points(these.r_d)
+        points(own_tasks.difference),
+        points(own_tasks.i),
+        points(own_tasks.r_d)
     )
 }
 

@@ -81,14 +81,14 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         subjects.push(report::import(path).map_err(usage)?);
     }
     add_published(&mut subjects, &arguments.published).map_err(usage)?;
-    let ctrl_only = [
+    let ctrl_flags = [
         ("--figures", arguments.figures.is_some()),
         ("--table", !arguments.table.is_empty()),
         ("--published", !arguments.published.is_empty()),
     ];
-    let ctrl_only = ctrl_only.into_iter().find(|(_, is_given)| *is_given);
+    let given_flag = ctrl_flags.into_iter().find(|(_, is_given)| *is_given);
     if let (Some((flag, _)), Some(protocol)) = (
-        ctrl_only,
+        given_flag,
         subjects
             .iter()
             .find_map(|subject| subject.protocol.as_deref()),
@@ -147,16 +147,20 @@ fn add_published(subjects: &mut [Subject], published: &[Published]) -> anyhow::R
         rate,
     } in published
     {
-        let mut is_known = false;
-        for subject in subjects.iter_mut().filter(|s| s.policy == *policy) {
+        let mut has_report = false;
+        let of_policy = subjects
+            .iter_mut()
+            .filter(|subject| subject.policy == *policy);
+        for subject in of_policy {
             match suite {
                 Some(suite) => subject.published_by_suite.push((*suite, *rate)),
                 None => subject.published_nominal = Some(*rate),
             }
-            is_known = true;
+            has_report = true;
         }
-        if !is_known {
-            let policies: Vec<&str> = subjects.iter().map(|s| s.policy.as_str()).collect();
+        if !has_report {
+            let policies = subjects.iter().map(|subject| subject.policy.as_str());
+            let policies: Vec<&str> = policies.collect();
             let policies = policies.join(", ");
             return Err(anyhow!("valid are {policies}"))
                 .with_context(|| format!("use --published {policy}: no report has this policy"));
@@ -170,7 +174,7 @@ fn parse_table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
     match path.extension().and_then(OsStr::to_str) {
         Some("csv") => Ok((path, TableForm::Csv)),
         Some("parquet") => Ok((path, TableForm::Parquet)),
-        _ => Err("its name ends neither with .csv nor with .parquet"),
+        _ => Err("name a file that ends with .csv or .parquet"),
     }
 }
 

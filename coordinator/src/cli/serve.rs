@@ -46,8 +46,7 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "SECS", default_value_t = 10,
         value_parser = number(1..=86_400_u32, "seconds"))]
     step_ceiling_secs: u32,
-    /// MiB that must be free on the data folder's disk; with less, nothing is
-    /// leased.
+    /// MiB that must be free on the data folder's disk; with less free space, nothing is leased.
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
         value_parser = number(0..=1_u64 << 40, "MiB"))]
     min_free_mib: u64,
@@ -83,7 +82,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let address = listener
         .local_addr()
         .context("read the listening address")?;
-    let (over, scheme) = match security.is_encrypted() {
+    let (tls_note, scheme) = match security.is_encrypted() {
         true => (" over TLS", "https"),
         false => ("", "http"),
     };
@@ -95,9 +94,9 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         );
     }
     let data = arguments.data.display();
-    let page = page(scheme, address);
+    let page_url = page_url(scheme, address);
     let printed = print_line(&format!(
-        "listening on {address}{over}, page at {page}, data in {data}"
+        "listening on {address}{tls_note}, page at {page_url}, data in {data}"
     ));
     // A closed standard output is no error: the parent process may have exited.
     if let Err(error) = printed
@@ -119,7 +118,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
 
 /// Returns the page's URL. An unspecified address such as 0.0.0.0 is replaced by `HOST`, since a
 /// browser cannot open it.
-fn page(scheme: &str, address: SocketAddr) -> String {
+fn page_url(scheme: &str, address: SocketAddr) -> String {
     match (address.ip().is_unspecified(), address.port()) {
         (true, port) => format!("{scheme}://HOST:{port}/ where HOST is this machine's name"),
         (false, _) => format!("{scheme}://{address}/"),
@@ -139,8 +138,8 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
             ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
             worker_alive: lease,
-            // Two sweeps half a lease apart mean that the coordinator was suspended, so sweeps are
-            // far more frequent than that.
+            // If two successive sweeps are half a lease apart, the queue concludes that the
+            // coordinator was suspended. Sweeps are therefore far more frequent.
             sweep: heartbeat.min(Timing::default().sweep),
         },
         clock: Arc::new(SystemClock::start()),
@@ -166,12 +165,12 @@ mod tests {
 
     #[test]
     fn the_page_url_has_no_unspecified_address() {
-        let page = |address: &str| page("https", address.parse().expect("an address"));
-        assert_eq!(page("127.0.0.1:7411"), "https://127.0.0.1:7411/");
-        assert_eq!(page("[::1]:7411"), "https://[::1]:7411/");
-        for all in ["0.0.0.0:7511", "[::]:7511"] {
+        let url = |address: &str| page_url("https", address.parse().expect("an address"));
+        assert_eq!(url("127.0.0.1:7411"), "https://127.0.0.1:7411/");
+        assert_eq!(url("[::1]:7411"), "https://[::1]:7411/");
+        for unspecified in ["0.0.0.0:7511", "[::]:7511"] {
             assert_eq!(
-                page(all),
+                url(unspecified),
                 "https://HOST:7511/ where HOST is this machine's name"
             );
         }

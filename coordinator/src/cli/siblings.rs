@@ -1,4 +1,4 @@
-//! Paths of the release's other programs, which are installed in the same folder as this one.
+//! Paths of the release's other programs, which are installed in the same folder as this program.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow};
 /// Returns the path of a program in this program's folder.
 ///
 /// # Errors
-/// If the program is not there.
+/// If this program's folder does not contain the program.
 pub(super) fn sibling(name: &str) -> anyhow::Result<PathBuf> {
     let executable = std::env::current_exe().context("find this program's own file")?;
     let path = executable.with_file_name(name);

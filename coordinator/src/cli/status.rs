@@ -7,7 +7,7 @@ use proto::coordinator::CampaignStatus;
 
 use super::command::{CommandError, Connection, print_line};
 use super::json;
-use super::line::{attention, line};
+use super::line::{line, operator_notes};
 use super::watch::watch;
 use super::workers::{describe_filming, filming};
 
@@ -27,7 +27,7 @@ pub(super) struct ListArguments {
 pub(super) struct StatusArguments {
     /// Name of the campaign; all campaigns if omitted.
     campaign: Option<String>,
-    /// Follow until everything is finished.
+    /// Follow the progress until the campaign is finished, or all campaigns if none is named.
     #[arg(long)]
     watch: bool,
     /// Print JSON, as docs/JSON.md describes it.
@@ -47,8 +47,8 @@ pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     }
     for status in &campaigns {
         print_line(&line(status))?;
-        if let Some(note) = attention(status) {
-            print_line(&format!("  {note}"))?;
+        if let Some(notes) = operator_notes(status) {
+            print_line(&format!("  {notes}"))?;
         }
     }
     Ok(())
@@ -108,6 +108,6 @@ fn details(status: &CampaignStatus) -> String {
             status.campaign
         ));
     }
-    lines.extend(attention(status).map(|note| format!("  note         {note}")));
+    lines.extend(operator_notes(status).map(|notes| format!("  note         {notes}")));
     lines.join("\n")
 }

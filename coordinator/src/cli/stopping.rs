@@ -7,24 +7,24 @@ use terminal::counted;
 /// Returns one line per clause and a closing line on the scope of the rule. `configurations` is the
 /// campaign's number of configurations at each level.
 pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String> {
-    let these = counted(configurations as u64, "configuration");
+    let configurations_text = counted(configurations as u64, "configuration");
     let mut lines: Vec<String> = rule
         .clauses()
         .iter()
         .map(|clause| {
             format!(
                 "an early end shows that {}",
-                describe_clause(*clause, &these)
+                describe_clause(*clause, &configurations_text)
             )
         })
         .collect();
     if rule.is_about_new_tasks() {
         lines.push(
-            "with 95 % for each level, at all looks together, for new tasks of these suites, each \
-             of which weighs the same, under these directions; whole tasks are run in rounds, \
-             one of every suite, and evaluated after each round. With 40 tasks, only a difference \
-             of about 15 points or more ends a campaign early, and its estimate at that look is \
-             likely to be too large"
+            "the confidence is 95 % at each level, over all looks together, for new tasks of these \
+             suites, with equal weight for each suite, under these directions; whole tasks are run \
+             in rounds, one of every suite, and each round is followed by a look, which evaluates \
+             the rule. With 40 tasks, only a difference of about 15 points or more ends a campaign \
+             early, and its estimate at the last look is likely to be too large"
                 .to_owned(),
         );
         return lines;
@@ -37,22 +37,24 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
         );
     }
     lines.push(format!(
-        "with 95 % for each level, at all looks together, and for these {these} only: other \
-         tasks, initial states and directions may differ. A difference that ends a campaign is \
-         likely to be larger at that look than over the whole campaign"
+        "the confidence is 95 % at each level, over all looks (evaluations of the rule) together, \
+         and for these {configurations_text} only: other tasks, initial states and directions may \
+         differ. A difference that ends a campaign is likely to be larger at the last look than \
+         over the whole campaign"
     ));
     lines
 }
 
-fn describe_clause(clause: Clause, these: &str) -> String {
+fn describe_clause(clause: Clause, configurations: &str) -> String {
     match clause {
         Clause::Width(measure, width) => format!(
-            "{} over all {these} lies in an interval narrower than {}",
+            "{} over all {configurations} lies in an interval narrower than {}",
             describe_measure(measure),
             points(width)
         ),
         Clause::Excludes(Measure::I, 0.0) => format!(
-            "emergent failures and compensated successes are not equally many among all {these}"
+            "emergent failures and compensated successes are not equally many among all \
+             {configurations}"
         ),
         Clause::ExcludesForNewTasks(Measure::I, 0.0) => "emergent failures and compensated \
              successes are not equally frequent in new tasks"
@@ -65,7 +67,7 @@ fn describe_clause(clause: Clause, these: &str) -> String {
             )
         }
         Clause::Excludes(measure, value) => format!(
-            "{} over all {these} is not {}",
+            "{} over all {configurations} is not {}",
             describe_measure(measure),
             points(value)
         ),

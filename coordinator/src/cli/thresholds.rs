@@ -27,8 +27,8 @@ pub(super) struct ThresholdsArguments {
     /// Name of the campaign that runs the further radii. [default: CAMPAIGN-thresholds]
     #[arg(long)]
     name: Option<String>,
-    /// Axes, each alone, and `simultaneous` for all at once. [default: all that the
-    /// campaign has]
+    /// Axes, each alone, and `simultaneous` for all axes at once. [default: all conditions of the
+    /// campaign]
     #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = condition)]
     axes: Vec<Condition>,
     /// Largest width of the bracket between success and failure, in units of radius. [default: 0.5]
@@ -84,20 +84,21 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     {
         return Ok(());
     }
-    let found = async || {
-        let found = ThresholdReport::of(&client.report(&name).await?);
-        let no_findings = || anyhow!("show the thresholds of `{name}`: the campaign measures none");
-        Ok(found.ok_or_else(no_findings)?)
+    let fetch = async || {
+        let findings = ThresholdReport::of(&client.report(&name).await?);
+        let no_findings =
+            || anyhow!("show the thresholds of `{name}`: the campaign measures no thresholds");
+        Ok(findings.ok_or_else(no_findings)?)
     };
-    let is_complete = |found: &ThresholdReport| found.complete;
-    let found =
-        derived::poll_findings(arguments.watch, found, is_complete, ThresholdReport::text).await?;
+    let is_complete = |findings: &ThresholdReport| findings.complete;
+    let findings =
+        derived::poll_findings(arguments.watch, fetch, is_complete, ThresholdReport::text).await?;
     if let Some(folder) = &arguments.figures {
-        write_figures(&figures::of_thresholds(&found), folder)?;
+        write_figures(&figures::of_thresholds(&findings), folder)?;
     }
     let text = match arguments.json {
-        true => found.json().map_err(anyhow::Error::from)?,
-        false => found.text(),
+        true => findings.json().map_err(anyhow::Error::from)?,
+        false => findings.text(),
     };
     Ok(print_line(text.trim_end())?)
 }

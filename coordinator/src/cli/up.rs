@@ -96,25 +96,25 @@ async fn run(
     programs: &mut Programs,
     requests: &mut Requests,
 ) -> anyhow::Result<()> {
-    let words = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let strings = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
     let data = arguments
         .data
         .to_str()
         .context("read --data: write a path in UTF-8")?;
     let listen = arguments.listen.to_string();
-    let serve = words(&["serve", "--data", data, "--listen", &listen]);
+    let serve = strings(&["serve", "--data", data, "--listen", &listen]);
     let Some(coordinator) = programs.serve("coordinator", serve, requests).await? else {
         return Ok(());
     };
-    let mut gateway = words(&["--listen", &arguments.gateway_listen.to_string()]);
+    let mut gateway = strings(&["--listen", &arguments.gateway_listen.to_string()]);
     for route in &arguments.routes {
-        gateway.extend(words(&["--route", route]));
+        gateway.extend(strings(&["--route", route]));
     }
     let Some(gateway) = programs.serve("policy-gateway", gateway, requests).await? else {
         return Ok(());
     };
     let url = format!("http://{coordinator}");
-    let worker = words(&[
+    let worker = strings(&[
         "--connect",
         &url,
         "--assets",
@@ -201,9 +201,9 @@ impl Programs {
         requests: &mut Requests,
     ) -> anyhow::Result<Option<String>> {
         self.start(name, arguments)?;
-        let rest = self.first_line("listening on ", requests).await?;
-        let address = |rest: String| rest.split([',', ' ']).next().unwrap_or_default().to_owned();
-        Ok(rest.map(address))
+        let line = self.first_line("listening on ", requests).await?;
+        let address = |line: String| line.split([',', ' ']).next().unwrap_or_default().to_owned();
+        Ok(line.map(address))
     }
 
     fn start(&mut self, name: &'static str, arguments: Vec<String>) -> anyhow::Result<()> {
@@ -226,11 +226,11 @@ impl Programs {
         Ok(())
     }
 
-    /// Waits for a line of the newest program that begins with `start` and returns the rest of it;
-    /// `None` if a shutdown was requested first.
+    /// Waits until the program that was started last prints a line that begins with `prefix`, and
+    /// returns the line without the prefix; `None` if a shutdown was requested first.
     async fn first_line(
         &mut self,
-        start: &str,
+        prefix: &str,
         requests: &mut Requests,
     ) -> anyhow::Result<Option<String>> {
         loop {
@@ -241,7 +241,7 @@ impl Programs {
             };
             match line {
                 Some(line) => {
-                    if let Some(rest) = line.strip_prefix(start) {
+                    if let Some(rest) = line.strip_prefix(prefix) {
                         return Ok(Some(rest.to_owned()));
                     }
                 }
@@ -255,13 +255,13 @@ impl Programs {
     async fn next_exit(&mut self) -> anyhow::Error {
         loop {
             for program in &mut self.started {
-                let how = match program.child.try_wait() {
+                let exit_text = match program.child.try_wait() {
                     Ok(None) => continue,
                     Ok(Some(status)) => describe_exit(status),
                     Err(error) => format!("could not be waited for ({error})"),
                 };
                 return anyhow!(
-                    "keep `{}` running: it {how}; its last lines, above, say why",
+                    "keep `{}` running: it {exit_text}; its last lines, above, say why",
                     program.name
                 );
             }

@@ -18,8 +18,8 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "placebo_radius", "placebo_configs",
 ];
 
-/// Flags of LIBERO-Plus, LIBERO-PRO and LIBERO-Para and other sources of rollouts, which conflict
-/// with `--suite-file`.
+/// Flags that conflict with `--suite-file`: those for LIBERO-Plus, LIBERO-PRO and LIBERO-Para, and
+/// the other sources of rollouts.
 #[rustfmt::skip]
 const VARIANT_FLAGS: [&str; 10] = [
     "suite", "manifest", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
@@ -72,7 +72,8 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     dimensions: Vec<String>,
-    /// Variants of LIBERO-Plus of these difficulties, 1 to 5, or 0 for those without one.
+    /// Variants of LIBERO-Plus of these difficulties: 1 to 5, or 0 for variants without a
+    /// difficulty.
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,
@@ -86,11 +87,12 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     paraphrases: Vec<String>,
-    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50, or as the file says.
+    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50 for LIBERO-PRO, and the
+    /// number in the suite file.
     #[arg(long, value_name = "N", requires = "of_benchmark", hide_short_help = true,
         value_parser = number(1..=STATES, "trials"))]
     trials: Option<u16>,
-    /// Leaves out variants whose files are in no package index.
+    /// Leave out variants whose files are in no package index.
     #[arg(long, requires = "suite", hide_short_help = true)]
     runnable: bool,
 }

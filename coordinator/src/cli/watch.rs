@@ -12,7 +12,7 @@ use proto::coordinator::campaign_status::State;
 use queue::read::RATE_WINDOW;
 
 use super::command::{CommandError, print_line};
-use super::line::{attention, is_finished, line};
+use super::line::{is_finished, line, operator_notes};
 use super::workers::{describe_filming, filming};
 
 /// Refresh intervals: on a terminal, where the table is redrawn in place, and in a log, to which
@@ -20,7 +20,8 @@ use super::workers::{describe_filming, filming};
 const TERMINAL_PERIOD: Duration = Duration::from_secs(1);
 const LOG_PERIOD: Duration = Duration::from_secs(5);
 
-/// Follows one campaign, or all, until they are finished; returns their final status.
+/// Follows the named campaign, or all campaigns, until they are finished; returns their final
+/// status.
 pub(super) async fn watch(
     client: &Client,
     name: Option<&str>,
@@ -59,7 +60,8 @@ struct Screen {
     is_terminal: bool,
     /// Number of table lines that the next refresh overwrites.
     lines: usize,
-    attention: Vec<String>,
+    /// Notes of the last refresh, which are not printed again.
+    shown_notes: Vec<String>,
 }
 
 impl Screen {
@@ -72,11 +74,11 @@ impl Screen {
         print_line(text)
     }
 
-    /// Draws the table, preceded by notes that need the operator's attention and are new.
+    /// Draws the table, preceded by the notes that the last refresh did not have.
     fn show(&mut self, campaigns: &[CampaignStatus], filming: u32) -> anyhow::Result<()> {
-        let notes: Vec<String> = campaigns.iter().filter_map(attention).collect();
-        let earlier = std::mem::replace(&mut self.attention, notes.clone());
-        for note in notes.iter().filter(|note| !earlier.contains(note)) {
+        let notes: Vec<String> = campaigns.iter().filter_map(operator_notes).collect();
+        let shown_notes = std::mem::replace(&mut self.shown_notes, notes.clone());
+        for note in notes.iter().filter(|note| !shown_notes.contains(note)) {
             self.print(note)?;
         }
         let mut table = table(campaigns);
@@ -173,7 +175,7 @@ mod tests {
             state: state.into(),
             ..campaign(name, "expert")
         };
-        let cancelled = in_state("gone", State::Cancelled);
+        let cancelled = in_state("cancelled", State::Cancelled);
         let running = in_state("one", State::Running);
         assert_eq!(table(&[running.clone(), cancelled.clone()]).len(), 2);
         let lines = table(&[running.clone(), cancelled, running]);

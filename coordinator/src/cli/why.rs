@@ -56,13 +56,13 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
         doctor.arg(flag).arg(file);
     }
     print_line(&format!("policy-gateway doctor {url}"))?;
-    let ended = doctor
+    let exit_status = doctor
         .status()
         .await
         .context("run `policy-gateway doctor`")?;
-    match ended.success() {
+    match exit_status.success() {
         true => Ok(()),
-        false => Err(CommandError::Judged),
+        false => Err(CommandError::FaultsPrinted),
     }
 }
 

@@ -16,7 +16,7 @@ const LISTED_AFTER_DEPARTURE: Duration = Duration::from_secs(7 * 86_400);
 
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {
-    /// List departed workers, too; without --json, only those of the last week.
+    /// List departed workers, too; without --json, only those whose last call was within a week.
     #[arg(long)]
     all: bool,
     /// Print JSON, as docs/JSON.md describes it.
@@ -37,23 +37,23 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
             .chain(departed.iter().filter(|_| arguments.all));
         return json::print(&json::Workers::from_messages(shown));
     }
-    let (recent, forgotten): (Vec<_>, Vec<_>) = departed
+    let (recent, older): (Vec<_>, Vec<_>) = departed
         .iter()
         .partition(|worker| worker.silent_secs < LISTED_AFTER_DEPARTURE.as_secs_f64());
     let shown = alive
         .iter()
         .chain(recent.iter().copied().filter(|_| arguments.all));
-    let mut lines: Vec<String> = shown.map(line).collect();
+    let mut lines: Vec<String> = shown.map(describe_worker).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
     if !arguments.all && !recent.is_empty() {
         lines.push(format!("{} departed: --all shows them", recent.len()));
     }
-    if arguments.all && !forgotten.is_empty() {
+    if arguments.all && !older.is_empty() {
         lines.push(format!(
             "{} without a call for a week or more: --all --json lists them too",
-            counted(forgotten.len() as u64, "worker")
+            counted(older.len() as u64, "worker")
         ));
     }
     Ok(print_line(&lines.join("\n"))?)
@@ -75,7 +75,7 @@ pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
     })
 }
 
-fn line(worker: &WorkerStatus) -> String {
+fn describe_worker(worker: &WorkerStatus) -> String {
     let state = match (worker.alive, worker.stopped_reason.as_str()) {
         (false, _) if worker.signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),

@@ -27,6 +27,6 @@ pub(super) async fn chunks(backup: Backup) -> Result<Chunks, Status> {
 }
 
 fn unreadable(error: std::io::Error) -> Status {
-    tracing::error!("failed to read the backup that was made: {error}");
-    Status::unavailable(format!("read the backup that was made: {error}"))
+    tracing::error!("failed to read the copy of the database: {error}");
+    Status::unavailable(format!("read the copy of the database: {error}"))
 }

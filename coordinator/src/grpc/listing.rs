@@ -62,7 +62,7 @@ pub(super) fn state(state: CampaignState) -> wire::campaign_status::State {
 }
 
 pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
-    let left = |instant: Option<UnixMillis>| {
+    let secs_until = |instant: Option<UnixMillis>| {
         instant.map_or(0.0, |instant| instant.since(now).as_secs_f64())
     };
     wire::Job {
@@ -74,9 +74,9 @@ pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
         attempt_id: line.attempt_id.unwrap_or_default(),
         charged_attempts: line.charged_attempts,
         lease_owner: line.lease_owner.map(|owner| owner.0).unwrap_or_default(),
-        lease_left_secs: left(line.lease_expires_ms),
+        lease_left_secs: secs_until(line.lease_expires_ms),
         control_steps: line.control_steps.unwrap_or(0),
-        backoff_left_secs: left(line.not_before_ms),
+        backoff_left_secs: secs_until(line.not_before_ms),
         last_error: line.last_error.unwrap_or_default(),
         success: line.success,
         steps: line.steps,

@@ -48,27 +48,28 @@ pub(super) async fn archive(
     let source = queue.source_outcomes(&copy.spec).await.map_err(failed)?;
     let fetched = folder.path().join("films");
     if let Some(storage) = storage {
-        fetch(storage, &copy, (data, films.as_str()), &fetched).await?;
+        fetch_films(storage, &copy, (data, films.as_str()), &fetched).await?;
     }
     let local_films = data.join(films);
-    let film = |name: &str| match fetched.join(name) {
+    let film_path = |name: &str| match fetched.join(name) {
         path if path.exists() => path,
         _ => local_films.join(name),
     };
-    let package = package(copy, film, source, Vec::new()).await;
+    let package = package(copy, film_path, source, Vec::new()).await;
     let package = package.map_err(archive_failed)?;
     Ok(chunks(package, folder, name))
 }
 
-/// Downloads the films of a campaign that were moved from the data folder to the storage.
-async fn fetch(
+/// Downloads the films of a campaign that were moved from the data folder to the storage. `folder`
+/// is the campaign's folder of films, relative to the data folder.
+async fn fetch_films(
     storage: &Storage,
     campaign: &Portable,
     (data, folder): (&Path, &str),
     into: &Path,
 ) -> Result<(), Status> {
     let films = campaign.films().await.map_err(failed)?;
-    std::fs::create_dir_all(into).map_err(|error| no_room(into, &error))?;
+    std::fs::create_dir_all(into).map_err(|error| folder_failed(into, &error))?;
     for film in films {
         let name = film.path.rsplit('/').next().unwrap_or_default();
         let key = format!("{folder}/{name}");
@@ -124,12 +125,12 @@ struct ChunkWriter {
 impl Write for ChunkWriter {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
         let room = CHUNK_BYTES - self.buffer.len();
-        let taken = &data[..data.len().min(room)];
-        self.buffer.extend_from_slice(taken);
+        let accepted = &data[..data.len().min(room)];
+        self.buffer.extend_from_slice(accepted);
         if self.buffer.len() == CHUNK_BYTES {
             self.flush()?;
         }
-        Ok(taken.len())
+        Ok(accepted.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -162,8 +163,8 @@ pub(super) async fn import(
     let folder = moving_folder(queue.store().folder())?;
     let file = folder.path().join("archive");
     receive(&file, &first.data, &mut chunks).await?;
-    let into = folder.path().join("unpacked");
-    let unpacked = unpack(&file, archive, &into).await;
+    let unpack_folder = folder.path().join("unpacked");
+    let unpacked = unpack(&file, archive, &unpack_folder).await;
     let unpacked = unpacked.map_err(archive_failed)?;
     let films = unpacked.campaign.films().await.map_err(failed)?.len() as u64;
     let queue = queue.clone();
@@ -198,7 +199,7 @@ async fn receive(
     let mut file = tokio::fs::File::create(path).await.map_err(unwritable)?;
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
-        // Running campaigns need the remaining space for their results.
+        // The space that is still free must be left to running campaigns for their results.
         let room = Room::measure(folder, DEFAULT_MIN_FREE_MIB << 20);
         if room.free_bytes < room.needed_bytes {
             return Err(Status::resource_exhausted(format!(
@@ -229,10 +230,11 @@ fn moving_folder(data: &Path) -> Result<TempDir, Status> {
     let folder = tempfile::Builder::new()
         .prefix(MOVING_PREFIX)
         .tempdir_in(data);
-    folder.map_err(|error| no_room(data, &error))
+    folder.map_err(|error| folder_failed(data, &error))
 }
 
-fn no_room(folder: &Path, error: &io::Error) -> Status {
+/// Logs that a folder cannot be made and returns a status upon which the client retries.
+fn folder_failed(folder: &Path, error: &io::Error) -> Status {
     tracing::error!("failed to make a folder in {}: {error}", folder.display());
     Status::unavailable(format!(
         "make a folder in the coordinator's data folder: is there room on the disk? ({error})"
@@ -271,7 +273,7 @@ fn archive_failed(error: ArchiveError) -> Status {
             invalid(chain(&error))
         }
         ArchiveError::Results(error) => failed(error),
-        // Not Unavailable, since clients retry that.
+        // The code is not Unavailable, upon which clients would retry.
         ArchiveError::NoRoom { .. } => Status::resource_exhausted(chain(&error)),
         error => unavailable(&error),
     }

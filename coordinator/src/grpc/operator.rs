@@ -30,7 +30,7 @@ use crate::forecast;
 use crate::report;
 use crate::storage::Storage;
 
-/// Size of a report's message parts, bytes.
+/// Size of each message of a report, bytes.
 const REPORT_PART_BYTES: usize = 1 << 20;
 
 /// Operator service of a queue.
@@ -46,7 +46,8 @@ impl OperatorApi {
         self.queue.view().await.map_err(failed)
     }
 
-    /// Looks a campaign up by name; the rest of the response reads from the returned view.
+    /// Looks a campaign up by name. The caller reads all further data of its response from the
+    /// returned view, so that the response is consistent.
     async fn campaign(&self, name: &str) -> Result<(View, Campaign), Status> {
         let name = campaign_name(name)?;
         let mut view = self.view().await?;

@@ -32,7 +32,7 @@ const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
 /// Largest measurement of a result, in seconds, millimetres or degrees; bounded so that sums stay
 /// finite.
 const MAX_MEASURED: f64 = 1e9;
-/// Most values of one realised axis; actual axes have a few dozen.
+/// Most values of one realised axis; the metric axes have at most a few dozen.
 const MAX_REALISED_VALUES: usize = 1_024;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
@@ -43,7 +43,7 @@ pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
     id.parse().map_err(invalid)
 }
 
-/// Clamps the reported number of films in progress to the most slots that a worker can have.
+/// Clamps the reported number of films in progress to the maximum number of slots of a worker.
 pub(super) fn filming(count: u32) -> u32 {
     count.min(MAX_SLOTS)
 }
@@ -167,7 +167,7 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     })
 }
 
-/// Reads the number of rollouts, by suite.
+/// Returns the number of rollouts by suite.
 pub(super) fn rollouts_by_suite(
     requests: Vec<wire::SuiteRollouts>,
 ) -> Result<BTreeMap<String, u64>, Status> {
@@ -283,8 +283,8 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
     }
 }
 
-/// Truncates an error message and makes it printable. An empty one is replaced by a placeholder,
-/// since a quarantined job must show a reason.
+/// Truncates an error message and makes it printable. An empty message is replaced by a
+/// placeholder, since a quarantined job must show a reason.
 pub(super) fn error_text(error: &str) -> Cow<'_, str> {
     match shortened(error, MAX_ERROR_BYTES).trim() {
         "" => "no reason was given".into(),
@@ -303,8 +303,9 @@ fn motion(motion: wire::Motion) -> Result<Motion, Status> {
     let (path, actions) = (motion.path.len(), motion.actions.len());
     if !motion.is_whole() || path > MAX_PATH_BYTES || actions > MAX_ACTIONS_BYTES {
         return Err(invalid(format!(
-            "`motion` has {path} bytes of path, 6 a position and at most {MAX_PATH_BYTES}, and \
-             {actions} of actions, 28 each and at most {MAX_ACTIONS_BYTES}"
+            "`motion` has {path} bytes of path and {actions} bytes of actions; it may have 6 bytes \
+             per position, at most {MAX_PATH_BYTES}, and 28 bytes per action, at most \
+             {MAX_ACTIONS_BYTES}"
         )));
     }
     Ok(motion)
@@ -398,12 +399,13 @@ fn text(field: &str, value: String) -> Result<String, Status> {
 }
 
 fn settings(given: BTreeMap<String, String>) -> Result<BTreeMap<String, String>, Status> {
-    // The worker adds up to four settings to the policy's: `execute`, `horizon`, and two of the
-    // execution.
+    // The worker adds up to four settings to those of the policy: `execute`, `horizon`, and two
+    // about the execution model.
     if given.len() > proto::MAX_SETTINGS + 4 {
         let count = given.len();
         return Err(invalid(format!(
-            "`policy_settings` has {count} entries, too many"
+            "`policy_settings` has {count} entries; it may have at most {}",
+            proto::MAX_SETTINGS + 4
         )));
     }
     let checked = given.into_iter().map(|(name, value)| {

@@ -23,8 +23,8 @@ const MAX_PROGRESS: usize = 1_024;
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest task name of a claim, bytes; longer ones are ignored.
 const MAX_TASK_BYTES: usize = 80;
-/// Most tasks accepted in a claim's `lacking_tasks`; forty tasks have four keys each, and a suite
-/// file has up to 256 tasks.
+/// Most tasks accepted in a claim's `lacking_tasks`: each of LIBERO's forty tasks has four keys,
+/// and a suite file has up to 256 tasks.
 const MAX_TASKS: usize = 1024;
 /// Name of the only accepted artifact.
 const VIDEO: &str = "video.mp4";
@@ -170,7 +170,7 @@ impl WorkerService for WorkerApi {
     ) -> Answer<PutArtifactResponse> {
         let mut chunks = request.into_inner();
         let first = next_chunk(&mut chunks).await?;
-        let first = first.ok_or_else(|| invalid("an empty upload"))?;
+        let first = first.ok_or_else(|| invalid("store the artifact: the upload is empty"))?;
         let attempt = read::attempt(&first.attempt_id)?;
         if first.name != VIDEO {
             return Err(invalid(format!(
@@ -203,7 +203,7 @@ async fn next_chunk(
     match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
         Ok(chunk) => chunk.transpose(),
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "no chunk of the upload arrived within {MAX_CHUNK_WAIT:?}"
+            "receive the artifact: no chunk arrived within {MAX_CHUNK_WAIT:?}"
         ))),
     }
 }

@@ -1,5 +1,5 @@
 //! HTTP responses: pages with their security headers, and static files. The content security policy
-//! forbids loading anything from other origins and running other scripts than `page.js`.
+//! forbids loading anything from other origins, and running scripts other than `page.js`.
 
 use std::sync::LazyLock;
 
@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use sha2::{Digest, Sha256};
 
-/// Style sheet of the pages, appended to the report's.
+/// Style sheet of the pages, appended to the style sheet of reports.
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("page.js");
 const ICON: &str = include_str!("icon.svg");
@@ -32,6 +32,7 @@ const HEADERS: [(HeaderName, &str); 5] = [
 pub(super) static FILES_VERSION: LazyLock<String> =
     LazyLock::new(|| short_digest(&[report::STYLE, STYLE, SCRIPT, ICON].concat()));
 
+/// Rendered page with its entity tag.
 #[derive(Debug)]
 pub(super) struct Rendered {
     html: Bytes,
@@ -67,20 +68,20 @@ pub(super) fn page(code: StatusCode, html: String) -> Response {
 }
 
 pub(super) async fn style() -> Response {
-    file("text/css; charset=utf-8", [report::STYLE, STYLE].concat())
+    static_file("text/css; charset=utf-8", [report::STYLE, STYLE].concat())
 }
 
 pub(super) async fn script() -> Response {
-    file("text/javascript; charset=utf-8", SCRIPT.to_owned())
+    static_file("text/javascript; charset=utf-8", SCRIPT.to_owned())
 }
 
 pub(super) async fn icon() -> Response {
-    file("image/svg+xml", ICON.to_owned())
+    static_file("image/svg+xml", ICON.to_owned())
 }
 
-fn file(kind: &'static str, text: String) -> Response {
+fn static_file(media_type: &'static str, text: String) -> Response {
     let headers = [
-        (header::CONTENT_TYPE, kind),
+        (header::CONTENT_TYPE, media_type),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::CACHE_CONTROL, "public, max-age=31536000, immutable"),
     ];
@@ -102,8 +103,8 @@ mod tests {
 
     /// Returns the selectors of a style sheet's rules.
     fn selectors(style: &str) -> impl Iterator<Item = &str> {
-        let heads = style.lines().filter_map(|line| line.split_once('{'));
-        heads.flat_map(|(selectors, _)| selectors.split(','))
+        let rules = style.lines().filter_map(|line| line.split_once('{'));
+        rules.flat_map(|(selectors, _)| selectors.split(','))
     }
 
     /// Regression: the page's `.bar{width:100%}` stretched every bar of the report's figures.

@@ -18,8 +18,8 @@ fn segments(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
     ]
 }
 
-/// Renders a bar; waiting jobs leave it empty.
-pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
+/// Renders a bar, whose empty part stands for waiting jobs; `description` is its text alternative.
+pub(super) fn bar(counts: &Counts, description: &str) -> Markup {
     let scale = WIDTH / (counts.total().max(1) as f64);
     let mut end = 0.0;
     let placed = segments(counts).map(|(class, count, _)| {
@@ -28,7 +28,7 @@ pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
         (class, x, width)
     });
     html! {
-        svg.bar role="img" aria-label=(words) viewBox="0 0 1000 10" preserveAspectRatio="none" {
+        svg.bar role="img" aria-label=(description) viewBox="0 0 1000 10" preserveAspectRatio="none" {
             rect.empty width="1000" height="10" {}
             @for (class, x, width) in placed {
                 @if width > 0.0 && class != "empty" {
@@ -44,15 +44,15 @@ pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
 pub(super) fn legend(counts: &Counts) -> Markup {
     html! {
         ul.legend {
-            @for (class, count, word) in segments(counts) {
-                li { span class={ "key " (class) } {} strong { (count) } " " (word) }
+            @for (class, count, label) in segments(counts) {
+                li { span class={ "key " (class) } {} strong { (count) } " " (label) }
             }
         }
     }
 }
 
 /// Describes the bar for screen readers.
-pub(super) fn words(counts: &Counts) -> String {
+pub(super) fn describe(counts: &Counts) -> String {
     format!(
         "{} of {} rollouts have a result, {} of them succeeded; {} are running, {} wait, {} are \
          quarantined",

@@ -22,7 +22,10 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let status = view.status(campaign).await?;
     let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;
-    let records = document.analyses.iter().flat_map(|a| &a.subject.records);
+    let records = document
+        .analyses
+        .iter()
+        .flat_map(|analysis| &analysis.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
     let explained = document
         .analyses
@@ -84,23 +87,23 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         }
         tally.succeeded += u64::from(record.outcome == Outcome::Success);
     }
-    let perturbs = |(condition, _): &&(Condition, Level)| *condition != Condition::Clean;
-    let perturbed: BTreeSet<Level> = tallies.keys().filter(perturbs).map(|key| key.1).collect();
-    let conditions: BTreeSet<Condition> =
-        tallies.keys().filter(perturbs).map(|key| key.0).collect();
-    let perturbing = conditions.into_iter();
+    let is_perturbed = |(condition, _): &&(Condition, Level)| *condition != Condition::Clean;
+    let perturbed = tallies.keys().filter(is_perturbed);
+    let levels: BTreeSet<Level> = perturbed.clone().map(|key| key.1).collect();
+    let conditions: BTreeSet<Condition> = perturbed.map(|key| key.0).collect();
     let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
-    let (subsets, others): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
+    let (subsets, others): (Vec<Condition>, Vec<Condition>) =
+        conditions.into_iter().partition(is_subset);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
     let rows_of = |conditions: &[Condition]| {
         html! {
-            @for row in conditions {
+            @for condition in conditions {
                 tr {
-                    th scope="row" { (breakable(row.label())) }
-                    @for level in &perturbed {
+                    th scope="row" { (breakable(condition.label())) }
+                    @for level in &levels {
                         td.tally {
-                            @match tallies.get(&(*row, *level)) {
-                                Some(found) => (tally(found)),
+                            @match tallies.get(&(*condition, *level)) {
+                                Some(counts) => (tally(counts)),
                                 None => span.muted { "–" },
                             }
                         }
@@ -113,17 +116,17 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         @if let Some(nominal) = nominal {
             tr {
                 th scope="row" { (Condition::Clean.label()) }
-                td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
+                td.tally colspan=(levels.len().max(1)) { (tally(nominal)) }
             }
         }
         (rows_of(&others))
     };
     let mut columns = vec!["condition".to_owned()];
-    columns.extend(perturbed.iter().map(|level| match *level {
+    columns.extend(levels.iter().map(|level| match *level {
         Level::L0 => "L0 (placebo)".to_owned(),
         level => level.to_string(),
     }));
-    if perturbed.is_empty() {
+    if levels.is_empty() {
         columns.push("unperturbed".to_owned());
     }
     html! {
@@ -141,7 +144,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     }
 }
 
-/// Renders a cell: the bar and its counts.
+/// Renders a cell of the table: a progress bar and its counts.
 fn tally(counts: &Counts) -> Markup {
     let Counts {
         committed: done,
@@ -150,11 +153,11 @@ fn tally(counts: &Counts) -> Markup {
         ..
     } = *counts;
     let total = counts.total();
-    let words = format!(
+    let description = format!(
         "{done} of {total} have a result, {succeeded} succeeded, {quarantined} quarantined"
     );
     html! {
-        (bar(counts, &words))
+        (bar(counts, &description))
         small {
             (done) "/" (total)
             @if done > 0 { ", " (succeeded) " succeeded" }

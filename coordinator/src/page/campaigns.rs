@@ -1,10 +1,10 @@
-//! Start page: every campaign with its progress and any obstacle to it.
+//! Start page: every campaign with its progress, and the reason if it makes no progress.
 
 use maud::{Markup, html};
 use queue::read::{CampaignStatus, Source};
 use queue::rules::campaign::CampaignState;
 
-use super::bar::{bar, legend, words};
+use super::bar::{bar, describe, legend};
 use super::compare;
 use super::layout::{Sheet, Tab};
 use super::problem::Problem;
@@ -38,7 +38,8 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Tab::Campaigns, "Campaigns", main))
 }
 
-/// Renders the progress of one campaign: pace, bar, counts and notes on obstacles.
+/// Renders the progress of one campaign: pace, bar, counts, and notes on the reasons why it makes
+/// no progress.
 pub(super) fn progress(status: &CampaignStatus) -> Markup {
     let counts = &status.counts;
     let done = counts.committed;
@@ -49,19 +50,20 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
             " " (done) " of " (counts.total()) " rollouts"
             " · " (describe_pace(status))
         }
-        (bar(counts, &words(counts)))
+        (bar(counts, &describe(counts)))
         (legend(counts))
         p.muted {
             "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }
-            @if unfinished(status) > 0 { " · " (workers(status.live_workers)) }
+            @if unfinished(status) > 0 { " · " (suitable_workers(status.live_workers)) }
         }
-        // Live region for screen readers; it changes only at every tenth of the progress.
+        // Live region for screen readers. The percentage is rounded down to tens, so that they
+        // announce few changes.
         p.unseen role="status" { (status.campaign.name) ": " (percent / 10 * 10) " % done" }
         (notes(status))
     }
 }
 
-/// Renders notes on obstacles and on faults that need the operator.
+/// Renders notes on the reasons why a campaign makes no progress, and on rollouts in quarantine.
 fn notes(status: &CampaignStatus) -> Markup {
     let quarantined = status.counts.quarantined;
     let is_over = status.campaign.state.is_over();
@@ -108,7 +110,7 @@ fn describe_pace(status: &CampaignStatus) -> String {
     }
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
-        CampaignState::Stopped { .. } => stopped(status),
+        CampaignState::Stopped { .. } => describe_early_stop(status),
         _ if unfinished(status) == 0 && status.counts.quarantined > 0 => {
             format!(
                 "finished but for {} in quarantine",
@@ -130,14 +132,15 @@ fn describe_pace(status: &CampaignStatus) -> String {
     }
 }
 
-/// Returns the source campaign while some of its rollouts lack an outcome, unless it is cancelled.
+/// Returns the source of a derived campaign while some rollouts of the source lack an outcome,
+/// unless the source is cancelled.
 fn awaited(status: &CampaignStatus) -> Option<&Source> {
     let source = status.source.as_ref();
     source.filter(|source| source.awaited > 0 && !source.is_cancelled)
 }
 
 /// Describes an early stop and the rollouts that it saved.
-fn stopped(status: &CampaignStatus) -> String {
+fn describe_early_stop(status: &CampaignStatus) -> String {
     let early = status.stop.as_ref();
     let Some((early, used)) = early.and_then(|early| Some((early, early.used?))) else {
         return "stopped early".to_owned();
@@ -152,7 +155,7 @@ fn unfinished(status: &CampaignStatus) -> u64 {
     status.counts.queued + status.counts.leased
 }
 
-fn workers(live: u32) -> String {
+fn suitable_workers(live: u32) -> String {
     match live {
         0 => "no suitable worker".to_owned(),
         1 => "1 suitable worker".to_owned(),

@@ -30,7 +30,7 @@ impl ShownRollout {
     }
 }
 
-/// Renders the card. `trace` is the plot of the hand's path, if any.
+/// Renders the card. `trace` is the plot of the hand's path, if the result has a path.
 pub(super) fn card(
     campaign: &str,
     shown: &ShownRollout,
@@ -50,11 +50,11 @@ pub(super) fn card(
                 (video(campaign, shown, replicate, bytes))
             }
             @if let Some(trace) = trace { (trace) }
-            (perturbed(shown))
+            (perturbation_values(shown))
             @if !shown.failures.is_empty() { (failures(shown)) }
             details {
                 summary { "Seeds and provenance" }
-                (origin(shown, replicate))
+                (provenance(shown, replicate))
             }
         }
     }
@@ -85,7 +85,7 @@ fn describe_state(shown: &ShownRollout) -> (&'static str, &'static str, String) 
     let line = &shown.line;
     match (&shown.result, line.state.as_str()) {
         (Some(result), _) => {
-            let (class, word, within) = match result.success {
+            let (class, word, preposition) = match result.success {
                 true => ("succeeded", "✓ success", "after"),
                 false => ("failed", "✗ failure", "in"),
             };
@@ -93,7 +93,7 @@ fn describe_state(shown: &ShownRollout) -> (&'static str, &'static str, String) 
             (
                 class,
                 word,
-                format!("{within} {steps} of {budget} control steps"),
+                format!("{preposition} {steps} of {budget} control steps"),
             )
         }
         (None, "leased") => {
@@ -133,13 +133,17 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
     format!("/campaigns/{campaign}/videos/{id}?replicate={replicate}")
 }
 
-/// Renders the instruction, if it differs, and the perturbation of each axis.
-fn perturbed(shown: &ShownRollout) -> Markup {
-    let mut combined = shown.row.perturbation.axes();
-    combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
-    let axes = shown.id.condition().axes(combined.into_iter().collect());
+/// Renders the execution model unless it is `wait`, the instruction if it differs from the task's,
+/// and the perturbation of each axis.
+fn perturbation_values(shown: &ShownRollout) -> Markup {
+    let mut perturbed_axes = shown.row.perturbation.axes();
+    perturbed_axes.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
+    let axes = shown
+        .id
+        .condition()
+        .axes(perturbed_axes.into_iter().collect());
     let axes: Vec<Axis> = axes.axes().collect();
-    // The row lacks instructions that stand only in a variant's BDDL file.
+    // The row's instruction is empty if only the variant's BDDL file holds it.
     let instruction = &shown.row.instruction;
     let is_different = !instruction.is_empty() && *instruction != shown.id.task().instruction();
     let values = |axis| {
@@ -198,8 +202,9 @@ fn failures(shown: &ShownRollout) -> Markup {
     }
 }
 
-/// Renders seeds, worker, policy, assets and the other provenance of the outcome.
-fn origin(shown: &ShownRollout, replicate: u32) -> Markup {
+/// Renders the rollout's seeds and attempts, and the provenance of its outcome: worker, policy,
+/// assets, programs and digests.
+fn provenance(shown: &ShownRollout, replicate: u32) -> Markup {
     let line = &shown.line;
     let seed = seeds::rollout_seed(&shown.id);
     let attempts = format!("{}, {} charged", line.attempt, line.charged_attempts);
@@ -232,7 +237,7 @@ fn origin(shown: &ShownRollout, replicate: u32) -> Markup {
 
 /// Describes how many goal predicates held; empty if the worker did not report them.
 fn goal(result: &ResultLine) -> String {
-    let words = |goal: GoalProgress| {
+    let describe = |goal: GoalProgress| {
         let GoalProgress {
             predicates,
             at_end,
@@ -240,12 +245,12 @@ fn goal(result: &ResultLine) -> String {
         } = goal;
         format!("{at_end} of {predicates} predicates held at the end, {at_most} at most together")
     };
-    result.goal().map(words).unwrap_or_default()
+    result.goal().map(describe).unwrap_or_default()
 }
 
 fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
-    let (from, pin) = (&result.provenance, &result.provenance.pin);
-    let privileged = match from.policy_privileged {
+    let (provenance, pin) = (&result.provenance, &result.provenance.pin);
+    let privileged = match provenance.policy_privileged {
         true => ", sees the simulator's state",
         false => "",
     };
@@ -255,7 +260,7 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         count => format!("{count} reports of another outcome"),
     };
     let committed = utc_text(result.committed_ms);
-    let pack_digest = prefix(&pin.asset_pack_digest);
+    let pack_digest = short_digest(&pin.asset_pack_digest);
     vec![
         (
             "committed",
@@ -270,26 +275,32 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("goal", goal(result)),
         ("prompt", result.prompt.clone().unwrap_or_default()),
         ("inverse kinematics off by", residual.unwrap_or_default()),
-        ("policy", format!("{}{privileged}", from.policy_name)),
-        ("checkpoint", from.policy_checkpoint.clone()),
-        ("checkpoint digest", from.policy_checkpoint_digest.clone()),
-        ("policy settings", from.policy_settings_in_words()),
-        ("batches", from.batch_mode.clone()),
-        ("realisation", from.realisation.clone()),
+        ("policy", format!("{}{privileged}", provenance.policy_name)),
+        ("checkpoint", provenance.policy_checkpoint.clone()),
+        (
+            "checkpoint digest",
+            provenance.policy_checkpoint_digest.clone(),
+        ),
+        ("policy settings", provenance.policy_settings_in_words()),
+        ("batches", provenance.batch_mode.clone()),
+        ("realisation", provenance.realisation.clone()),
         ("assets", format!("{} {pack_digest}", pin.asset_pack)),
         ("simulator", format!("MuJoCo {}", pin.mujoco_version)),
         ("renderer", pin.renderer.clone()),
-        ("fingerprint", prefix(&from.fingerprint)),
-        ("machine", from.host.clone()),
-        ("worker's program", from.program_version.clone()),
-        ("scene", prefix(&result.digests.scene)),
-        ("initial state's bytes", prefix(&result.digests.init_state)),
-        ("first frames", prefix(&result.digests.first_frame)),
+        ("fingerprint", short_digest(&provenance.fingerprint)),
+        ("machine", provenance.host.clone()),
+        ("worker's program", provenance.program_version.clone()),
+        ("scene", short_digest(&result.digests.scene)),
+        (
+            "initial state's bytes",
+            short_digest(&result.digests.init_state),
+        ),
+        ("first frames", short_digest(&result.digests.first_frame)),
     ]
 }
 
 /// Truncates a digest to its first 16 characters.
-fn prefix(digest: &str) -> String {
+fn short_digest(digest: &str) -> String {
     match digest.is_ascii() && digest.len() > 16 {
         true => format!("{}…", &digest[..16]),
         false => digest.to_owned(),

@@ -38,7 +38,9 @@ enum ChangeState {
 #[derive(Debug)]
 pub(super) struct Changes {
     state: watch::Sender<ChangeState>,
+    /// One permit per stream that may still be opened.
     permits: Arc<Semaphore>,
+    /// Notified when a stream is opened.
     opened: Notify,
 }
 
@@ -59,6 +61,7 @@ impl Changes {
         }
     }
 
+    /// Returns the number of open streams.
     pub(super) fn streams(&self) -> usize {
         MAX_STREAMS - self.permits.available_permits()
     }

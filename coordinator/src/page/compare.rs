@@ -12,9 +12,9 @@ pub(super) const ADDRESS: &str = "/compare";
 
 /// Renders the page, or the selection form alone if the query does not name two campaigns.
 pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
-    let parameter = |wanted: &str| {
+    let parameter = |key: &str| {
         let mut pairs = form_urlencoded::parse(query.as_bytes());
-        let value = pairs.find(|(name, _)| name == wanted);
+        let value = pairs.find(|(name, _)| name == key);
         value.map(|(_, value)| value.into_owned())
     };
     let (a, b) = (parameter("a"), parameter("b"));
@@ -44,7 +44,7 @@ pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
         @match comparison.as_ref() {
             Ok(comparison) => (::report::page_comparison(comparison)),
             Err(refused) => {
-                h2 { "They cannot be compared" }
+                h2 { "These campaigns cannot be compared" }
                 ul { @for reason in &refused.reasons { li { (reason) } } }
             }
         }

@@ -37,7 +37,7 @@ pub(super) async fn sheet(
         return Err(unknown());
     }
     let shown = rollouts(&mut view, &campaign, requested, replicate).await?;
-    let Some(first) = shown.iter().find(|shown| shown.id == requested) else {
+    let Some(requested_rollout) = shown.iter().find(|shown| shown.id == requested) else {
         return Err(unknown());
     };
     let neighbours = neighbours(&mut view, &campaign, requested).await?;
@@ -50,16 +50,16 @@ pub(super) async fn sheet(
     let nominal = shown.iter().find(is_nominal);
     let trace = |rollout: &ShownRollout| {
         let is_other = |nominal: &&ShownRollout| nominal.id != rollout.id;
-        let under = nominal.filter(is_other).map(|nominal| &nominal.path);
+        let nominal_path = nominal.filter(is_other).map(|nominal| &nominal.path);
         let extent = extent.as_ref().filter(|_| !rollout.path.is_empty())?;
-        Some(trace::plot(&rollout.path, under, extent))
+        Some(trace::plot(&rollout.path, nominal_path, extent))
     };
     let main = html! {
         (crumbs(campaign))
         h1 { (heading(requested)) }
-        p.instruction { "“" (first.row.id.task().instruction()) "”" }
+        p.instruction { "“" (requested_rollout.row.id.task().instruction()) "”" }
         p {
-            code { (requested.task()) } ", initial state " (first.row.init_id)
+            code { (requested.task()) } ", initial state " (requested_rollout.row.init_id)
             @if let Some(effect) = transition(&shown, replicate) { ". " strong { (effect) } }
         }
         (navigation_links(campaign, requested, replicate, &replicates, &neighbours))
@@ -131,16 +131,18 @@ fn read(line: &RolloutLine) -> Result<ManifestRow, Problem> {
     serde_json::from_str(&line.manifest_row).map_err(|error| Problem::failed(&error))
 }
 
-/// Returns the ids of all conditions of a rollout's configuration, itself included, in display
-/// order.
+/// Returns the ids of the rollouts of a configuration under all conditions, `requested` included,
+/// in display order.
 fn siblings(requested: RolloutId) -> Vec<String> {
     let Some(config) = requested.config() else {
         return vec![requested.to_string()];
     };
     // The simultaneous rollout comes first, beside the nominal one, since the two are usually
     // compared.
-    let several = AxisSet::ALL.subsets().into_iter().map(Condition::of);
-    let conditions = [Condition::Combination].into_iter().chain(several);
+    let subset_conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
+    let conditions = [Condition::Combination]
+        .into_iter()
+        .chain(subset_conditions);
     let conditions = conditions.chain([Condition::Latency]);
     let id =
         |condition| RolloutId::perturbed(requested.task(), condition, requested.level(), config);
@@ -174,31 +176,31 @@ fn navigation_links(
     neighbours: &[RolloutId],
 ) -> Markup {
     let is_same_level = |id: &&RolloutId| id.level() == requested.level();
-    let row: Vec<&RolloutId> = neighbours.iter().filter(is_same_level).collect();
-    let place = row.iter().position(|id| **id == requested);
-    let previous = place.and_then(|place| row.get(place.checked_sub(1)?));
-    let next = place.and_then(|place| row.get(place + 1));
+    let same_level: Vec<&RolloutId> = neighbours.iter().filter(is_same_level).collect();
+    let index = same_level.iter().position(|id| **id == requested);
+    let previous = index.and_then(|index| same_level.get(index.checked_sub(1)?));
+    let next = index.and_then(|index| same_level.get(index + 1));
     let levels = neighbours
         .iter()
         .filter(|id| id.number() == requested.number());
-    let to = |id: RolloutId, replicate| address(campaign, id, replicate);
-    let levels = levels.map(|id| (id.level().to_string(), to(*id, replicate)));
+    let link = |id: RolloutId, replicate| address(campaign, id, replicate);
+    let levels = levels.map(|id| (id.level().to_string(), link(*id, replicate)));
     let replicates = replicates
         .iter()
-        .map(|k| (k.to_string(), to(requested, *k)));
-    let current = to(requested, replicate);
+        .map(|replicate| (replicate.to_string(), link(requested, *replicate)));
+    let current = link(requested, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
-            @if let Some(id) = previous { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
-            @if let Some(id) = next { a rel="next" href=(to(**id, replicate)) { (number(**id)) " →" } }
-            (choice("Level ", levels.collect(), &current))
-            (choice("Replicate ", replicates.collect(), &current))
+            @if let Some(id) = previous { a rel="prev" href=(link(**id, replicate)) { "← " (configuration_name(**id)) } }
+            @if let Some(id) = next { a rel="next" href=(link(**id, replicate)) { (configuration_name(**id)) " →" } }
+            (link_list("Level ", levels.collect(), &current))
+            (link_list("Replicate ", replicates.collect(), &current))
         }
     }
 }
 
-/// Renders links, given as name and address; empty if there is only one.
-fn choice(label: &str, links: Vec<(String, String)>, current_address: &str) -> Markup {
+/// Renders links, given as name and address; nothing if there is only one link.
+fn link_list(label: &str, links: Vec<(String, String)>, current_address: &str) -> Markup {
     html! {
         @if links.len() > 1 {
             span {
@@ -212,7 +214,7 @@ fn choice(label: &str, links: Vec<(String, String)>, current_address: &str) -> M
     }
 }
 
-fn number(id: RolloutId) -> String {
+fn configuration_name(id: RolloutId) -> String {
     match id.config() {
         Some(config) => format!("configuration {config}"),
         None => format!("initial state {}", id.number()),

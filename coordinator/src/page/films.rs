@@ -17,17 +17,18 @@ pub(super) struct Films {
     pub(super) count: usize,
 }
 
-/// Renders the minimal subsets found from one start as list items.
+/// Renders an answer as list items: each minimal subset, and its supersets that do not change the
+/// outcome.
 pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup {
     let (changed, unchanged) = verbs(transition);
     html! {
         @for minimal in &answer.minimal {
             li {
-                @if !answer.start.is_empty() { "Under " (name(answer.start)) " it fails. " }
-                "Under " strong { (name(minimal.set)) } " it " (changed)
+                @if !answer.start.is_empty() { "Under " (subset_name(answer.start)) " it fails. " }
+                "Under " strong { (subset_name(minimal.set)) } " it " (changed)
                 // The first sentence says already that the rollout fails under the start.
                 @if answer.start.is_empty() || minimal.below != [answer.start] {
-                    ", and " (unchanged) " under " (names(&minimal.below))
+                    ", and " (unchanged) " under " (subset_names(&minimal.below))
                 }
                 @if minimal.is_established() {
                     ": all of these axes are needed."
@@ -40,20 +41,21 @@ pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup
         }
         @for pair in &answer.non_monotone {
             li {
-                "Further axes reverse this: under " (name(pair.superset)) " it " (unchanged)
-                ", although under " (name(pair.minimal)) " it " (changed) "."
+                "Further axes reverse this: under " (subset_name(pair.superset)) " it " (unchanged)
+                ", although under " (subset_name(pair.minimal)) " it " (changed) "."
             }
         }
     }
 }
 
-/// Renders the films of each answer's smallest minimal subset, preferring established ones.
+/// Renders, for each answer, the films of its smallest minimal subset, preferably of one that is
+/// certainly minimal.
 pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
     for answer in &explanation.answers {
-        let best = |minimal: &&MinimalSubset| (!minimal.is_established(), minimal.set);
-        if let Some(minimal) = answer.minimal.iter().min_by_key(best) {
+        let rank = |minimal: &&MinimalSubset| (!minimal.is_established(), minimal.set);
+        if let Some(minimal) = answer.minimal.iter().min_by_key(rank) {
             let (count, part) = side_by_side(lattice, minimal, explanation.transition);
             films.count += count;
             parts.push(part);
@@ -81,7 +83,7 @@ fn side_by_side(
     let sets = [minimal.set]
         .into_iter()
         .chain(minimal.below.iter().copied());
-    let shown: Vec<Film> = sets.filter_map(|set| film(lattice, set)).collect();
+    let shown: Vec<Film> = sets.filter_map(|set| find_film(lattice, set)).collect();
     let filmed: Vec<&Film> = shown.iter().filter(|film| film.is_filmed).collect();
     let is_shown = |set: &AxisSet| filmed.iter().any(|film| film.set == *set);
     let below: Vec<AxisSet> = minimal.below.iter().copied().filter(is_shown).collect();
@@ -90,8 +92,8 @@ fn side_by_side(
         h3 { "In films" }
         @if is_shown(&minimal.set) && !below.is_empty() {
             p {
-                "The same initial state and the same perturbations: under " (name(minimal.set))
-                " it " (changed) "; beside it, under " (names(&below)) ", it " (unchanged) "."
+                "The same initial state and the same perturbations: under " (subset_name(minimal.set))
+                " it " (changed) "; beside it, under " (subset_names(&below)) ", it " (unchanged) "."
             }
         }
         @if !filmed.is_empty() { div.rollouts.films { @for film in &filmed { (card(film)) } } }
@@ -101,7 +103,7 @@ fn side_by_side(
 }
 
 /// Returns a rollout with the known outcome of a subset, preferably a filmed one.
-fn film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
+fn find_film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
     let success = lattice.outcomes.verdict(set).success()?;
     let full = lattice.outcomes.full();
     let all = lattice.sources().flat_map(|source| {
@@ -157,8 +159,9 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     };
     let measured = &lattice.measured.campaign.name;
     // A single `worker film` command covers all campaigns that stored actions.
-    let films = |source: &&&Source| source.campaign.record == "transitions" || explains(source);
-    let to_film = missing.iter().find(films);
+    let can_be_filmed =
+        |source: &&&Source| source.campaign.record == "transitions" || explains(source);
+    let to_film = missing.iter().find(can_be_filmed);
     let pack = to_film.and_then(|source| source.campaign.pin.as_ref());
     let pack = pack.map_or("PACK", |pin| pin.asset_pack.as_str());
     html! {
@@ -188,14 +191,15 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
         @if to_film.is_some() {
             p.muted {
                 "This command makes the films from the stored actions: "
-                // `page.js` replaces the address with the one that the browser uses.
+                // `page.js` replaces this address with the address that the browser uses.
                 code { "worker film --connect " span data-origin { "http://127.0.0.1:7411" } " --assets " (pack) }
             }
         }
     }
 }
 
-/// Returns the verbs for a rollout whose outcome is changed and for one whose outcome is not.
+/// Returns the verb for the outcome that a transition changes to, and the verb for the outcome that
+/// it changes from.
 const fn verbs(transition: Transition) -> (&'static str, &'static str) {
     match transition {
         Transition::Compensated => ("succeeds", "fails"),
@@ -204,17 +208,17 @@ const fn verbs(transition: Transition) -> (&'static str, &'static str) {
 }
 
 /// Names a subset: `camera and robot together`, `camera alone`, `no perturbation`.
-fn name(set: AxisSet) -> String {
+fn subset_name(set: AxisSet) -> String {
     let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
     match names.as_slice() {
         [] => "no perturbation".to_owned(),
-        [one] => format!("{one} alone"),
+        [axis] => format!("{axis} alone"),
         [first @ .., last] => format!("{} and {last} together", first.join(", ")),
     }
 }
 
 /// Joins several subsets: `camera alone; under robot alone`.
-fn names(sets: &[AxisSet]) -> String {
-    let names: Vec<String> = sets.iter().map(|set| name(*set)).collect();
+fn subset_names(sets: &[AxisSet]) -> String {
+    let names: Vec<String> = sets.iter().map(|set| subset_name(*set)).collect();
     names.join("; under ")
 }

@@ -21,9 +21,9 @@ pub(super) struct LatticeView {
     /// The configuration, named by its simultaneous rollout.
     pub(super) configuration: RolloutId,
     pub(super) outcomes: Lattice,
-    /// The campaign that measures it.
+    /// Campaign that measured the configuration.
     pub(super) measured: Source,
-    /// The campaign that explains it, if there is one.
+    /// Campaign that explains the configuration, if there is one.
     pub(super) explaining: Option<Source>,
 }
 
@@ -62,10 +62,10 @@ pub(super) async fn read(
             continue;
         };
         let candidate = source(view, candidate, requested).await?;
-        let most = explaining
+        let most_rows = explaining
             .as_ref()
             .map_or(0, |(source, _)| source.rows.len());
-        if candidate.rows.len() > most {
+        if candidate.rows.len() > most_rows {
             explaining = Some((candidate, explanation));
         }
     }

@@ -55,13 +55,13 @@ pub(super) fn live_page(sheet: &Sheet, may_log_out: bool) -> Markup {
             form method="post" action="/logout" { button { "Log out" } }
         }
     };
-    frame(&sheet.title, true, top, &sheet.main)
+    document(&sheet.title, true, top, &sheet.main)
 }
 
 /// Renders a static page, such as an error.
 pub(super) fn static_page(title: &str, main: &Markup) -> Markup {
     let top = html! { nav aria-label="Pages" { a href="/" { "Campaigns" } } };
-    frame(title, false, top, main)
+    document(title, false, top, main)
 }
 
 /// Renders a name such as `camera+robot` with a line-break opportunity after each `+`.
@@ -105,7 +105,8 @@ pub(super) fn crumbs(campaign: &str) -> Markup {
     }
 }
 
-fn frame(title: &str, is_live: bool, top: Markup, main: &Markup) -> Markup {
+/// Renders the complete HTML document around the content `main`.
+fn document(title: &str, is_live: bool, top: Markup, main: &Markup) -> Markup {
     let version = FILES_VERSION.as_str();
     html! {
         (DOCTYPE)

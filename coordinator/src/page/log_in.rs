@@ -1,5 +1,5 @@
-//! Login and logout: a valid token starts a session, whose id the browser keeps in a cookie. The
-//! gate in `transport` decides which pages a session may read.
+//! Login and logout: a valid token starts a session, whose id the browser keeps in a cookie.
+//! `transport` decides which pages a session may read.
 
 use std::sync::Arc;
 
@@ -28,16 +28,16 @@ pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
 /// Checks the token and redirects to the page that was requested before the login.
 pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Response {
     if body.len() > MAX_FORM_BYTES {
-        let why = "That is longer than any token.";
-        return show(StatusCode::PAYLOAD_TOO_LARGE, "/", why);
+        let message = "This text is longer than any token.";
+        return show(StatusCode::PAYLOAD_TOO_LARGE, "/", message);
     }
     let next = next(&body);
     let token = field(&body, "token");
     match page.security.log_in(token.trim(), &READERS) {
         Some(cookie) => redirect(&next, Some(cookie)),
         None => {
-            let why = "This is no token of a viewer or an operator of this coordinator.";
-            show(StatusCode::UNAUTHORIZED, &next, why)
+            let message = "This is no token of a viewer or an operator of this coordinator.";
+            show(StatusCode::UNAUTHORIZED, &next, message)
         }
     }
 }
@@ -47,7 +47,8 @@ pub(super) async fn log_out(State(page): State<Arc<Page>>, headers: HeaderMap) -
     redirect(LOG_IN, Some(page.security.log_out(&headers)))
 }
 
-fn show(code: StatusCode, next: &str, why: &str) -> Response {
+/// Renders the login form with an error message, which may be empty.
+fn show(code: StatusCode, next: &str, message: &str) -> Response {
     let main = html! {
         h1 { "Log in" }
         form.log-in method="post" action=(LOG_IN) {
@@ -55,12 +56,12 @@ fn show(code: StatusCode, next: &str, why: &str) -> Response {
             label for="token" { "Token of a viewer or an operator" }
             input #token type="password" name="token" required autocomplete="current-password"
                 autofocus aria-describedby="why";
-            p #why role="alert" { (why) }
+            p #why role="alert" { (message) }
             button { "Log in" }
         }
         p.muted {
-            "Tokens are the second words in the coordinator's token file. Logged in already, and \
-            led here by another site's link? " a href=(next) { "Continue" } "."
+            "Tokens are the second words in the coordinator's token file. If you are logged in \
+            already and followed another site's link: " a href=(next) { "Continue" } "."
         }
     };
     answer::page(code, layout::static_page("Log in", &main).into_string())
@@ -75,8 +76,8 @@ fn redirect(address: &str, cookie: Option<String>) -> Response {
     (StatusCode::SEE_OTHER, headers, cookie, ()).into_response()
 }
 
-/// Returns the `next` address of a form or query, or `/` unless it is a path on this server; this
-/// prevents open redirects.
+/// Returns the `next` address of a form or query if it is a path on this server, otherwise `/`. A
+/// redirect to another server would be an open redirect.
 fn next(form: &[u8]) -> String {
     let next = field(form, "next");
     let mut bytes = next.bytes();
@@ -89,8 +90,8 @@ fn next(form: &[u8]) -> String {
 /// Returns a form field; empty if absent.
 fn field(form: &[u8], name: &str) -> String {
     let mut fields = form_urlencoded::parse(form);
-    let found = fields.find(|(found, _)| found == name);
-    found.map_or_else(String::new, |(_, value)| value.into_owned())
+    let field = fields.find(|(key, _)| key == name);
+    field.map_or_else(String::new, |(_, value)| value.into_owned())
 }
 
 #[cfg(test)]

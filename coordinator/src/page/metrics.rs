@@ -24,9 +24,11 @@ const COUNTER: &str = "counter";
 
 /// Serves `/metrics`.
 pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
-    let cached = page
-        .metrics
-        .get("", |cached| cached.at.elapsed() < PAGE_AGE, collect(&page));
+    let cached = page.metrics.get(
+        "",
+        |cached| cached.started.elapsed() < PAGE_AGE,
+        collect(&page),
+    );
     let kind = "text/plain; version=0.0.4; charset=utf-8";
     let headers = [
         (header::CONTENT_TYPE, kind),
@@ -82,7 +84,11 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
         text.single_gauge(name, help, value);
     }
     let build = "rollout_build_info";
-    text.family(build, GAUGE, "The program; its value is 1.");
+    text.family(
+        build,
+        GAUGE,
+        "Version of the program; the value is always 1.",
+    );
     text.sample(build, &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     Ok(text.0.into())
 }
@@ -95,7 +101,8 @@ fn campaign_metrics(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
         let (name, counts) = (status.campaign.name.as_str(), &status.counts);
-        // The queued jobs of a finished campaign will never run; they are not pending work.
+        // The queued jobs of a cancelled or stopped campaign will never run, so they are not
+        // counted as queued.
         let (queued, not_run) = match status.campaign.state.is_over() {
             true => (0, counts.queued),
             false => (counts.queued, 0),
@@ -185,12 +192,12 @@ mod tests {
     #[test]
     fn label_values_are_escaped() {
         let mut text = Exposition::default();
-        text.family("a_total", COUNTER, "What.");
+        text.family("a_total", COUNTER, "Help.");
         text.sample("a_total", &[("b", "x\"} 1\nevil \\"), ("c", "d")], 3.0);
         text.single_gauge("e_bytes", "Size.", 1e12);
         assert_eq!(
             text.0,
-            "# HELP a_total What.\n# TYPE a_total counter\n\
+            "# HELP a_total Help.\n# TYPE a_total counter\n\
              a_total{b=\"x\\\"} 1\\nevil \\\\\",c=\"d\"} 3\n\
              # HELP e_bytes Size.\n# TYPE e_bytes gauge\ne_bytes 1000000000000\n"
         );

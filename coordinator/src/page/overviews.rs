@@ -20,7 +20,8 @@ const MAX_DEPARTED: usize = 20;
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (workers, now) = (view.workers().await?, view.now);
-    let (alive, departed): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
+    let (alive, departed): (Vec<_>, Vec<_>) =
+        workers.into_iter().partition(|worker| worker.is_alive);
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
@@ -31,8 +32,8 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
         @if !departed.is_empty() {
             h2 { "Departed" }
             p.muted {
-                "Their rollouts were leased to other workers. Of " (departed.len()) ", those with the \
-                latest calls:"
+                "The rollouts of departed workers were leased to other workers. Of "
+                (departed.len()) " departed workers, those with the latest calls are shown:"
             }
             (workers_table("Departed workers", &departed[..departed.len().min(MAX_DEPARTED)], now))
         }
@@ -69,10 +70,10 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
                 (through the machine, the simulator, or answers of the policy that broke the \
                 protocol), took their policy or their workers down, or were skipped. Rates leave \
                 them out; the report gives bounds on the measures. "
-                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
+                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries a rollout."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
-                p { "The first " (MAX_QUARANTINED) " are shown." }
+                p { "The first " (MAX_QUARANTINED) " rollouts are shown." }
             }
             (quarantine_table(&quarantined))
         }
@@ -170,10 +171,10 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
 /// since its last result in which the policy broke the protocol.
 fn charges(misbehaved: u32) -> String {
     match misbehaved {
-        0 => "An attempt that cannot reach it is not charged.".to_owned(),
+        0 => "An attempt that cannot reach the policy is not charged.".to_owned(),
         attempts => format!(
             "Its answers broke the protocol in {} since its last result, each of which is charged \
-             to its rollout; an attempt that cannot reach it is not.",
+             to its rollout; an attempt that cannot reach the policy is not charged.",
             counted(attempts.into(), "attempt")
         ),
     }

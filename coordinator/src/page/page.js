@@ -9,31 +9,31 @@ const CROWDED_MS = 15000;
 const RETRY_MS = 2000;
 
 // Merges a fetched copy into the page. Equal nodes stay, and inserting or removing a
-// section moves no other, so that focus, scroll positions, opened details and
-// running videos are kept.
+// section moves no other section, so that focus, scroll positions, opened details
+// and running videos are kept.
 function merge(current, fetched) {
   const olds = [...current.childNodes];
   const news = [...fetched.childNodes];
   const partner = partners(olds, news);
   const paired = new Set(partner);
-  let at = 0;
+  let next = 0;
   news.forEach((fresh, index) => {
-    const following = olds[at];
+    const following = olds[next];
     const isRenamed = following && !paired.has(following) && following.nodeName === fresh.nodeName;
     const old = partner[index] || (isRenamed ? following : null);
     if (!old) {
       current.insertBefore(document.importNode(fresh, true), following || null);
       return;
     }
-    while (olds[at] !== old) olds[at++].remove();
-    at += 1;
+    while (olds[next] !== old) olds[next++].remove();
+    next += 1;
     if (fresh.nodeType !== Node.ELEMENT_NODE) {
       if (old.data !== fresh.data) old.data = fresh.data;
     } else if (!old.isEqualNode(fresh)) {
       mergeElement(old, fresh);
     }
   });
-  olds.slice(at).forEach((old) => old.remove());
+  olds.slice(next).forEach((old) => old.remove());
 }
 
 // Key that identifies a node among its siblings.
@@ -44,8 +44,8 @@ function keyOf(node) {
   return `${node.nodeName} ${label}`;
 }
 
-// Old node that matches each new node, or undefined: the longest common
-// subsequence of their keys.
+// Returns for each new node the old node that matches it, or undefined. The matches
+// are the longest common subsequence of the nodes' keys.
 function partners(olds, news) {
   const [currentKeys, fetchedKeys] = [olds.map(keyOf), news.map(keyOf)];
   const partner = [];
@@ -89,19 +89,19 @@ function mergeElement(old, fresh) {
   merge(old, fresh);
 }
 
-// Refresh: one request at a time, conditional on the entity tag, and followed by
-// a pause in proportion to its duration, to spare slow networks.
+// Refresh: one request at a time, conditional on the entity tag. Each request is
+// followed by a pause in proportion to its duration, to spare slow networks.
 const PAUSE_PER_REQUEST = 5;
 let tag = "";
-let busy = false;
-let again = false;
+let isRefreshing = false;
+let isRefreshPending = false;
 
 async function refresh() {
-  if (busy) {
-    again = true;
+  if (isRefreshing) {
+    isRefreshPending = true;
     return;
   }
-  busy = true;
+  isRefreshing = true;
   const start = performance.now();
   try {
     const headers = tag ? { "If-None-Match": tag } : {};
@@ -121,21 +121,21 @@ async function refresh() {
     showConnection(DISCONNECTED, true);
   }
   setTimeout(() => {
-    busy = false;
-    if (again) {
-      again = false;
+    isRefreshing = false;
+    if (isRefreshPending) {
+      isRefreshPending = false;
       refresh();
     }
   }, PAUSE_PER_REQUEST * (performance.now() - start));
 }
 
-// Commands shown on the page name the coordinator by the browser's origin.
+// Writes the coordinator's address, as the browser uses it, into the commands on the page.
 function showOrigin() {
   for (const name of document.querySelectorAll("[data-origin]")) name.textContent = location.origin;
 }
 
-// Scrolls a picture wider than the screen to its middle, where the nominal rollout is,
-// once; later scrolling by the reader is kept.
+// Scrolls each picture that is wider than the screen to its middle, where the nominal
+// rollout is, but only once, so that the reader can scroll it afterwards.
 const centred = new WeakSet();
 
 function centre() {
@@ -199,7 +199,7 @@ document.addEventListener("visibilitychange", () => {
   }
 });
 
-// Matrices: one tab stop each, with arrow keys inside (roving tabindex).
+// Matrices: each has one tab stop, and arrow keys move the focus inside (roving tabindex).
 function updateTabStops() {
   for (const panel of document.querySelectorAll("svg.panel[role=group]")) {
     const squares = [...panel.querySelectorAll("a")];

@@ -15,7 +15,7 @@ use crate::reading::ReadError;
 pub(super) enum Problem {
     /// No page has this address.
     Page,
-    /// The address is too long to be one of this program's.
+    /// The address is longer than any address of this program.
     Address,
     Query(&'static str),
     /// The campaign does not exist or was deleted.
@@ -34,7 +34,7 @@ pub(super) enum Problem {
     /// The rollout has no video.
     Video,
     TooManyStreams,
-    /// Internal error, such as of the database; the text is shown and logged.
+    /// Internal error, such as a failure of the database; the text is shown and logged.
     Failed(String),
 }
 
@@ -64,8 +64,10 @@ impl Problem {
     fn description(&self) -> Markup {
         match self {
             Problem::Page => html! { "Nothing is at this address." },
-            Problem::Address => html! { "It is longer than any address of this program." },
-            Problem::Query(what) => html! { (what) },
+            Problem::Address => {
+                html! { "This address is longer than any address of this program." }
+            }
+            Problem::Query(explanation) => html! { (explanation) },
             Problem::Campaign(name) => html! {
                 "No campaign is called " code { (name) } " here. If there was one, it has been \
                 deleted, with its results and files."
@@ -83,11 +85,11 @@ impl Problem {
                 code { "--record" } " selected at its creation."
             },
             Problem::TooManyStreams => html! {
-                "Too many pages are open. This one polls for changes instead."
+                "Too many pages are open. This page polls for changes instead."
             },
             Problem::Failed(text) => html! {
                 "The coordinator failed to " (text) ". No result is lost; the coordinator's log has the \
-                details. Reload to try again."
+                details. Reload the page to try again."
             },
         }
     }

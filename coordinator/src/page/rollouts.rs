@@ -11,7 +11,7 @@ use super::layout::{self, Sheet, Tab, crumbs};
 use super::problem::Problem;
 use super::state::Page;
 
-/// Rollouts on a page.
+/// Most rollouts on one page.
 const PAGE_JOBS: u32 = 200;
 
 /// Filters of the page: query parameter and label.
@@ -29,8 +29,9 @@ const CHOICES: [(&str, &str); 6] = [
 struct Selection {
     /// Query of one of [`CHOICES`]; `None` lists all rollouts.
     choice: Option<&'static str>,
+    /// Job id after which the list begins.
     after: i64,
-    /// One rollout by its id, if any.
+    /// Id of a single rollout to list; `None` lists all rollouts that match `choice`.
     id: Option<String>,
 }
 
@@ -63,9 +64,9 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
                 limit: PAGE_JOBS + 1,
             };
             let mut lines = view.jobs(&campaign, filter).await?;
-            let is_more = lines.len() > PAGE_JOBS as usize;
+            let has_more = lines.len() > PAGE_JOBS as usize;
             lines.truncate(PAGE_JOBS as usize);
-            let next = lines.last().filter(|_| is_more).map(|line| line.id.0);
+            let next = lines.last().filter(|_| has_more).map(|line| line.id.0);
             (lines, next)
         }
     };
@@ -74,7 +75,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
         (crumbs(campaign))
         h1 { "Rollouts of " (campaign) }
         (filters(campaign, &selection))
-        @if lines.is_empty() { p { "There are none." } } @else { (table(campaign, &lines)) }
+        @if lines.is_empty() { p { "No rollout matches." } } @else { (table(campaign, &lines)) }
         @if let Some(next) = next {
             @let choice = selection.choice.map(|choice| format!("{choice}&"));
             p { a rel="next" href={ "?" (choice.unwrap_or_default()) "after=" (next) } {
@@ -114,7 +115,7 @@ impl Selection {
     }
 }
 
-/// Converts a rollout id in the paper's spelling to the released one.
+/// Converts a rollout id in the paper's spelling to the released spelling.
 fn released_id(id: &str) -> String {
     let parsed: Result<RolloutId, _> = id.parse();
     parsed.map_or_else(|_| id.to_owned(), |id| id.to_string())
@@ -125,9 +126,9 @@ fn filters(campaign: &str, selection: &Selection) -> Markup {
     html! {
         nav.ways aria-label="States and outcomes" {
             a href=(base) aria-current=[selection.choice.is_none().then_some("true")] { "all" }
-            @for (choice, words) in CHOICES {
+            @for (choice, label) in CHOICES {
                 @let current = (selection.choice == Some(choice)).then_some("true");
-                a href={ (base) "?" (choice) } aria-current=[current] { (words) }
+                a href={ (base) "?" (choice) } aria-current=[current] { (label) }
             }
         }
         form.find action=(base) {

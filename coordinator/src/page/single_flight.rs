@@ -1,9 +1,9 @@
 //! Single-flight cache: of several concurrent requests for a key, one computes the value and the
 //! others wait for it. The caller decides whether a cached value is fresh enough.
 //!
-//! A computation outlives its cancelled callers, since a thread cannot be stopped. Its key stays
-//! locked until it ends, so that reloading a page waits for the running computation and starts no
-//! second one.
+//! A computation continues after its callers were cancelled, since a thread cannot be stopped. Its
+//! key stays locked until the computation ends, so that reloading a page waits for it and starts no
+//! second computation.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -32,7 +32,7 @@ type Entry<V> = Arc<tokio::sync::Mutex<Option<CachedValue<V>>>>;
 #[derive(Clone, Debug)]
 pub(super) struct CachedValue<V> {
     pub(super) value: V,
-    pub(super) at: Instant,
+    pub(super) started: Instant,
     pub(super) cost: Duration,
 }
 
@@ -61,24 +61,24 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
             return Ok(cached.value.clone());
         }
-        let at = Instant::now();
+        let started = Instant::now();
         let value = make.await?;
-        let cost = at.elapsed();
+        let cost = started.elapsed();
         *cached = Some(CachedValue {
             value: value.clone(),
-            at,
+            started,
             cost,
         });
         Ok(value)
     }
 
-    /// Returns the cached value of a key if it is fresh, otherwise one computed on a blocking
+    /// Returns the cached value of a key if it is fresh, otherwise a value computed on a blocking
     /// thread. `read` prepares the computation and is cancelled with its caller; the computation
     /// itself runs to its end.
     ///
     /// # Errors
-    /// If `read` or the computation fails, or, as converted by `panicked`, if the computation
-    /// panics. Waiting callers then start their own computation.
+    /// If `read` or the computation fails, or if the computation panics, which `panicked` converts
+    /// to an error. Waiting callers then start their own computation.
     pub(super) async fn compute<E, C>(
         &self,
         key: &str,
@@ -94,7 +94,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
             return Ok(cached.value.clone());
         }
-        let at = Instant::now();
+        let started = Instant::now();
         let computation = read.await?;
         let permit = self.computing.clone().acquire_owned().await;
         let computed = tokio::task::spawn_blocking(move || {
@@ -102,8 +102,8 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
             let value = computation()?;
             *cached = Some(CachedValue {
                 value: value.clone(),
-                at,
-                cost: at.elapsed(),
+                started,
+                cost: started.elapsed(),
             });
             Ok(value)
         });
@@ -170,7 +170,7 @@ mod tests {
             let timed_out = tokio::time::timeout(Duration::from_millis(20), request()).await;
             assert!(timed_out.is_err(), "the computation is not finished");
         }
-        // Enough signals for every computation, had several been started.
+        // Sends enough signals for six computations, in case several were started.
         (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
         assert_eq!(request().await, Ok(0));
         assert_eq!(begun.load(Ordering::Relaxed), 1);

@@ -3,17 +3,17 @@
 use maud::{Markup, html};
 use proto::coordinator::ForecastResponse;
 
-use crate::forecast::{bottleneck, parts};
+use crate::forecast::{bottleneck, phase_shares};
 
 /// Renders the lines; empty until a result reports its time by phase. The bottleneck is left out if
-/// `is_over`.
+/// the campaign is over.
 pub(super) fn speed(pace: &ForecastResponse, is_over: bool) -> Markup {
-    let bound = |speed| bottleneck(speed, pace.slots).filter(|_| !is_over);
+    let bottleneck_text = |speed| bottleneck(speed, pace.slots).filter(|_| !is_over);
     html! {
         @if let Some(speed) = &pace.speed {
             p.spent {
-                (sentence(&parts(speed)))
-                @if let Some(bound) = bound(speed) { br; (sentence(&bound)) }
+                (sentence(&phase_shares(speed)))
+                @if let Some(text) = bottleneck_text(speed) { br; (sentence(&text)) }
             }
         }
     }

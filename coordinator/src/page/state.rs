@@ -37,8 +37,8 @@ const DOCUMENT_AGE_PER_COST: u32 = 20;
 /// Comparison of two campaigns, or the reasons why they cannot be paired.
 pub(super) type Compared = Result<Comparison, Unpairable>;
 
-/// Editions on which a campaign's statistics depend: its own, and that of its source campaign, if
-/// any.
+/// Editions on which a campaign's statistics depend: the edition of the campaign and, if it is
+/// derived, that of its source campaign.
 type Editions = (Edition, Option<Edition>);
 
 /// Requested address and headers.
@@ -94,8 +94,8 @@ impl Page {
         self.changes.close();
     }
 
-    /// Renders a page or serves the cached one of the same address and version; 304 Not Modified if
-    /// the browser has the same.
+    /// Renders a page, or serves the cached page of the same address and version; 304 Not Modified
+    /// if the browser's copy of the page is the same.
     pub(super) async fn show(
         &self,
         (uri, headers): RequestedPage,
@@ -107,7 +107,7 @@ impl Page {
         }
         let version = self.changes.version();
         let is_fresh = |cached: &CachedValue<Arc<Rendered>>| {
-            cached.at.elapsed() < PAGE_AGE && cached.value.version == version
+            cached.started.elapsed() < PAGE_AGE && cached.value.version == version
         };
         let make = async {
             let sheet = sheet.await?;
@@ -118,8 +118,9 @@ impl Page {
             Ok(rendered) => rendered.answer(&headers),
             // Redirects bookmarks with the campaign's former name.
             Err(Problem::Renamed { former, now }) => {
-                let (old, new) = (format!("/campaigns/{former}"), format!("/campaigns/{now}"));
-                Redirect::temporary(&address.replacen(&old, &new, 1)).into_response()
+                let former_path = format!("/campaigns/{former}");
+                let new_path = format!("/campaigns/{now}");
+                Redirect::temporary(&address.replacen(&former_path, &new_path, 1)).into_response()
             }
             Err(problem) => problem.into_response(),
         }
@@ -140,7 +141,7 @@ impl Page {
         let is_fresh = |cached: &CachedValue<(Editions, Arc<Document>)>| {
             cached.value.0 == editions
                 || (cached.value.0.0.is_of_same_campaign(&editions.0)
-                    && cached.at.elapsed() < cache_time(cached.cost))
+                    && cached.started.elapsed() < cache_time(cached.cost))
         };
         let computed_editions = editions.clone();
         let read = async {
@@ -169,10 +170,10 @@ impl Page {
     ) -> Result<Arc<Compared>, Problem> {
         let editions = [view.edition(a.id).await?, view.edition(b.id).await?];
         let is_fresh = |cached: &CachedValue<([Edition; 2], Arc<Compared>)>| {
-            let mut both = cached.value.0.iter().zip(&editions);
+            let mut pairs = cached.value.0.iter().zip(&editions);
             cached.value.0 == editions
-                || (both.all(|(cached, now)| cached.is_of_same_campaign(now))
-                    && cached.at.elapsed() < cache_time(cached.cost))
+                || (pairs.all(|(cached, now)| cached.is_of_same_campaign(now))
+                    && cached.started.elapsed() < cache_time(cached.cost))
         };
         let computed_editions = editions.clone();
         let read = async {

@@ -25,7 +25,7 @@ impl Section {
     }
 }
 
-/// Renders the section. If no subset of the configuration was run, it is empty or, for a
+/// Renders the section. If no subset of the configuration was run, the section is empty or, for a
 /// transition, suggests `coordinator explain`.
 pub(super) async fn section(
     view: &mut View,
@@ -35,16 +35,16 @@ pub(super) async fn section(
     let Some(lattice) = read(view, campaign, requested).await? else {
         return Ok(Section::default());
     };
-    let found = Explained::of(lattice.configuration, &lattice.outcomes).ok();
+    let explained = Explained::of(lattice.configuration, &lattice.outcomes).ok();
     if !lattice.has_subsets() {
         let name = lattice.measured.campaign.name.as_str();
         let hint = html! {
             p {
-                "The axes that cause this are unknown. This command finds them: "
+                "The axes that cause this transition are unknown. This command finds them: "
                 code { "coordinator explain " (name) " --create" }
             }
         };
-        let markup = if found.is_some() {
+        let markup = if explained.is_some() {
             hint
         } else {
             Markup::default()
@@ -52,7 +52,7 @@ pub(super) async fn section(
         return Ok(Section { markup, films: 0 });
     }
     let outcomes = adaptive::subsets::outcomes(&lattice.outcomes);
-    let explanation = found.as_ref().map(|findings| &findings.explanation);
+    let explanation = explained.as_ref().map(|explained| &explained.explanation);
     let link = |set| lattice.link(set);
     let picture = figures::lattice(
         lattice.configuration,
@@ -78,7 +78,7 @@ pub(super) async fn section(
                     "This configuration under every subset of the axes: none on top, all at the \
                     bottom, a line wherever one axis is added. Initial state and every perturbation \
                     are the same throughout. A node opens its rollout; a ring marks a subset that \
-                    changes the outcome while no smaller one that was run does."
+                    changes the outcome, while no smaller subset that was run changes it."
                 }
             }
             (films.markup)
@@ -92,7 +92,7 @@ pub(super) async fn section(
 
 /// Renders a link between the measuring and the explaining campaign, if both exist.
 fn sources(lattice: &LatticeView, shown: &Campaign) -> Markup {
-    let to = |campaign: &Campaign| {
+    let link = |campaign: &Campaign| {
         let name = campaign.name.as_str();
         html! { a href={ "/campaigns/" (name) } { (name) } }
     };
@@ -106,7 +106,7 @@ fn sources(lattice: &LatticeView, shown: &Campaign) -> Markup {
                     }
                     "."
                 } @else {
-                    "Explained by " (to(&explaining.campaign)) "."
+                    "Explained by " (link(&explaining.campaign)) "."
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! Plot of the hand's motion in a rollout: its path from above, and its height over the control
-//! steps. All rollouts of a configuration share one scale, and the nominal path is drawn beneath
-//! each.
+//! steps. All rollouts of a configuration share one scale, and the nominal rollout's path is drawn
+//! beneath the path of every other rollout.
 
 use maud::{Markup, html};
 use rollout_types::Motion;
@@ -20,7 +20,7 @@ const VIEW_SIDE: f64 = 104.0;
 const TOP: f64 = 16.0;
 /// Left edge of the drawing of the height.
 const LEFT: f64 = 138.0;
-/// The scale bar, m.
+/// Length that the scale bar shows, m.
 const SCALE_BAR_M: f64 = 0.1;
 /// Least extent of a scale, m, so that the jitter of a resting hand is not magnified.
 const MIN_EXTENT_M: f64 = 0.1;
@@ -80,7 +80,8 @@ impl Extent {
         ]
     }
 
-    fn height(&self, step: usize, z: f64) -> [f64; 2] {
+    /// Projects a height at a control step to the drawing of the height.
+    fn project_height(&self, step: usize, z: f64) -> [f64; 2] {
         let across = step as f64 / self.steps.max(1) as f64;
         let span = (self.high[2] - self.low[2]).max(MIN_EXTENT_M);
         [
@@ -90,10 +91,10 @@ impl Extent {
     }
 }
 
-/// Renders the plot of a path, with the nominal path beneath it if given.
+/// Renders the plot of a path, with the path of the nominal rollout, if given, beneath it.
 pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
-    let (above, height) = lines(path, extent);
-    let under = nominal.map(|nominal| lines(nominal, extent));
+    let (above, height) = polylines(path, extent);
+    let nominal_lines = nominal.map(|nominal| polylines(nominal, extent));
     let begin = path.first().map(|first| extent.project_from_above(*first));
     let end = path.last().map(|last| extent.project_from_above(*last));
     let bar = SCALE_BAR_M * extent.scale();
@@ -104,7 +105,7 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
             text.tiny.muted x="2" y="9" { "hand from above" }
             text.tiny.muted x=(LEFT) y="9" { "height" }
             line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + VIEW_SIDE) y2=(TOP + VIEW_SIDE) {}
-            @if let Some((above, height)) = &under {
+            @if let Some((above, height)) = &nominal_lines {
                 polyline.under points=(above) {}
                 polyline.under points=(height) {}
             }
@@ -120,13 +121,13 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
 }
 
 /// Returns the SVG points of a path's view from above and of its height.
-fn lines(path: &Path, extent: &Extent) -> (String, String) {
+fn polylines(path: &Path, extent: &Extent) -> (String, String) {
     let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
     let above = path
         .iter()
         .map(|position| point(extent.project_from_above(*position)));
     let heights = path.iter().enumerate();
-    let heights = heights.map(|(step, [_, _, z])| point(extent.height(step, *z)));
+    let heights = heights.map(|(step, [_, _, z])| point(extent.project_height(step, *z)));
     (
         above.collect::<Vec<_>>().join(" "),
         heights.collect::<Vec<_>>().join(" "),
@@ -202,7 +203,7 @@ mod tests {
                 let [x, y] = extent.project_from_above(*position);
                 within([2.0, 2.0 + VIEW_SIDE], x);
                 within([TOP, TOP + VIEW_SIDE], y);
-                let [x, y] = extent.height(step, position[2]);
+                let [x, y] = extent.project_height(step, position[2]);
                 within([LEFT, WIDTH], x);
                 within([TOP, TOP + VIEW_SIDE], y);
             }

@@ -18,7 +18,7 @@ use super::problem::Problem;
 use super::state::Page;
 use crate::storage::Storage;
 
-/// Content security policy for a video opened as a page: it may only play itself.
+/// Content security policy for a video that is opened as a page: the page may only play the video.
 const CONTENT_POLICY: &str =
     "sandbox; default-src 'none'; media-src 'self'; style-src 'unsafe-inline'";
 
@@ -52,7 +52,7 @@ pub(super) async fn answer(
                 .map_err(|error| Problem::failed(&error))?
                 .into_response()
         }
-        (Some(storage), false) => stored(storage, &video, request.headers()).await?,
+        (Some(storage), false) => from_storage(storage, &video, request.headers()).await?,
         (None, false) => return Err(Problem::Video),
     };
     if response.status().is_success() {
@@ -71,8 +71,12 @@ pub(super) async fn answer(
     Ok(response)
 }
 
-/// Serves a video from the artifact storage, or the requested range of it.
-async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<Response, Problem> {
+/// Serves a video, or its requested byte range, from the artifact storage.
+async fn from_storage(
+    storage: &Storage,
+    video: &str,
+    headers: &HeaderMap,
+) -> Result<Response, Problem> {
     let range = headers.get(header::RANGE).and_then(requested_range);
     let is_part = range.is_some();
     let read = storage.read(video, range).await;

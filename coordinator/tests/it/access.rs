@@ -1,6 +1,6 @@
-//! Refused callers: without a token, with a wrong one or one of another role, with messages or
-//! names that are too long, and clients that cannot trust the coordinator's certificate. Runs the
-//! real program on real sockets. Refusals leave the database's rows unchanged.
+//! Refused callers: without a token, with a wrong token or the token of another role, with messages
+//! or names that are too long, and clients that cannot trust the coordinator's certificate. Runs
+//! the real program on real sockets. Refusals leave the database's rows unchanged.
 
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, Read, Write};
@@ -298,8 +298,8 @@ async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
     let guarded = GuardedCoordinator::start(&valid.each_ref().map(String::as_str));
     succeed(list_over_tls(&guarded, &authority.path("ca.pem")));
     let before = guarded.rows().await;
-    let other = Authority::new();
-    let message = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
+    let untrusted = Authority::new();
+    let message = &fail(list_over_tls(&guarded, &untrusted.path("ca.pem")), 1);
     assert!(message.contains("not signed by the authority"), "{message}");
     assert_eq!(guarded.rows().await, before);
 }
@@ -317,7 +317,7 @@ async fn an_expired_certificate_is_refused_at_once() {
 }
 
 #[test]
-fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
+fn non_loopback_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
@@ -336,7 +336,7 @@ fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
 #[test]
 fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
     /// User id of `nobody`.
-    const OTHER: u32 = 65_534;
+    const NOBODY: u32 = 65_534;
     if !rustix::process::geteuid().is_root() {
         println!(
             "skipped other_users_of_the_machine_are_refused_unless_insecure_loopback: not root"
@@ -350,8 +350,8 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
             .args(["campaign", "list", "--connect", &serve.url])
             .env_clear()
             .current_dir("/")
-            .uid(OTHER)
-            .gid(OTHER)
+            .uid(NOBODY)
+            .gid(NOBODY)
             .output()
             .expect("runs");
         let message = text(&listed.stderr);
@@ -451,7 +451,7 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     let listed = serve.command(&["workers", "--retry-secs", "5"]);
     assert!(listed.status.success(), "{}", text(&listed.stderr));
     assert!(text(&listed.stdout).contains("honest"));
-    // A few bytes do not make a connection active. It is closed after the timeout.
+    // A connection on which only a few bytes were sent is closed after the timeout, too.
     let mut last = silent.pop().expect("a connection");
     last.write_all(b"GET / HTTP").expect("sent");
     last.set_read_timeout(Some(Duration::from_secs(120)))

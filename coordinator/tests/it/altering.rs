@@ -61,8 +61,8 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     bench.create(&small_spec("typo")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let held = worker.claim_one().await;
-    let lost = worker.claim_one().await;
-    worker.release(&lost, Reason::PolicyUnavailable).await;
+    let failed = worker.claim_one().await;
+    worker.release(&failed, Reason::PolicyUnavailable).await;
     assert!(bench.status("typo").await.policy_paused);
     assert!(worker.claim(1).await.is_empty());
 
@@ -189,8 +189,10 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
         ["leaves", "leaves"],
         "jobs are leased at once at the new endpoint"
     );
-    let rest = worker.claim(8).await;
-    let probes = rest.iter().filter(|lease| lease.campaign == "stays");
+    let later_leases = worker.claim(8).await;
+    let probes = later_leases
+        .iter()
+        .filter(|lease| lease.campaign == "stays");
     assert_eq!(
         probes.count(),
         1,
@@ -228,8 +230,8 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     assert_invariants(&bench).await;
 }
 
-/// A campaign's folder keeps the campaign's first name. A campaign that takes over a former name
-/// must neither mix its files with those of the renamed one nor delete them.
+/// A campaign's folder keeps the campaign's first name. A new campaign with the former name of a
+/// renamed campaign must neither mix its files with those of the renamed campaign nor delete them.
 #[tokio::test]
 async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let bench = Bench::start().await;
@@ -240,8 +242,8 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     alter(&bench, to_name("name", "first"))
         .await
         .expect("renamed");
-    let taken = bench.create_with_priority(&small_spec("name"), 1).await;
-    assert_eq!(taken.expect("created").jobs_added, 4);
+    let second = bench.create_with_priority(&small_spec("name"), 1).await;
+    assert_eq!(second.expect("created").jobs_added, 4);
     let lease = worker.claim_one().await;
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -255,14 +257,14 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&first_path).is_file());
     assert!(!bench.folder.path().join(&second_path).exists());
-    // No campaign has the name now, and no redirection from it is left.
+    // No campaign has this name now, and the name no longer leads to the renamed campaign.
     let request = wire::GetCampaignRequest {
         campaign: "name".to_owned(),
     };
     let refused = bench.operator().await.get_campaign(request).await;
     let refused = refused.expect_err("gone");
     assert!(refused.message().contains("no such campaign"), "{refused}");
-    // The first campaign gets its first name back, and then another one.
+    // The first campaign gets its first name back, and is then renamed once more.
     alter(&bench, to_name("first", "name"))
         .await
         .expect("renamed");
@@ -307,16 +309,20 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
         "1 rollout taken back",
     );
     run(&["campaign", "status", "demo"], 0, NEW_ENDPOINT);
-    let moved = "http://127.0.0.1:50053";
-    let move_from = |from| ["campaign", "move-endpoint", from, moved];
-    run(&move_from("http://127.0.0.1:1"), 0, "no campaign measures");
+    let new_url = "http://127.0.0.1:50053";
+    let move_from = |from| ["campaign", "move-endpoint", from, new_url];
+    run(
+        &move_from("http://127.0.0.1:1"),
+        0,
+        "no unfinished campaign measures",
+    );
     run(
         &move_from(NEW_ENDPOINT),
         0,
-        &format!("demo measures expert at {moved}"),
+        &format!("demo measures expert at {new_url}"),
     );
-    run(&["campaign", "status", "demo"], 0, moved);
-    run(&set("rename", "final"), 0, "demo is called final");
+    run(&["campaign", "status", "demo"], 0, new_url);
+    run(&set("rename", "final"), 0, "demo is now called final");
     run(&["campaign", "status", "demo"], 1, "is called `final`");
     run(&["campaign", "status", "final"], 0, "final ░");
 }
@@ -327,17 +333,17 @@ async fn an_old_page_address_redirects_to_the_renamed_campaign() {
     bench.create(&small_spec("old")).await.expect("created");
     alter(&bench, to_name("old", "new")).await.expect("renamed");
     let page = async |path: &str| http(&bench.url, &format!("GET {path}")).await;
-    for rest in ["", "/rollouts?state=queued"] {
-        let answer = page(&format!("/campaigns/old{rest}")).await;
+    for path in ["", "/rollouts?state=queued"] {
+        let answer = page(&format!("/campaigns/old{path}")).await;
         assert_eq!(answer.code, 307);
         let location = answer.header("location").expect("a location");
-        assert_eq!(location, format!("/campaigns/new{rest}"));
+        assert_eq!(location, format!("/campaigns/new{path}"));
         assert_eq!(page(location).await.code, 200);
     }
 }
 
 #[tokio::test]
-async fn the_stored_specification_follows_every_change() {
+async fn every_alteration_is_stored_in_the_specification() {
     let bench = Bench::start().await;
     bench.create(&small_spec("old")).await.expect("created");
     let request = wire::AlterCampaignRequest {

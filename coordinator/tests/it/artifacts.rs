@@ -10,6 +10,8 @@ use tonic::{Code, Status};
 
 use crate::harness::{Bench, Worker, small_spec};
 
+/// Uploads a file for the attempt of `lease`, one chunk per piece; returns the path of the stored
+/// file.
 pub(crate) async fn put(
     worker: &mut Worker,
     lease: &wire::Lease,
@@ -53,10 +55,10 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(path, expected);
     let stored = std::fs::read(bench.folder.path().join(&path)).expect("a file");
     assert_eq!(stored, pieces.concat());
-    let again = put(&mut worker, &lease, "video.mp4", &[vec![3; 10]])
+    let second_path = put(&mut worker, &lease, "video.mp4", &[vec![3; 10]])
         .await
         .expect("replaced");
-    assert_eq!(again, path);
+    assert_eq!(second_path, path);
     assert_eq!(
         std::fs::read(bench.folder.path().join(&path)).expect("a file"),
         [3; 10]
@@ -96,21 +98,21 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
         name: "video.mp4".to_owned(),
         data: vec![byte; 1_000],
     };
-    let (pieces, rest) = tokio::sync::mpsc::channel(1);
+    let (sender, receiver) = tokio::sync::mpsc::channel(1);
     let mut slow = worker.clone();
-    let slow = slow.service.put_artifact(ReceiverStream::new(rest));
-    let others = async move {
-        pieces.send(chunk(1)).await.expect("received");
+    let slow = slow.service.put_artifact(ReceiverStream::new(receiver));
+    let quick = async move {
+        sender.send(chunk(1)).await.expect("received");
         let path = put(&mut worker, &lease, "video.mp4", &[vec![2; 500]]).await;
         let file = bench.folder.path().join(path.expect("stored"));
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
-        // The rest of the slow upload does not change the published file.
-        pieces.send(chunk(1)).await.expect("received");
+        // The second chunk of the slow upload does not change the published file.
+        sender.send(chunk(1)).await.expect("received");
         tokio::time::sleep(Duration::from_millis(200)).await;
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
         (bench, file)
     };
-    let (slow, (_bench, file)) = tokio::join!(slow, others);
+    let (slow, (_bench, file)) = tokio::join!(slow, quick);
     slow.expect("stored");
     assert_eq!(std::fs::read(&file).expect("a file"), [1; 2_000]);
 }

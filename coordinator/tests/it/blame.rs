@@ -27,13 +27,13 @@ async fn report_misbehaviour(worker: &mut Worker, lease: &proto::coordinator::Le
 #[tokio::test]
 async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
     let bench = Bench::start().await;
-    create(&bench, "first", "nonsense").await;
+    create(&bench, "first", "misbehaving").await;
     create(&bench, "second", "sound").await;
     let mut worker = bench.worker("a").await;
     for number in 1..=MAX_MISBEHAVED_IN_A_ROW {
         assert!(!bench.status("first").await.policy_paused, "{number}");
         let leases = worker.claim(2).await;
-        let lease = leases.iter().find(|lease| lease.policy == "nonsense");
+        let lease = leases.iter().find(|lease| lease.policy == "misbehaving");
         report_misbehaviour(&mut worker, lease.expect("the older campaign's job")).await;
         for lease in leases.iter().filter(|lease| lease.policy == "sound") {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
@@ -55,8 +55,8 @@ async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
 #[tokio::test]
 async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     let bench = Bench::start().await;
-    create(&bench, "first", "nonsense").await;
-    // Another machine would get the same answers, so it need not try.
+    create(&bench, "first", "misbehaving").await;
+    // The worker on the other machine need not try the rollouts: it would get the same answers.
     let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
     while bench.status("first").await.quarantined < 2 {
         bench.advance(PAST_BACKOFF_SECS).await;
@@ -67,7 +67,7 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     let quarantined = "SELECT count(*) FROM job
         WHERE state = 'quarantined' AND last_error = 'simulated failure'";
     assert_eq!(bench.count(quarantined).await, 2);
-    // The policy is corrected: its next probe is answered, and its other jobs follow.
+    // The policy is corrected: its next probe is answered, and its other jobs are leased again.
     bench.advance(PAST_BACKOFF_SECS).await;
     let probe = worker.claim_one().await;
     assert!(worker.claim(1).await.is_empty(), "only one probe is leased");
@@ -80,7 +80,7 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
 
 #[tokio::test]
 async fn only_failures_charged_to_its_machine_stop_a_worker() {
-    for (reason, stops) in [
+    for (reason, stops_worker) in [
         (Reason::SimulatorError, false),
         (Reason::PolicyMisbehaved, false),
         (Reason::PolicyUnavailable, false),
@@ -97,7 +97,11 @@ async fn only_failures_charged_to_its_machine_stop_a_worker() {
             let lease = worker.claim_one().await;
             stop_reason = worker.release(&lease, reason).await.stop_leasing;
         }
-        assert_eq!(!stop_reason.is_empty(), stops, "{reason:?}: {stop_reason}");
+        assert_eq!(
+            !stop_reason.is_empty(),
+            stops_worker,
+            "{reason:?}: {stop_reason}"
+        );
         let misbehaved = bench.count("SELECT max(misbehaved) FROM policy").await;
         assert_eq!(misbehaved > 0, reason == Reason::PolicyMisbehaved);
     }

@@ -16,12 +16,12 @@ async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_ref
     assert_eq!((first.jobs_added, first.jobs_total), (4, 4));
     // The order in which a set is written does not make the specification a different one.
     let reordered = with(spec.clone(), json!({"axes": ["sensor", "camera"]}));
-    let again = bench.create(&reordered).await.expect("the same");
-    assert_eq!((again.jobs_added, again.jobs_total), (0, 4));
+    let second = bench.create(&reordered).await.expect("the same");
+    assert_eq!((second.jobs_added, second.jobs_total), (0, 4));
 
-    let other = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
+    let different = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
     let refused = bench
-        .create(&other)
+        .create(&different)
         .await
         .expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
@@ -143,13 +143,13 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     let robot = format!(
         r#"{{"rollout_id":"object/t0/robot/L1/c00","success":true,"steps":120,"axis":"robot","level":"L1","suite":"libero_object","task_id":0,"init_id":{init_id},"config":0,"policy":"expert","wall_s":1.5,"ik_res_mm":0.125"#
     );
-    let second = r#","replicate":1"#;
+    let second_replicate = r#","replicate":1"#;
     let goal = r#","goal_predicates":2,"goal_at_end":2,"goal_at_most":2"#;
     let expected = [
         format!("{clean}{goal}}}"),
-        format!("{clean}{second}{goal}}}"),
+        format!("{clean}{second_replicate}{goal}}}"),
         format!("{robot}{goal}}}"),
-        format!("{robot}{second}{goal}}}"),
+        format!("{robot}{second_replicate}{goal}}}"),
     ];
     assert_eq!(lines, expected);
 }
@@ -197,7 +197,7 @@ async fn a_database_of_a_newer_schema_is_refused_untouched() {
 }
 
 #[tokio::test]
-async fn a_data_folder_has_one_coordinator() {
+async fn a_second_coordinator_cannot_open_a_data_folder_in_use() {
     let bench = Bench::start().await;
     let error = Store::open(bench.folder.path()).await.expect_err("in use");
     assert!(matches!(error, OpenError::InUse { .. }));

@@ -37,10 +37,10 @@ async fn claim_is_exclusive_under_concurrency() {
             }
         });
     }
-    let all: Vec<(i64, u32)> = claimants.join_all().await.concat();
-    assert_eq!(all.len() as u64, jobs);
-    assert!(all.iter().all(|(_, attempt)| *attempt == 1));
-    let distinct: BTreeSet<i64> = all.iter().map(|(job, _)| *job).collect();
+    let claimed_jobs: Vec<(i64, u32)> = claimants.join_all().await.concat();
+    assert_eq!(claimed_jobs.len() as u64, jobs);
+    assert!(claimed_jobs.iter().all(|(_, attempt)| *attempt == 1));
+    let distinct: BTreeSet<i64> = claimed_jobs.iter().map(|(job, _)| *job).collect();
     assert_eq!(distinct.len() as u64, jobs, "no job was leased twice");
 }
 
@@ -89,7 +89,7 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
 }
 
 #[tokio::test]
-async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
+async fn a_worker_gets_jobs_of_its_warm_task_or_else_of_a_task_without_leases() {
     let bench = Bench::start().await;
     let spec = with(
         small_spec("spread"),
@@ -108,11 +108,16 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
         "t2",
         "the worker has compiled the scene of t2"
     );
-    let rest = first.claim_warm(64, "libero_object/2").await;
-    assert_eq!(rest.len(), 9, "the warm task is preferred, not required");
+    let remaining = first.claim_warm(64, "libero_object/2").await;
+    assert_eq!(
+        remaining.len(),
+        9,
+        "the warm task is preferred, not required"
+    );
 }
 
-/// Checks a campaign that is leased task by task and one that is leased in drawn order.
+/// Checks a campaign that is leased task by task, and one with a stop rule, which is leased in a
+/// random order.
 #[tokio::test]
 async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     let bench = Bench::start().await;
@@ -141,13 +146,22 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
             .iter()
             .all(|lease| rollout_id(lease).contains("/t1/"))
     );
-    let mut whole = bench.worker("b").await;
-    let rest = whole.claim(64).await;
-    assert_eq!(rest.len(), claimed.len(), "the jobs of t0 are still queued");
-    assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
+    let mut complete = bench.worker("b").await;
+    let remaining = complete.claim(64).await;
+    assert_eq!(
+        remaining.len(),
+        claimed.len(),
+        "the jobs of t0 are still queued"
+    );
+    assert!(
+        remaining
+            .iter()
+            .all(|lease| rollout_id(lease).contains("/t0/"))
+    );
 }
 
-/// Regression: a worker without LIBERO-Plus' task files was offered their rollouts again and again.
+/// Regression: a worker without LIBERO-Plus' task files was offered rollouts of these files again
+/// and again.
 #[tokio::test]
 async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
     let bench = Bench::start().await;
@@ -192,11 +206,11 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
     };
     let listed = bench.operator().await.list_jobs(listed).await;
     assert_eq!(listed.expect("jobs").into_inner().jobs.len(), 4);
-    let mut whole = bench.worker("b").await;
-    let mut rest: Vec<String> = whole.claim(64).await.iter().map(rollout_id).collect();
-    rest.sort();
+    let mut complete = bench.worker("b").await;
+    let mut remaining: Vec<String> = complete.claim(64).await.iter().map(rollout_id).collect();
+    remaining.sort();
     assert_eq!(
-        rest,
+        remaining,
         [
             "goal/t8/plus:language_1/i00",
             "goal/t8/plus:level1_sample1/i00"
@@ -217,7 +231,7 @@ async fn a_worker_that_names_no_renderer_is_not_registered() {
     assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
 }
 
-/// Regression: the oldest campaign got all workers until it was done.
+/// Regression: the oldest campaign got all workers until it was finished.
 #[tokio::test]
 async fn campaigns_of_one_priority_progress_together() {
     let bench = Bench::start().await;
@@ -225,16 +239,16 @@ async fn campaigns_of_one_priority_progress_together() {
     bench.create(&small_spec("newer")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let mut names = Vec::new();
-    // A single slot, which never holds two leases.
+    // Simulates a single slot, which never holds two leases.
     for _ in 0..4 {
         let lease = worker.claim_one().await;
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
         names.push(lease.campaign);
     }
     assert_eq!(names, ["older", "newer", "older", "newer"]);
-    // Several slots, which keep their leases.
-    let rest = worker.claim(8).await;
-    let count = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
+    // Simulates several slots, which keep their leases.
+    let leases = worker.claim(8).await;
+    let count = |name: &str| leases.iter().filter(|lease| lease.campaign == name).count();
     assert_eq!((count("older"), count("newer")), (2, 2));
 }
 
@@ -250,7 +264,7 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
         .claim(6)
         .await
         .into_iter()
-        .map(|l| l.campaign)
+        .map(|lease| lease.campaign)
         .collect();
     assert_eq!(
         campaigns[..4],
@@ -314,8 +328,8 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(worker.claim(64).await.len(), 5);
 }
 
-/// The first campaigns in order may be pinned to other assets, be paused, or wait for their policy;
-/// the campaigns after them are still leased.
+/// Campaigns that a worker cannot run are pinned to other assets or wait for their policy. They do
+/// not delay campaigns of lower priority.
 #[tokio::test]
 async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     let bench = Bench::start().await;
@@ -333,9 +347,9 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     worker.release(&lease, reason).await;
     let sound = with(small_spec("sound"), policy("sound"));
     bench.create(&sound).await.expect("created");
-    let rest = worker.claim(64).await;
-    assert_eq!(rest.len(), 4);
-    assert!(rest.iter().all(|lease| lease.campaign == "sound"));
+    let leases = worker.claim(64).await;
+    assert_eq!(leases.len(), 4);
+    assert!(leases.iter().all(|lease| lease.campaign == "sound"));
 }
 
 #[tokio::test]
@@ -349,11 +363,15 @@ async fn replicates_change_the_policys_seed_only() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
     let lease_of = |replicate: u32| &leases[replicate as usize * 4 + 1];
-    let rows: BTreeSet<&str> = (0..3).map(|k| lease_of(k).manifest_row.as_str()).collect();
-    let seeds: BTreeSet<u64> = (0..3).map(|k| lease_of(k).policy_seed).collect();
+    let rows = (0..3).map(|replicate| lease_of(replicate).manifest_row.as_str());
+    let rows: BTreeSet<&str> = rows.collect();
+    let seeds = (0..3).map(|replicate| lease_of(replicate).policy_seed);
+    let seeds: BTreeSet<u64> = seeds.collect();
     assert_eq!((rows.len(), seeds.len()), (1, 3));
     assert_eq!(
-        (0..3).map(|k| lease_of(k).replicate).collect::<Vec<_>>(),
+        (0..3)
+            .map(|replicate| lease_of(replicate).replicate)
+            .collect::<Vec<_>>(),
         [0, 1, 2]
     );
     assert!(
@@ -381,8 +399,7 @@ async fn an_unregistered_worker_must_register_and_another_protocol_version_is_re
     assert!(refused.message().contains(&own_version), "{refused}");
 }
 
-/// Regression: a claim whose answer was lost left a lease that its worker did not know
-/// of.
+/// Regression: a claim whose answer was lost left a lease of which the worker did not know.
 #[tokio::test]
 async fn a_repeated_claim_returns_its_existing_lease() {
     let bench = Bench::start().await;

@@ -1,5 +1,5 @@
-//! The clock jumps between two starts of a coordinator: effect on every column that stores an
-//! instant.
+//! Effects of a clock that jumps between two starts of a coordinator, on every column that stores
+//! an instant.
 //!
 //! While a coordinator runs, its clock never goes back (`queue::clock`).
 
@@ -26,23 +26,24 @@ const LEASE_MS: i64 = 30_000;
 /// ends back-offs and pauses, makes workers silent until they call, and leaves leases their full
 /// time.
 const INSTANTS: [(&str, &str, Option<i64>); 20] = [
-    // Displayed to people, and the basis of the rates in estimates.
+    // Instants that are displayed to people, and on which the rates in estimates are based.
     ("artifact", "stored_ms", Some(0)),
     ("campaign", "created_ms", Some(0)),
-    // Decides whether a lease predates the pin: its unsuitable result is then not charged.
+    // An unsuitable result is not charged if its lease is older than this instant.
     ("campaign", "pinned_ms", Some(0)),
     ("campaign", "state_since_ms", Some(0)),
     ("divergence", "reported_ms", Some(0)),
-    // Latest time of a report by a disconnected worker; its distance from `leased_ms` is kept.
+    // After this instant, a disconnected worker can no longer report a result. The interval since
+    // `leased_ms` is kept.
     ("failure", "ceiling_ms", None),
     ("failure", "failed_ms", Some(0)),
     ("failure", "leased_ms", Some(0)),
-    // The attempt's own length after its start, or the lease's duration if that is longer.
+    // Longest duration of the attempt after its start, or the lease's duration if that is longer.
     ("job", "ceiling_ms", None),
     ("job", "lease_expires_ms", Some(LEASE_MS)),
     ("job", "leased_ms", Some(0)),
     ("job", "not_before_ms", Some(LONGEST_WAIT_MS)),
-    // Leases granted earlier are no evidence of an outage.
+    // Failures of leases that were granted before this instant are no evidence of an outage.
     ("policy", "available_ms", Some(0)),
     ("policy", "resume_ms", Some(LONGEST_WAIT_MS)),
     ("result", "committed_ms", Some(0)),
@@ -102,10 +103,10 @@ async fn every_column_with_an_instant_is_listed() {
     .await
     .expect("columns");
     pool.close().await;
-    let found = columns.iter().map(|(table, column)| (&**table, &**column));
+    let columns_in_schema = columns.iter().map(|(table, column)| (&**table, &**column));
     let named = INSTANTS.map(|(table, column, _)| (table, column));
     assert_eq!(
-        found.collect::<Vec<_>>(),
+        columns_in_schema.collect::<Vec<_>>(),
         named,
         "list new columns in INSTANTS"
     );
@@ -123,9 +124,9 @@ async fn a_clock_set_back_leaves_no_instant_in_the_future() {
     for (table, column, ahead) in INSTANTS {
         let latest = latest(&bench, table, column).await;
         let latest = latest.unwrap_or_else(|| panic!("no row has {table}.{column}"));
-        let most = ahead.unwrap_or(3_600_000);
+        let max_ahead = ahead.unwrap_or(3_600_000);
         assert!(
-            latest <= now + most,
+            latest <= now + max_ahead,
             "{table}.{column} is {} ms ahead",
             latest - now
         );
@@ -209,19 +210,20 @@ async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_ful
     assert_eq!(check(folder.path()).await.expect("a database"), []);
 }
 
-/// Source files that read the system's clock, or instants of files, and the effect of a jump.
+/// Source files that read the system's clock or the modification times of files, each with the
+/// effect of a clock jump.
 const OTHER_CLOCKS: [(&str, &str); 8] = [
     (
         "crates/policies/policy-backends/src/vla_eval.rs",
-        "a stamp for the log of a server, which decides nothing",
+        "a timestamp for a server's log; nothing depends on it",
     ),
     (
         "crates/service/queue/src/clock.rs",
-        "read once at the start; the jumps above are those of this clock",
+        "read once at the start; the tests above simulate jumps of this clock",
     ),
     (
         "crates/service/queue/src/operations/local_videos.rs",
-        "compared for equality: a file that was written again is another one",
+        "compared for equality: a file that was written again counts as a different file",
     ),
     (
         "crates/simulation/assets/src/verify.rs",
@@ -237,16 +239,16 @@ const OTHER_CLOCKS: [(&str, &str); 8] = [
     ),
     (
         "crates/simulation/sim/src/scene_files/evict.rs",
-        "orders compiled scenes by their last use: another one is evicted, and compiled again",
+        "orders compiled scenes by their last use: a jump changes which scene is evicted",
     ),
     (
         "crates/simulation/sim/src/scene_files/folder.rs",
-        "compared for equality: a file that was written again is another one",
+        "compared for equality: a file that was written again counts as a different file",
     ),
 ];
 
 /// Collects the paths of Rust sources below a folder, except those of tests.
-fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+fn sources(folder: &Path, paths: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let entry = entry.expect("an entry");
         let (path, name) = (entry.path(), entry.file_name());
@@ -256,10 +258,10 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
         let is_hidden = name.as_encoded_bytes().starts_with(b".");
         if entry.file_type().expect("a type").is_dir() {
             if !is_left_out && !is_hidden {
-                sources(&path, found);
+                sources(&path, paths);
             }
         } else if path.extension().is_some_and(|extension| extension == "rs") {
-            found.push(path);
+            paths.push(path);
         }
     }
 }
@@ -286,14 +288,14 @@ fn every_file_that_reads_another_clock_is_listed() {
         .iter()
         .any(|word| text.contains(word))
     };
-    let found = files.iter().filter(|path| reads(path));
-    let mut found: Vec<&str> = found
+    let files_with_clocks = files.iter().filter(|path| reads(path));
+    let mut files_with_clocks: Vec<&str> = files_with_clocks
         .map(|path| path.strip_prefix(root).expect("a path below the root"))
         .map(|path| path.to_str().expect("UTF-8"))
         .collect();
-    found.sort_unstable();
+    files_with_clocks.sort_unstable();
     assert_eq!(
-        found,
+        files_with_clocks,
         OTHER_CLOCKS.map(|(file, _)| file),
         "list new files in OTHER_CLOCKS"
     );

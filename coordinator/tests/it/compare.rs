@@ -58,7 +58,8 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     for row in [
         "A strong at http://127.0.0.1:50051, campaign a",
         "B weak at http://127.0.0.1:50051, campaign b",
-        // Ten tasks: A succeeds on all, B on none. Two of 1,024 sign-flips, times four conditions.
+        // A succeeds on all of ten tasks, B on none. The p value is that of 2 of 1,024 sign flips,
+        // multiplied by four conditions.
         "simultaneous 10 100.0 0.0 +100.0 no spread 10 0 0.008",
         "nominal 10 100.0 100.0 +0.0 no spread 0 0 1.000",
         "left out: 40 rollouts that only A has, 0 rollouts that only B has",
@@ -189,8 +190,8 @@ async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
         3,
         "configuration 0 is the same in both"
     );
-    let same = compared(&bench, ["a", "c"]).await.statistics;
-    assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
+    let same_seed = compared(&bench, ["a", "c"]).await.statistics;
+    assert_eq!((same_seed.shared(), same_seed.unpaired.len()), (6, 0));
 }
 
 /// The harness's successes take 120 steps and hold both predicates of the goal, its failures
@@ -247,7 +248,7 @@ async fn two_campaigns_are_compared_on_the_page() {
     let mut worker = bench.worker("w").await;
     run_all(&mut worker).await;
 
-    // A different address, since a page is cached for a second.
+    // Requests a different address, since a page is cached for a second.
     let list = http(&bench.url, "GET /?later").await.text();
     assert!(list.contains("action=\"/compare\""), "{list}");
     let form = http(&bench.url, "GET /compare").await;
@@ -278,7 +279,10 @@ async fn two_campaigns_are_compared_on_the_page() {
     let refused = http(&bench.url, "GET /compare?a=first&b=other")
         .await
         .text();
-    for words in ["They cannot be compared", "different realisation modes"] {
+    for words in [
+        "These campaigns cannot be compared",
+        "different realisation modes",
+    ] {
         assert!(refused.contains(words), "no `{words}` in\n{refused}");
     }
 }

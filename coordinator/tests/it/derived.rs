@@ -1,5 +1,5 @@
-//! Helpers for tests of derived campaigns: workers that run waiting jobs with planted outcomes, and
-//! coordinators that are killed.
+//! Helpers for tests of derived campaigns: workers that report planted outcomes, that is, outcomes
+//! given by a function of the rollout's id, and coordinators that are killed.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -16,10 +16,10 @@ use serde_json::{Value, json};
 use crate::harness::{Worker, rollout_id};
 use crate::process::{Serve, succeed_in_json};
 
-/// Longest time that a planted campaign may take.
+/// Longest time that a campaign with planted outcomes may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Planted outcome of a rollout.
+/// Function that gives the planted outcome of a rollout.
 pub(crate) type Planted = fn(&RolloutId) -> Outcome;
 
 /// Runs waiting jobs until none is left.
@@ -54,18 +54,19 @@ pub(crate) async fn complete_findings(
     let began = Instant::now();
     loop {
         run_all(&mut worker, planted).await;
-        let found = findings(serve, command, arguments);
-        if found["complete"] == json!(true) {
-            return found;
+        let findings = findings(serve, command, arguments);
+        if findings["complete"] == json!(true) {
+            return findings;
         }
-        let left = &found["waiting"];
-        assert!(began.elapsed() < PATIENCE, "{left} rollouts still wait");
+        let waiting = &findings["waiting"];
+        assert!(began.elapsed() < PATIENCE, "{waiting} rollouts still wait");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
 }
 
-/// Asserts that kills around every transaction leave the findings of an undisturbed campaign.
-/// `create` makes the campaign `first`, and `key` names it in the specification of the derived one.
+/// Asserts that a derived campaign has the same findings whether or not its coordinator is killed
+/// around every transaction. `create` makes the source campaign `first`; `key` is the field of the
+/// derived campaign's specification that names the source.
 pub(crate) async fn assert_kills_change_nothing(
     create: fn(&Serve),
     [command, name, key]: [&str; 3],
@@ -88,13 +89,13 @@ pub(crate) async fn assert_kills_change_nothing(
     });
     kill_around_every_transaction(folder.path(), &spec, planted).await;
     let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
-    let found = complete_findings(&serve, command, &[], planted).await;
-    assert_eq!(found, expected);
+    let findings = complete_findings(&serve, command, &[], planted).await;
+    assert_eq!(findings, expected);
 }
 
 /// Kills the coordinator of a folder around every transaction that a campaign of the specification
-/// needs, in consecutive runs, each of which continues where the previous one was killed. Every
-/// invariant holds after each.
+/// needs, in consecutive runs, each of which continues where the previous run was killed. Asserts
+/// after each run that every invariant holds.
 async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Planted) {
     for (side, step, times) in [
         (Side::Before, Step::CreateCampaign, 1),

@@ -14,7 +14,7 @@ use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    // More than any disk has.
+    // Requires more free space than any disk has.
     let needed = ["--min-free-mib", "1099511627776"];
     let serve = Serve::start_with(folder.path(), &needed, Stdio::null());
     assert!(serve.command(&CREATE).status.success());
@@ -131,8 +131,8 @@ async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
         let refused = refused.expect_err("no room");
         assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
         assert!(refused.message().contains("room on the disk"), "{refused}");
-        let left = std::fs::read_dir(&artifacts).expect("a folder").count();
-        assert_eq!(left, 0, "a part of the video is left");
+        let file_count = std::fs::read_dir(&artifacts).expect("a folder").count();
+        assert_eq!(file_count, 0, "a part of the video is left");
     }
     // Leasing continues, and the video can be uploaded when there is room again.
     let next = worker.claim_one().await;

@@ -82,7 +82,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     let column = format!(r#""execution":"{MODEL}""#);
     assert!(written.lines().all(|line| line.contains(&column)));
 
-    // A campaign of the manifest runs under its model, and under no other.
+    // A campaign of the manifest runs under the manifest's execution model; any other is refused.
     let imported = |more: &[&str]| {
         let flags = [&CREATE[..8], &["--manifest", &rows, "--print-spec"], more];
         coordinator(&flags.concat())
@@ -159,15 +159,15 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     // The latency axis is checked too: r20 is ten steps late.
     let axis = ["--axes", "camera,latency", "--levels", "r20"];
     let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
-    let rest = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
-    let refused = serve.command(&[&named[..], &rest, &axis].concat());
+    let rollouts = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
+    let refused = serve.command(&[&named[..], &rollouts, &axis].concat());
     let message = text(&refused.stderr);
     assert!(
         message.contains("`overlap:10` drops at least 10"),
         "{message}"
     );
-    // The first model drops every action of some answers only; `hold` drops no action, since the
-    // arm holds still meanwhile.
+    // The first model drops every action of some answers only. `hold` drops no action, since the
+    // arm holds still while an answer is under way.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
         let message = &succeed(create(name, model, &[]));
         assert!(!message.contains("is unknown"), "{message}");

@@ -19,7 +19,8 @@ fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
 }
 
-/// Planted outcome. The task's index within its suite determines the axes that cause a failure.
+/// Returns the planted outcome of a rollout. The task's index within its suite determines the axes
+/// that cause a failure.
 pub(crate) fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let has = |text| set(text).is_subset(axes);
@@ -29,7 +30,8 @@ pub(crate) fn outcome(id: &RolloutId) -> Outcome {
         3 => has("robot+language") || has("camera+sensor"),
         // The robot axis alone causes a failure, and the camera axis compensates for it.
         4 => has("robot") && !has("camera"),
-        // A pair causes a failure unless a third axis is added; so do all axes together.
+        // A pair causes a failure unless a third axis is added. All axes together cause a failure,
+        // too.
         5 => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
         _ => false,
     };
@@ -51,14 +53,14 @@ fn create(serve: &Serve) {
 }
 
 /// Creates the campaign `first` with additional flags.
-pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
+pub(crate) fn create_with(serve: &Serve, flags: &[&str]) {
     #[rustfmt::skip]
     let arguments = [
         "campaign", "create", "--name", "first", "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "all",
         "--levels", "L2", "--configs", "0",
     ];
-    succeed(serve.command(&[&arguments[..], further].concat()));
+    succeed(serve.command(&[&arguments[..], flags].concat()));
 }
 
 /// Runs all derived rollouts and returns the complete findings.
@@ -79,10 +81,10 @@ async fn planted_rules_are_found_again() {
     );
     assert_eq!(findings(&serve, "explain", &[])["complete"], json!(false));
 
-    let found = explained(&serve, &[]).await;
-    assert_eq!(found["transitions"], 6);
-    assert_eq!(found["explained"], 6);
-    let configurations = found["configurations"].as_array().expect("a list");
+    let findings_json = explained(&serve, &[]).await;
+    assert_eq!(findings_json["transitions"], 6);
+    assert_eq!(findings_json["explained"], 6);
+    let configurations = findings_json["configurations"].as_array().expect("a list");
     for (configuration, (task, start, minimal)) in configurations.iter().zip(EXPECTED) {
         let name = configuration["configuration"].as_str().expect("a name");
         assert!(name.starts_with(task), "{name}");
@@ -95,7 +97,7 @@ async fn planted_rules_are_found_again() {
         assert_eq!(open.map(Vec::len), Some(0), "{name} is established");
     }
     // At most a third of the subsets were run.
-    let rollouts = found["rollouts"].as_u64().expect("a number");
+    let rollouts = findings_json["rollouts"].as_u64().expect("a number");
     assert!(rollouts < 6 * 57 / 3, "{rollouts} rollouts");
 
     // Running all subsets shows further findings.
@@ -104,14 +106,14 @@ async fn planted_rules_are_found_again() {
     let mut printed = BTreeSet::new();
     keys(&all, "", &mut printed);
     assert_eq!(printed, documented("explain"));
-    let masked = &all["configurations"][5]["explanation"]["answers"][0]["non_monotone"];
+    let non_monotone = &all["configurations"][5]["explanation"]["answers"][0]["non_monotone"];
     let pair = json!({
         "minimal": "lighting+actuation", "superset": "lighting+sensor+actuation",
     });
-    assert_eq!(masked, &json!([pair]));
+    assert_eq!(non_monotone, &json!([pair]));
 
     // Creating the same campaign again adds no rollout; the text has the same findings.
-    assert_eq!(findings(&serve, "explain", &[]), found);
+    assert_eq!(findings(&serve, "explain", &[]), findings_json);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);
     for line in [
@@ -231,9 +233,12 @@ async fn an_explanation_stays_within_its_budget_and_completes_started_transition
     create(&serve);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
-    let found = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
-    assert!(found["rollouts"].as_u64() <= Some(60), "{found}");
-    let explained = found["explained"].as_u64().expect("a number");
+    let findings_json = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
+    assert!(
+        findings_json["rollouts"].as_u64() <= Some(60),
+        "{findings_json}"
+    );
+    let explained = findings_json["explained"].as_u64().expect("a number");
     assert!((1..6).contains(&explained), "{explained}");
 }
 
@@ -263,10 +268,10 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
         };
         let operator = OperatorServiceClient::connect(serve.url.clone()).await;
         let mut operator = operator.expect("a connection");
-        let disconnects = Duration::from_micros(125 * eighth_millis);
-        let _ = tokio::time::timeout(disconnects, operator.create_campaign(request)).await;
+        let disconnect_after = Duration::from_micros(125 * eighth_millis);
+        let _ = tokio::time::timeout(disconnect_after, operator.create_campaign(request)).await;
         drop(operator);
-        // Longer than a transaction takes.
+        // Waits longer than a transaction takes.
         tokio::time::sleep(Duration::from_millis(100)).await;
         let began = Instant::now();
         while let Some(rollouts) = rollouts_of(&serve, &name).await {
@@ -284,7 +289,7 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
     );
 }
 
-/// Returns the number of a campaign's rollouts, if it exists.
+/// Returns the number of a campaign's rollouts; `None` if the campaign does not exist.
 async fn rollouts_of(serve: &Serve, campaign: &str) -> Option<u64> {
     let operator = OperatorServiceClient::connect(serve.url.clone()).await;
     let campaign = campaign.to_owned();

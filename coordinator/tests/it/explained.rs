@@ -1,5 +1,5 @@
 //! Display of explanations in the report, on the page, as a table and in films, and interactions of
-//! the axes where all subsets were run.
+//! the axes in campaigns that ran all subsets.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -37,14 +37,14 @@ async fn report_page_and_table_show_the_explanation() {
     let unexplained = "/campaigns/first/configurations/object/t1/combination/L2/c00";
     let hint = page(&serve, unexplained).await;
     assert!(hint.contains("coordinator explain first"), "{hint}");
-    let found = explained(&serve, &[]).await;
+    let findings = explained(&serve, &[]).await;
 
     let words = printed(&serve, &["report", "first-explained"]);
     assert!(words.contains("6 of 6 transitions explained"), "{words}");
     fits_a_terminal(&words);
     let json = printed(&serve, &["report", "first-explained", "--json"]);
     let json: Value = serde_json::from_str(&json).expect("JSON");
-    assert_eq!(json["reports"][0]["explanation"], found);
+    assert_eq!(json["reports"][0]["explanation"], findings);
 
     let csv = folder.path().join("subsets.csv");
     let parquet = folder.path().join("subsets.parquet");
@@ -55,7 +55,7 @@ async fn report_page_and_table_show_the_explanation() {
         "report", "first-explained", "--table", &csv, "--table", &parquet, "--html", &html,
     ]);
     let table = std::fs::read_to_string(&csv).expect("written");
-    // Five tasks with one minimal subset, and one with two.
+    // Five tasks have one minimal subset, and one task has two.
     assert_eq!(table.lines().count(), 1 + 7, "{table}");
     assert!(
         table.contains("libero_object,4,0,compensated,robot,camera+robot,2,true,0,"),
@@ -83,7 +83,7 @@ async fn report_page_and_table_show_the_explanation() {
     );
     let bar = "camera+robot: 2 configurations, established in 2";
     assert!(campaign.contains(bar), "{campaign}");
-    // Outcomes are those of both campaigns; minimal subsets have a ring.
+    // The pages show the outcomes of both campaigns, and mark minimal subsets with a ring.
     let subset = "/campaigns/first-explained/configurations/object/t0/camera+robot/L2/c00";
     for place in [emergent, subset] {
         let page = page(&serve, place).await;
@@ -113,7 +113,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         let id = row["rollout_id"].as_str().or(row["id"].as_str());
         id.expect("an id").parse().expect("an id")
     };
-    // The third task has a minimal triple: it is filmed, and so are its pairs.
+    // The minimal subset of the third task has three axes. This subset and its pairs are filmed.
     let filmed_conditions: BTreeSet<String> = all
         .iter()
         .filter(|film| film.campaign == "first-explained" && id(film).task().index() == 2)
@@ -127,7 +127,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     ];
     assert_eq!(filmed_conditions, expected.map(str::to_owned).into());
 
-    // The page shows the command that makes the films once, with an address that can be pasted.
+    // The page shows exactly one command that makes the films, with an address that can be pasted.
     let subset = "/campaigns/first/configurations/object/t2/simultaneous/L2/c00";
     let before = page(&serve, subset).await;
     let command = "worker film --connect <span data-origin>http://127.0.0.1:7411</span>";
@@ -169,9 +169,9 @@ async fn interactions_add_up_to_simultaneous_success() {
     run_all(&mut worker, outcome).await;
     let json = printed(&serve, &["interactions", "whole", "--json"]);
     let json: Value = serde_json::from_str(&json).expect("JSON");
-    let mut found = BTreeSet::new();
-    keys(&json, "", &mut found);
-    assert_eq!(found, documented("interactions"));
+    let mut printed_keys = BTreeSet::new();
+    keys(&json, "", &mut printed_keys);
+    assert_eq!(printed_keys, documented("interactions"));
     let level = &json["levels"][0];
     assert_eq!((&level["n"], &level["left_out"]), (&10.into(), &0.into()));
     let sum = |list: &str, value: &str| -> i64 {

@@ -187,12 +187,12 @@ async fn take_over(
         limit: 64,
         ..wire::ListJobsRequest::default()
     };
-    let left = operator
+    let leased = operator
         .list_jobs(request)
         .await
         .expect("a list")
         .into_inner();
-    for job in left.jobs {
+    for job in leased.jobs {
         let request = wire::ReleaseRequest {
             attempt_id: job.attempt_id,
             reason: Reason::Draining.into(),
@@ -210,7 +210,8 @@ fn copy_of(folder: &Path) -> TempDir {
     copy
 }
 
-/// Runs a process until its failpoint, and then another to the end. Returns the report.
+/// Runs a coordinator until it is killed at the failpoint, and then another that finishes the
+/// campaign. Returns the report.
 async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let times = if step == Step::Sweep {
         EXPIRING_SWEEP
@@ -221,7 +222,7 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let child = serve(folder.path(), &point);
     let mut serve = Serve::wait_until_listening(child);
     if serve.is_ready() {
-        // Fails at the call during which the process is killed.
+        // Returns the error of the call during which the process is killed.
         let _ = call_everything(&serve).await;
     }
     let began = Instant::now();
@@ -248,7 +249,7 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     let folder = valid_database().await;
-    let undisturbed = finish(copy_of(folder.path()).path()).await;
+    let expected = finish(copy_of(folder.path()).path()).await;
     // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
     // `stops`.
     let tested_elsewhere = [Step::Derive, Step::Stop];
@@ -266,6 +267,6 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
         }
         let process = processes.join_next().await.expect("a running process");
         let (side, step, report) = process.expect("a process without failures");
-        assert!(report == undisturbed, "{side:?} {step:?}: another report");
+        assert!(report == expected, "{side:?} {step:?}: another report");
     }
 }

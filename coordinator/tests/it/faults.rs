@@ -11,10 +11,10 @@ use tonic::Code;
 
 use crate::harness::{Bench, Worker, small_spec, with};
 
-/// Longer than any back-off, shorter than a lease with its heartbeats.
+/// Time after which every back-off is over, seconds.
 const PAST_BACKOFF_SECS: u64 = 70;
 
-/// A campaign of one rollout.
+/// Starts a coordinator with a campaign of one rollout.
 async fn one_job() -> Bench {
     let bench = Bench::start().await;
     let spec = with(
@@ -25,7 +25,7 @@ async fn one_job() -> Bench {
     bench
 }
 
-/// Fails the only job on a worker, which must be able to lease it.
+/// Claims the only job with a worker and reports a crash; returns the verdict.
 async fn fail_on(bench: &Bench, worker: &mut Worker) -> Released {
     bench.advance(PAST_BACKOFF_SECS).await;
     let lease = worker.claim_one().await;
@@ -219,7 +219,7 @@ async fn reports_without_a_lease_are_refused() {
     };
     let refused = other.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
-    // A worker cannot renew another one's lease.
+    // A worker cannot renew the lease of another worker.
     let lost_leases = other.heartbeat(&[&lease], 5).await;
     assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
@@ -410,7 +410,7 @@ async fn leases_get_their_full_duration_after_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_report_refused_by_the_database_affects_no_other() {
+async fn a_report_refused_by_the_database_affects_no_other_report() {
     let bench = Bench::start().await;
     bench.create(&small_spec("shared")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -421,11 +421,11 @@ async fn a_report_refused_by_the_database_affects_no_other() {
          BEGIN SELECT RAISE (ABORT, 'on purpose'); END",
         leases[1].job_id
     );
-    let made = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse))
+    let created = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse))
         .execute(&pool)
         .await;
-    made.expect("a trigger");
-    // While this transaction is open, the reports queue up.
+    created.expect("a trigger");
+    // While this transaction is open, the reports wait for the next one.
     let mut writing = pool
         .begin_with("BEGIN IMMEDIATE")
         .await

@@ -6,7 +6,7 @@ use tonic::Code;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
-/// Longer than a rollout may take to be filmed.
+/// Time after which an assigned film counts as lost, seconds.
 const LONG_SECS: u64 = 16 * 60;
 
 /// Creates a campaign of one configuration that stores actions, with outcomes for the nominal
@@ -38,7 +38,7 @@ async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
     answer.expect("an answer").into_inner()
 }
 
-/// Takes films until none is left; returns them.
+/// Requests films to make until there are none; returns them.
 pub(crate) async fn take_films(worker: &mut Worker) -> Vec<wire::Film> {
     let mut films = Vec::new();
     while let Some(film) = next_film(worker, "primitives").await.film {
@@ -59,19 +59,19 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 
 #[tokio::test]
 async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
-    for conjunction in [true, false] {
-        let (bench, mut worker, combination) = commit_all_but_combination(conjunction).await;
+    for outcome in [true, false] {
+        let (bench, mut worker, combination) = commit_all_but_combination(outcome).await;
         assert!(
             take_films(&mut worker).await.is_empty(),
             "the combination has no outcome"
         );
-        worker.commit(&combination, !conjunction).await;
+        worker.commit(&combination, !outcome).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
         let all = take_films(&mut worker).await;
         let rows = all.iter().map(|film| film.manifest_row.as_str());
-        let named = |name: &str| rows.clone().filter(|row| row.contains(name)).count();
+        let count = |name: &str| rows.clone().filter(|row| row.contains(name)).count();
         assert_eq!(all.len(), 4, "the nominal rollout, two axes, all at once");
-        assert_eq!((named("/clean/"), named("/combination/")), (1, 1));
+        assert_eq!((count("/clean/"), count("/combination/")), (1, 1));
         assert!(all.iter().all(|film| film.actions == [2; 28]));
         // One film is stored; the others were never uploaded.
         upload(&mut worker, &all[1].attempt_id).await;

@@ -34,22 +34,22 @@ async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
     ]
 }
 
-/// Waits until the status, the report and the page contain all of these texts.
-async fn check(bench: &Bench, words: &[&str]) {
+/// Asserts that status and report contain all `parts`, and waits until the page contains them.
+async fn check(bench: &Bench, parts: &[&str]) {
     for text in fingerprint_texts(bench).await {
         let text = text.to_lowercase();
-        for words in words {
-            assert!(text.contains(words), "{words} is not in {text}");
+        for part in parts {
+            assert!(text.contains(part), "{part} is not in {text}");
         }
     }
     let began = Instant::now();
     loop {
         let page = http(&bench.url, "GET /campaigns/mixed").await.text();
         let page = page.to_lowercase();
-        let missing = words.iter().find(|words| !page.contains(**words));
+        let missing = parts.iter().find(|part| !page.contains(**part));
         match missing {
             None => return,
-            Some(words) => assert!(began.elapsed() < PATIENCE, "{words} is not in {page}"),
+            Some(part) => assert!(began.elapsed() < PATIENCE, "{part} is not in {page}"),
         }
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
@@ -65,35 +65,35 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let tasks: Vec<String> = (0..7).map(|task| format!("libero_object/{task}")).collect();
     let spec = with(small_spec("mixed"), json!({"tasks": tasks}));
     bench.create(&spec).await.expect("created");
-    let mut one = bench.worker("a").await;
-    let mut another = bench.worker("b").await;
-    another.fingerprint = "other bits".to_owned();
-    let (one_digest, other_digest) = (sha("bits"), sha("other bits"));
+    let mut first = bench.worker("a").await;
+    let mut second = bench.worker("b").await;
+    second.fingerprint = "other bits".to_owned();
+    let (first_digest, second_digest) = (sha("bits"), sha("other bits"));
     let warning = "fingerprints, so that the machines' arithmetic or frames differ";
 
     // All four rollouts of each task share one initial state.
     let mut leases = Vec::new();
     for task in &tasks {
-        leases.push(one.claim_warm(4, task).await);
+        leases.push(first.claim_warm(4, task).await);
     }
-    commit(&mut one, &leases[0][0]).await;
-    commit(&mut one, &leases[0][1]).await;
+    commit(&mut first, &leases[0][0]).await;
+    commit(&mut first, &leases[0][1]).await;
     let page = http(&bench.url, "GET /campaigns/mixed").await.text();
     let [status, report] = fingerprint_texts(&bench).await;
     assert_eq!(status, "");
     assert!(!page.contains(warning) && !report.contains(warning));
 
-    // Slots of one worker may differ: results of both kinds are reported under the first worker's
-    // leases.
+    // All leases belong to the first worker. Its slots may have different fingerprints, so that
+    // results of both fingerprints are accepted.
     let report_as = |worker: &Worker, lease: &wire::Lease| wire::CommitRequest {
         attempt_id: lease.attempt_id.clone(),
         ..worker.report(lease, true)
     };
-    let request = report_as(&another, &leases[1][0]);
-    let (verdict, _) = another.clone().commit_request(request).await;
+    let request = report_as(&second, &leases[1][0]);
+    let (verdict, _) = second.clone().commit_request(request).await;
     assert_eq!(verdict, Verdict::Accepted);
-    let counts = |own_count: u32, other_count: u32| {
-        let mut counts = [(&one_digest, own_count), (&other_digest, other_count)];
+    let counts = |first_count: u32, second_count: u32| {
+        let mut counts = [(&first_digest, first_count), (&second_digest, second_count)];
         counts.sort();
         let counts = counts.map(|(digest, count)| format!("{count} of {}", &digest[..12]));
         counts.join(", ")
@@ -106,10 +106,10 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     check(&bench, &words).await;
 
     for leases in &leases[1..] {
-        let request = report_as(&another, &leases[1]);
-        assert_eq!(another.commit_request(request).await.0, Verdict::Accepted);
-        let request = report_as(&one, &leases[2]);
-        assert_eq!(another.commit_request(request).await.0, Verdict::Accepted);
+        let request = report_as(&second, &leases[1]);
+        assert_eq!(second.commit_request(request).await.0, Verdict::Accepted);
+        let request = report_as(&first, &leases[2]);
+        assert_eq!(second.commit_request(request).await.0, Verdict::Accepted);
     }
     let named = "6 configurations mix them: libero_object/1 from state";
     check(&bench, &[&counts(8, 7), named, "and 1 more"]).await;

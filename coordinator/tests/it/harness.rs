@@ -77,7 +77,7 @@ impl Bench {
         Bench::start_in(folder, clock).await
     }
 
-    /// Starts on a folder that may have a database.
+    /// Starts a coordinator on a folder that may have a database.
     pub(crate) async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
         let config = config(folder.path(), clock.clone());
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
@@ -118,12 +118,12 @@ impl Bench {
 
     /// Advances the clock, with regular sweeps.
     pub(crate) async fn advance(&self, secs: u64) {
-        let mut left = secs;
-        while left > 0 {
-            let step = left.min(SWEEP_SECS);
+        let mut remaining_secs = secs;
+        while remaining_secs > 0 {
+            let step = remaining_secs.min(SWEEP_SECS);
             self.clock.advance(Duration::from_secs(step));
             self.queue.sweep().await.expect("a sweep");
-            left -= step;
+            remaining_secs -= step;
         }
     }
 
@@ -275,9 +275,9 @@ impl Worker {
             };
             leases.push(lease);
         }
-        let taken: Vec<&wire::Lease> = leases.iter().collect();
-        if !taken.is_empty() {
-            assert_eq!(self.heartbeat(&taken, 0).await, [""; 0]);
+        let granted: Vec<&wire::Lease> = leases.iter().collect();
+        if !granted.is_empty() {
+            assert_eq!(self.heartbeat(&granted, 0).await, [""; 0]);
         }
         leases
     }
@@ -320,7 +320,7 @@ impl Worker {
         self.commit_request(self.report(lease, success)).await.0
     }
 
-    /// As [`commit`](Self::commit), for a coordinator that may not answer.
+    /// Like [`commit`](Self::commit), but returns the error of a coordinator that does not answer.
     pub(crate) async fn try_commit(
         &mut self,
         lease: &wire::Lease,
@@ -528,7 +528,7 @@ pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(options).await.expect("a database")
 }
 
-/// Returns all rows of a data folder's database, each after the name of its table.
+/// Returns all rows of a data folder's database, each prefixed with the name of its table.
 pub(crate) async fn rows(folder: &Path) -> Vec<String> {
     let pool = open_database(folder).await;
     let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
@@ -548,11 +548,11 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
             .await
             .expect("columns");
         let query = format!("SELECT '{table}: ' || {columns} FROM {table} ORDER BY 1");
-        let found: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
+        let table_rows: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
             .fetch_all(&pool)
             .await
             .expect("rows");
-        rows.extend(found);
+        rows.extend(table_rows);
     }
     pool.close().await;
     rows

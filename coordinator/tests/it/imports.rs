@@ -1,5 +1,5 @@
-//! Archives whose rows were altered so that each passes the database's own constraints, and
-//! campaigns that are imported in several transactions.
+//! Archives with altered rows that satisfy the database's own constraints, and campaigns that are
+//! imported in several transactions.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -24,8 +24,8 @@ async fn alter(archive: &Path, into: &Path, sql: &'static str) {
     let (_, rows) = rows.expect("a database");
     std::fs::write(&database, &rows).expect("written");
     let pool = open_database(folder.path()).await;
-    let done = sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
-    assert!(done.rows_affected() > 0, "{sql}");
+    let result = sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
+    assert!(result.rows_affected() > 0, "{sql}");
     sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)")
         .execute(&pool)
         .await
@@ -35,7 +35,7 @@ async fn alter(archive: &Path, into: &Path, sql: &'static str) {
     write(into, &altered, true);
 }
 
-/// Each of these rows would fail every claim, commit or page that reads it.
+/// Each of these rows would cause every claim, commit or page that reads the row to fail.
 #[tokio::test(flavor = "multi_thread")]
 async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
     let mut source = Bench::with(&with(small_spec("moved"), json!({"replicates": 2}))).await;
@@ -142,7 +142,7 @@ async fn check_unchanged(target: &Bench, before: &[String], file: &Path) {
     target.assert_invariants().await;
 }
 
-/// The source has these rollouts, so that the budgets follow from its rows.
+/// The step budgets of derived rollouts must equal those of the source campaign's rollouts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused() {
     let mut source = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
@@ -174,7 +174,8 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
     check_unchanged(&target, &before, &file).await;
 }
 
-/// More rollouts than two transactions of an import hold.
+/// Returns the specification of a campaign that has more than 1,000 rollouts, the number that two
+/// transactions of an import add.
 fn large_spec() -> Value {
     let configs: Vec<u32> = (0..10).collect();
     with(
@@ -229,8 +230,8 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     assert!(films.exists(), "films are stored before rows");
     assert_eq!(check(target.path()).await.expect("a database"), []);
 
-    let again = Serve::start(target.path());
-    let listed = again.command(&["campaign", "list", "--json"]);
+    let restarted = Serve::start(target.path());
+    let listed = restarted.command(&["campaign", "list", "--json"]);
     let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
     assert_eq!(
         listed["campaigns"],
@@ -242,7 +243,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     assert!(!films.exists(), "films are left");
-    let imported = again.command(&["campaign", "import", &path]);
+    let imported = restarted.command(&["campaign", "import", &path]);
     assert!(imported.status.success());
     assert_eq!(std::fs::read_dir(&films).expect("films").count(), 1);
     for arguments in [
@@ -250,14 +251,14 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
         &["report", "large", "--json"],
     ] {
         assert_eq!(
-            crate::process::text(&again.command(arguments).stdout),
+            crate::process::text(&restarted.command(arguments).stdout),
             source.succeed(arguments)
         );
     }
-    let mut worker = again.worker("another").await;
+    let mut worker = restarted.worker("another").await;
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    drop(again);
+    drop(restarted);
     assert_eq!(counts(target.path()).await, (1, jobs));
     assert_eq!(check(target.path()).await.expect("a database"), []);
 }

@@ -167,9 +167,9 @@ async fn altered_copy(folder: &Path, statement: &'static str) -> TempDir {
     for (name, _) in &triggers {
         run(&mut connection, format!("DROP TRIGGER {name}")).await;
     }
-    let done = run(&mut connection, statement.to_owned()).await;
+    let result = run(&mut connection, statement.to_owned()).await;
     assert!(
-        statement.starts_with("DROP") || done.rows_affected() > 0,
+        statement.starts_with("DROP") || result.rows_affected() > 0,
         "{statement}"
     );
     for (_, sql) in triggers {
@@ -188,11 +188,11 @@ async fn each_violated_invariant_is_reported_by_name() {
         let file = copy.path().join(DATABASE_FILE);
         let before = std::fs::read(&file).expect("a file");
         let violations = check(copy.path()).await.expect("a database");
-        let found = violations
+        let violation = violations
             .iter()
             .find(|violation| violation.invariant == invariant);
-        let found = found.unwrap_or_else(|| panic!("{invariant}: {violations:?}"));
-        assert!(found.examples[0].contains(word), "{found:?}");
+        let violation = violation.unwrap_or_else(|| panic!("{invariant}: {violations:?}"));
+        assert!(violation.examples[0].contains(word), "{violation:?}");
         assert_eq!(
             std::fs::read(&file).expect("a file"),
             before,
@@ -227,18 +227,18 @@ async fn the_program_names_violations_and_fails() {
     assert!(text(&output.stderr).contains("3 of 20 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
-    let other = folder.path().join("notes.txt");
-    std::fs::write(&other, "no database").expect("written");
-    let output = coordinator(&["check", other.to_str().expect("UTF-8")]);
+    let text_file = folder.path().join("notes.txt");
+    std::fs::write(&text_file, "no database").expect("written");
+    let output = coordinator(&["check", text_file.to_str().expect("UTF-8")]);
     let printed = text(&output.stderr);
-    let once = printed.matches("file is not a database").count();
-    assert_eq!((output.status.code(), once), (Some(1), 1), "{printed}");
+    let count = printed.matches("file is not a database").count();
+    assert_eq!((output.status.code(), count), (Some(1), 1), "{printed}");
 }
 
 #[test]
 fn the_architecture_page_documents_every_invariant() {
-    let map = include_str!("../../../docs/ARCHITECTURE.md");
+    let page = include_str!("../../../docs/ARCHITECTURE.md");
     for Invariant { name, .. } in INVARIANTS {
-        assert!(map.contains(&format!("`{name}`")), "{name}");
+        assert!(page.contains(&format!("`{name}`")), "{name}");
     }
 }

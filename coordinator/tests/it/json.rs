@@ -24,27 +24,28 @@ pub(crate) fn documented(command: &str) -> BTreeSet<String> {
 
 /// Collects the keys of a value, including nested ones such as `campaigns[].rollouts.total`. Keys
 /// of a manifest row are not collected.
-pub(crate) fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
+pub(crate) fn keys(value: &Value, path: &str, collected: &mut BTreeSet<String>) {
     match value {
-        Value::Object(fields) if at != "manifest_row" => {
+        Value::Object(fields) if path != "manifest_row" => {
             for (name, field) in fields {
-                let name = match at {
+                let name = match path {
                     "" => name.clone(),
-                    at => format!("{at}.{name}"),
+                    path => format!("{path}.{name}"),
                 };
-                keys(field, &name, found);
-                found.insert(name);
+                keys(field, &name, collected);
+                collected.insert(name);
             }
         }
         Value::Array(items) => {
             for item in items {
-                keys(item, &format!("{at}[]"), found);
+                keys(item, &format!("{path}[]"), collected);
             }
         }
         _ => {}
     }
 }
 
+/// JSON that a command printed.
 struct Printed(Value);
 
 impl Printed {
@@ -56,16 +57,16 @@ impl Printed {
 
     /// Asserts that all keys are documented; some may be missing, since `null` has no keys.
     fn assert_keys_are_documented(&self, command: &str) {
-        let mut found = BTreeSet::new();
-        keys(&self.0, "", &mut found);
+        let mut printed_keys = BTreeSet::new();
+        keys(&self.0, "", &mut printed_keys);
         let documented = documented(command);
-        assert!(found.is_subset(&documented), "{found:?}");
+        assert!(printed_keys.is_subset(&documented), "{printed_keys:?}");
     }
 
     fn assert_keys(&self, command: &str) {
-        let mut found = BTreeSet::new();
-        keys(&self.0, "", &mut found);
-        assert_eq!(found, documented(command), "{command}");
+        let mut printed_keys = BTreeSet::new();
+        keys(&self.0, "", &mut printed_keys);
+        assert_eq!(printed_keys, documented(command), "{command}");
     }
 }
 
@@ -101,12 +102,12 @@ async fn json_output_has_the_documented_keys() {
         assert_eq!(campaign["rollouts"]["failed"], 1);
         assert_eq!(campaign["policy_outage"], Value::Null);
         let created = campaign["created_at"].as_str().expect("an instant");
-        let form = "2026-11-21T15:36:09.123Z";
-        assert_eq!((created.len(), &created[10..11]), (form.len(), "T"));
+        let example = "2026-11-21T15:36:09.123Z";
+        assert_eq!((created.len(), &created[10..11]), (example.len(), "T"));
         assert!(created.ends_with('Z'));
     }
-    let one = Printed::run(&serve, &["campaign", "status", "early"]);
-    one.assert_keys("campaign list");
+    let early_status = Printed::run(&serve, &["campaign", "status", "early"]);
+    early_status.assert_keys("campaign list");
 
     let jobs = Printed::run(&serve, &["jobs", "list", "demo"]);
     jobs.assert_keys("jobs list");
@@ -124,10 +125,10 @@ async fn json_output_has_the_documented_keys() {
         assert_eq!(job["lease_left_secs"].is_number(), is_leased, "{job}");
         assert_eq!(job["outcome"].is_string(), job["state"] == "committed");
     }
-    let few = Printed::run(&serve, &["jobs", "list", "demo", "--limit", "2"]);
-    few.assert_keys("jobs list");
-    assert_eq!(few.0["is_truncated"], true);
-    assert_eq!(few.0["jobs"].as_array().map(Vec::len), Some(2));
+    let truncated = Printed::run(&serve, &["jobs", "list", "demo", "--limit", "2"]);
+    truncated.assert_keys("jobs list");
+    assert_eq!(truncated.0["is_truncated"], true);
+    assert_eq!(truncated.0["jobs"].as_array().map(Vec::len), Some(2));
 
     // One job has a result, another has failures.
     let mut shown = BTreeSet::new();
@@ -159,8 +160,8 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     let create = [&CREATE[..], &["--axes", "camera,sensor"]].concat();
     assert!(serve.command(&create).status.success());
     let mut worker = serve.worker("a").await;
-    for (place, lease) in worker.claim(5).await.iter().enumerate() {
-        let verdict = worker.commit(lease, place % 2 == 0).await;
+    for (index, lease) in worker.claim(5).await.iter().enumerate() {
+        let verdict = worker.commit(lease, index % 2 == 0).await;
         assert_eq!(verdict, Verdict::Accepted);
     }
     let ids = |filters: &[&str]| -> Vec<String> {
@@ -182,10 +183,10 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     let camera_ids = ids(&["--condition", "camera", "--task", "libero_object/0"]);
     assert_eq!(camera_ids, ["object/t0/camera/L1/c00"]);
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
-        let found = ids(&["--condition", name]);
-        assert_eq!(found.len(), 2);
-        assert!(found.iter().all(|keys| keys.contains(id)), "{found:?}");
-        assert_eq!(found, ids(&["--condition", id]));
+        let listed = ids(&["--condition", name]);
+        assert_eq!(listed.len(), 2);
+        assert!(listed.iter().all(|keys| keys.contains(id)), "{listed:?}");
+        assert_eq!(listed, ids(&["--condition", id]));
     }
     for (flag, value) in [
         ("--outcome", "won"),
@@ -210,7 +211,8 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let dry = [&create[..], &["--dry-run"]].concat();
     let json = Printed::run(&serve, &dry);
     json.assert_keys_are_documented("campaign create --dry-run");
-    // Per task: two nominal rollouts, three conditions of two configurations at L1, three at L0.
+    // Each task has two nominal rollouts, three conditions of two configurations at L1, and three
+    // conditions of one configuration at L0.
     assert_eq!(json.0["rollouts"], 10 * (2 + 2 * 3 + 3));
     assert_eq!(json.0["placebo_rollouts"], 30);
     let level = &json.0["planning"]["levels"][0];
@@ -240,7 +242,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
         "{words}"
     );
     fits_a_terminal(words);
-    // Steadier assumed outcomes make other, smaller differences detectable.
+    // With other assumed outcomes, other differences are detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
     let earlier = Printed::run(&serve, &[&dry[..], &["--planning-from", example]].concat());
     assert_ne!(

@@ -43,7 +43,7 @@ async fn latency_is_a_separate_condition() {
     );
     succeed(serve.command(&CREATE));
 
-    // A worker that leaves the delay out is refused.
+    // The result of a worker that does not delay the answers is refused.
     let mut worker = serve.worker("w").await;
     let mut is_refused_once = false;
     for lease in worker.claim(64).await {
@@ -84,9 +84,9 @@ async fn latency_is_a_separate_condition() {
     let exported = serve.command(&["export", "late", "--format", "jsonl"]);
     let rows = text(&exported.stdout).lines();
     let rows = rows.map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
-    let late: Vec<Value> = rows.filter(|row| !row["execution"].is_null()).collect();
-    assert_eq!(late.len(), 2 * 2 * 2);
-    for row in late {
+    let latency_rows: Vec<Value> = rows.filter(|row| !row["execution"].is_null()).collect();
+    assert_eq!(latency_rows.len(), 2 * 2 * 2);
+    for row in latency_rows {
         let expected = if row["level"] == "L1" {
             "overlap:1"
         } else {
@@ -98,7 +98,7 @@ async fn latency_is_a_separate_condition() {
         );
     }
 
-    // The report has the successes under a late policy, but no paired figure with them.
+    // The report counts the successes under latency, but leaves them out of the paired measures.
     let report = json_of(&serve, &["report", "late"]);
     let cells = report["reports"][0]["cells"].as_array().expect("cells");
     for (cell, successes) in cells.iter().zip([4, 0]) {
@@ -119,12 +119,13 @@ async fn latency_is_a_separate_condition() {
     assert_eq!(words, ["camera", "robot", "latency", "simultaneous"]);
     let page = http(&serve.url, "GET /campaigns/late").await.text();
     assert!(page.contains("latency"), "{page}");
-    let one = http(
+    let configuration = http(
         &serve.url,
         "GET /campaigns/late/configurations/object/t0/latency/L3/c00",
     )
     .await;
-    assert!(one.text().contains("overlap:4"), "{}", one.text());
+    let configuration = configuration.text();
+    assert!(configuration.contains("overlap:4"), "{configuration}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -134,20 +135,20 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
     let thresholds = ["thresholds", "late", "--axes", "latency", "--create"];
-    let found = loop {
+    let findings = loop {
         run_all(&mut worker, outcome).await;
-        let found = json_of(&serve, &thresholds);
-        if found["complete"] == json!(true) {
-            break found;
+        let findings = json_of(&serve, &thresholds);
+        if findings["complete"] == json!(true) {
+            break findings;
         }
-        assert!(began.elapsed() < PATIENCE, "{found}");
+        assert!(began.elapsed() < PATIENCE, "{findings}");
         tokio::time::sleep(Duration::from_millis(50)).await;
     };
     assert_eq!(
-        (&found["looked_for"], &found["found"]),
+        (&findings["looked_for"], &findings["found"]),
         (&json!(4), &json!(4))
     );
-    for threshold in found["thresholds"].as_array().expect("a list") {
+    for threshold in findings["thresholds"].as_array().expect("a list") {
         assert_eq!(threshold["condition"], "latency");
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
         assert_eq!(

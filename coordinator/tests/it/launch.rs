@@ -73,7 +73,8 @@ fn written_scripts_are_valid_bash_for_any_values() {
         "--worker-sbatch=--constraint=avx2&ib", "--worker-sbatch=--exclude=n[1-3]",
     ];
     let arguments = [&INSECURE[..], &more].concat();
-    for _ in ["written", "found as it is"] {
+    // The second run finds the scripts with the same content, which is no error.
+    for _ in 0..2 {
         let output = launch(programs.path(), &arguments);
         assert!(output.status.success(), "{}", text(&output.stderr));
     }
@@ -105,10 +106,10 @@ fn written_scripts_are_valid_bash_for_any_values() {
     // An edited script is never overwritten.
     let edited = Path::new(into).join("workers.sbatch");
     std::fs::write(&edited, "mine").expect("edited");
-    let complaint = &fail(launch(programs.path(), &arguments), 1);
+    let message = &fail(launch(programs.path(), &arguments), 1);
     assert!(
-        complaint.contains("workers.sbatch: the file exists with other content"),
-        "{complaint}"
+        message.contains("workers.sbatch: the file exists with other content"),
+        "{message}"
     );
     assert_eq!(read("workers.sbatch"), "mine");
 }
@@ -164,9 +165,9 @@ fn wrong_flags_are_refused_with_the_remedy() {
     let programs = programs();
     let refused = |arguments: &[&str], words: &str| {
         let output = launch(programs.path(), arguments);
-        let complaint = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
-        assert!(complaint.contains(words), "{arguments:?}: {complaint}");
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+        assert!(message.contains(words), "{arguments:?}: {message}");
         assert!(output.stdout.is_empty());
     };
     refused(

@@ -154,23 +154,23 @@ fn an_invalid_manifest_exits_with_1_and_an_invalid_command_with_2() {
 #[test]
 fn differences_are_named_by_row_and_column() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let one = expand(
+    let original = expand(
         folder.path(),
-        "one.jsonl",
+        "original.jsonl",
         &["--version", "v0.1", "--split", "clean"],
     );
-    let other = folder.path().join("other.jsonl");
-    let mut changed = rows(&one);
+    let copy = folder.path().join("copy.jsonl");
+    let mut changed = rows(&original);
     changed.reverse();
-    write(&other, &changed);
-    let output = manifest("diff", &[&one, &other]);
+    write(&copy, &changed);
+    let output = manifest("diff", &[&original, &copy]);
     assert!(output.status.success(), "the order of rows does not count");
     assert!(text(&output.stdout).ends_with("have the same 2000 rows\n"));
 
     changed[0]["language"] = json!("sing");
     let removed = changed.pop().expect("rows");
-    write(&other, &changed);
-    let output = manifest("diff", &[&one, &other]);
+    write(&copy, &changed);
+    let output = manifest("diff", &[&original, &copy]);
     assert_eq!(output.status.code(), Some(1));
     let printed = text(&output.stdout);
     assert!(printed.contains("and \"sing\"\n"), "{printed}");
@@ -188,7 +188,7 @@ async fn an_imported_manifest_is_run_unchanged() {
     let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
     let mut rows = rows(&all);
     // The rows are a configuration's language row and its nominal row. The nominal row comes last,
-    // and its id has another spelling than the released one.
+    // and its id is spelled differently than in released manifests.
     rows.retain(|row| {
         let id = row["rollout_id"].as_str().expect("text");
         id == "goal/t7/language/L3/c02" || id.starts_with("goal/t7/clean/")

@@ -20,14 +20,15 @@ fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
     let mut arguments = vec!["merge"];
     arguments.extend(archives.iter().map(String::as_str));
     arguments.extend(["--output", &output]);
-    let done = crate::process::coordinator(&arguments);
-    match done.status.success() {
-        true => Ok(text(&done.stdout).to_owned()),
-        false => Err(text(&done.stderr).to_owned()),
+    let result = crate::process::coordinator(&arguments);
+    match result.status.success() {
+        true => Ok(text(&result.stdout).to_owned()),
+        false => Err(text(&result.stderr).to_owned()),
     }
 }
 
-/// Reads the rollouts with an outcome, and the repeated outcomes, that `merge` reports.
+/// Parses the numbers of rollouts with an outcome and of repeated outcomes from the output of
+/// `merge`.
 fn counts(message: &str) -> [u64; 2] {
     let number = |before: &str, after: &str| {
         let (_, rest) = message.split_once(before).expect("the words before");
@@ -58,14 +59,14 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
         .expect("stored");
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
-    let whole = folder.path().join("whole.tar.gz");
-    let message = merge(&[&a, &b], &whole).expect("merged");
+    let merged = folder.path().join("whole.tar.gz");
+    let message = merge(&[&a, &b], &merged).expect("merged");
     let [outcomes, repeated] = counts(&message);
     let reversed = folder.path().join("other.tar.gz");
     merge(&[&b, &a], &reversed).expect("merged");
 
     let mut target = Bench::empty().await;
-    target.import(&whole);
+    target.import(&merged);
     target.assert_invariants().await;
     let films = target.folder.path().join("artifacts/moved");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
@@ -75,16 +76,16 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     first.run(64, "").await;
     assert_eq!(target.report("moved"), first.report("moved"));
     // A campaign merged with itself stays the same.
-    let done = target.archive("moved");
-    let again = folder.path().join("again.tar.gz");
-    let message = merge(&[&done, &done], &again).expect("merged");
+    let finished = target.archive("moved");
+    let merged_with_itself = folder.path().join("again.tar.gz");
+    let message = merge(&[&finished, &finished], &merged_with_itself).expect("merged");
     assert_eq!(counts(&message), [13, 13], "{message}");
     assert!(
         message.contains("; 0 in quarantine, 0 still to run; "),
         "{message}"
     );
     let three = folder.path().join("three.tar.gz");
-    let message = merge(&[&a, &b, &done], &three).expect("merged");
+    let message = merge(&[&a, &b, &finished], &three).expect("merged");
     assert_eq!(counts(&message), [13, repeated + outcomes], "{message}");
     let last = Bench::empty().await;
     last.import(&three);
@@ -105,8 +106,8 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     );
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
-    let whole = folder.path().join("whole.tar.gz");
-    let message = merge(&[&a, &b], &whole).expect_err("a contradiction");
+    let merged = folder.path().join("whole.tar.gz");
+    let message = merge(&[&a, &b], &merged).expect_err("a contradiction");
     for word in [
         id.as_str(),
         "success after 120 steps",
@@ -116,7 +117,7 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     ] {
         assert!(message.contains(word), "{message} lacks {word}");
     }
-    assert!(!whole.exists());
+    assert!(!merged.exists());
 
     // A rollout in another scene is a different rollout, even with the same outcome.
     let mut third = Bench::with(&spec()).await;
@@ -127,15 +128,15 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     let (verdict, _) = third.worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Accepted);
     let c = third.archive("moved");
-    let message = merge(&[&a, &c], &whole).expect_err("another scene");
+    let message = merge(&[&a, &c], &merged).expect_err("another scene");
     assert!(message.contains("scene digest"), "{message}");
 
-    // A campaign of another design is not a half of this one.
+    // An archive of a campaign with another design cannot be merged with this campaign's archives.
     let fourth = Bench::with(&with(spec(), json!({"levels": ["L1"]}))).await;
     let d = fourth.archive("moved");
-    let message = merge(&[&a, &d], &whole).expect_err("another design");
+    let message = merge(&[&a, &d], &merged).expect_err("another design");
     assert!(message.contains("`levels`"), "{message}");
-    assert!(!whole.exists());
-    let mut left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert!(left.next().is_none(), "a refused merge left files");
+    assert!(!merged.exists());
+    let mut files = std::fs::read_dir(folder.path()).expect("a folder");
+    assert!(files.next().is_none(), "a refused merge left files");
 }

@@ -1,5 +1,4 @@
-//! Transfer of campaigns between coordinators, and the refusal of invalid
-//! archives.
+//! Transfer of campaigns between coordinators, and the refusal of invalid archives.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -36,7 +35,7 @@ pub(crate) fn succeeds(rollout: &str) -> bool {
     !rollout.contains("sensor/L2")
 }
 
-/// A coordinator with the campaign, some of whose rollouts have outcomes.
+/// A running coordinator with its data folder and one worker.
 pub(crate) struct Bench {
     pub(crate) folder: TempDir,
     pub(crate) serve: Serve,
@@ -65,23 +64,23 @@ impl Bench {
         bench
     }
 
-    /// Commits some rollouts, except those whose id contains `leave_out`.
+    /// Commits at most `rollouts` rollouts, except those whose id contains `leave_out`.
     pub(crate) async fn run(&mut self, rollouts: usize, leave_out: &str) {
-        let mut left = Vec::new();
-        let mut done = 0;
-        while done < rollouts {
+        let mut left_out = Vec::new();
+        let mut committed = 0;
+        while committed < rollouts {
             let leases = self.worker.claim(1).await;
             let [lease] = leases.as_slice() else { break };
             let id = rollout_id(lease);
             if !leave_out.is_empty() && id.contains(leave_out) {
-                left.push(lease.clone());
+                left_out.push(lease.clone());
                 continue;
             }
             let verdict = self.worker.commit(lease, succeeds(&id)).await;
             assert_eq!(verdict, Verdict::Accepted);
-            done += 1;
+            committed += 1;
         }
-        for lease in left {
+        for lease in left_out {
             self.worker.release(&lease, Reason::Draining).await;
         }
     }
@@ -140,7 +139,7 @@ pub(crate) fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
     entries.map(member).collect()
 }
 
-/// Writes an archive of these members. With `recompute_contents`, its table of contents is computed
+/// Writes an archive of `members`. With `recompute_contents`, the table of contents is computed
 /// from the members.
 pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], recompute_contents: bool) {
     let mut members = members.to_vec();
@@ -197,16 +196,16 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     assert_eq!(source.rows().await, before, "archiving changed rows");
     let first = (members(&file), std::fs::read(&file).expect("an archive"));
     source.archive("moved");
-    for (one, other) in first.0.iter().zip(members(&file)) {
-        assert!(*one == other, "{} has other bytes", one.0);
+    for (before, after) in first.0.iter().zip(members(&file)) {
+        assert!(*before == after, "{} has other bytes", before.0);
     }
     assert!(std::fs::read(&file).expect("an archive") == first.1);
-    let left = std::fs::read_dir(source.folder.path()).expect("a folder");
-    let left: Vec<_> = left
+    let entries = std::fs::read_dir(source.folder.path()).expect("a folder");
+    let temporary_folders: Vec<_> = entries
         .map(|entry| entry.expect("an entry").file_name())
         .filter(|name| name.to_string_lossy().starts_with("moving-"))
         .collect();
-    assert!(left.is_empty(), "{left:?}");
+    assert!(temporary_folders.is_empty(), "{temporary_folders:?}");
 
     let mut target = Bench::empty().await;
     let message = target.import(&file);
@@ -220,17 +219,17 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
         target.succeed(&["export", "moved", "--format", "jsonl"]),
         source.succeed(&["export", "moved", "--format", "jsonl"])
     );
-    let kept = target.folder.path().join("artifacts/moved");
-    let kept: Vec<_> = std::fs::read_dir(kept).expect("films").collect();
-    assert_eq!(kept.len(), 1);
-    let kept = kept[0].as_ref().expect("a film").path();
-    assert_eq!(std::fs::read(kept).expect("a film"), film[0]);
+    let films = target.folder.path().join("artifacts/moved");
+    let films: Vec<_> = std::fs::read_dir(films).expect("films").collect();
+    assert_eq!(films.len(), 1);
+    let imported_film = films[0].as_ref().expect("a film").path();
+    assert_eq!(std::fs::read(imported_film).expect("a film"), film[0]);
     let status: Value =
         serde_json::from_str(&target.succeed(&["campaign", "status", "moved", "--json"]))
             .expect("JSON");
     let status = status.to_string();
     assert!(status.contains("\"priority\":7"), "{status}");
-    // The workers that made the results are not workers of this coordinator.
+    // The workers that reported the results are not alive at this coordinator.
     let workers = target.succeed(&["workers", "--all", "--json"]);
     let workers: Value = serde_json::from_str(&workers).expect("JSON");
     let workers = workers["workers"].as_array().expect("workers");
@@ -342,25 +341,25 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         write(&bad, &altered, true);
         refused(&["archive.json"]);
     }
-    let mut more = sound.clone();
-    more.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
-    write(&bad, &more, false);
+    let mut with_extra_member = sound.clone();
+    with_extra_member.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
+    write(&bad, &with_extra_member, false);
     refused(&["does not list"]);
-    write(&bad, &more, true);
+    write(&bad, &with_extra_member, true);
     refused(&["no film of this campaign"]);
-    // A browser would execute one of these files if the coordinator served it.
+    // A browser would run scripts in the first two of these files if the coordinator served them.
     for page in ["page.html", "film.mp4.svg", ".mp4", "a b.mp4"] {
-        more.pop();
-        more.push((format!("artifacts/moved/{page}"), vec![1]));
-        write(&bad, &more, true);
+        with_extra_member.pop();
+        with_extra_member.push((format!("artifacts/moved/{page}"), vec![1]));
+        write(&bad, &with_extra_member, true);
         refused(&["archive.json", page, "no film of this campaign"]);
     }
-    more.pop();
-    more.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
-    write(&bad, &more, true);
-    refused(&["coordinator.sqlite", "other films"]);
+    with_extra_member.pop();
+    with_extra_member.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
+    write(&bad, &with_extra_member, true);
+    refused(&["coordinator.sqlite", "its films differ"]);
 
-    // The table of contents matches members that somebody has altered.
+    // In these archives, the table of contents matches the altered members.
     let mut report = sound.clone();
     let text = String::from_utf8(report[3].1.clone()).expect("JSON");
     report[3].1 = text
@@ -458,7 +457,7 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
     };
     let before = source.serve.peak_memory_bytes();
 
-    // A long name of that many characters, before the table of contents and before a member.
+    // A long name of `UNPACKED_BYTES` characters, before the table of contents and before a member.
     for place in [0, 1] {
         let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
         let mut tar = tar::Builder::new(out);
@@ -522,7 +521,7 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     source.run(64, "").await;
     source.succeed(&["explain", "moved", "--create", "--budget", "20"]);
     let name = "moved-explained";
-    // Its rollouts are derived from the outcomes after a moment.
+    // A background task of the coordinator derives the rollouts from the outcomes.
     let began = Instant::now();
     let lease = loop {
         if let Some(lease) = source.worker.claim(1).await.pop() {
@@ -535,7 +534,7 @@ async fn a_derived_campaign_is_imported_after_its_source() {
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
     assert_eq!(source.worker.commit(&lease, true).await, Verdict::Accepted);
-    // Jobs derived from this outcome are also added after a moment.
+    // The background task also adds jobs that are derived from this outcome.
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(
         source
@@ -559,8 +558,8 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     assert!(message.contains(name), "{message}");
 
     // A campaign of that name with other outcomes is not accepted as the source.
-    let mut other = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
-    other.run(3, "").await;
-    let message = other.refused(&["campaign", "import", &path]);
+    let mut other_target = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
+    other_target.run(3, "").await;
+    let message = other_target.refused(&["campaign", "import", &path]);
     assert!(message.contains("other outcomes here"), "{message}");
 }

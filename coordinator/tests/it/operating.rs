@@ -118,8 +118,8 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
         0
     );
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
-    for undo in [Change::Pause, Change::Resume] {
-        let refused = bench.change("ended", undo).await.expect_err("final");
+    for change in [Change::Pause, Change::Resume] {
+        let refused = bench.change("ended", change).await.expect_err("final");
         assert_eq!(refused.code(), Code::FailedPrecondition);
         assert!(refused.message().contains("final"), "{refused}");
     }
@@ -216,7 +216,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
 
-    // Only after three more failures is the job quarantined again.
+    // The job is quarantined again only after three more failures.
     for expected in [Released::Requeued, Released::Requeued] {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::Draining).await;
@@ -368,7 +368,8 @@ async fn a_backup_of_a_running_coordinator_is_valid_and_can_be_served() {
     assert_eq!(text(&checked.stdout), "all 20 invariants hold\n");
     let second = Serve::start(&restored);
     let mut worker = second.worker("a").await;
-    // Results committed since the backup are committed again; leases from then are still held.
+    // The worker still holds the leases that the backup contains, so that a result committed after
+    // the backup can be committed again.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
     assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);
@@ -464,9 +465,9 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
 
 /// Regression: new jobs reused the ids of deleted ones, and a lease was identified by
 /// job and attempt number, so that a slot that still ran an old rollout committed it into the new
-/// campaign. Now a lease has an id of its own, and numbers are never reused.
+/// campaign. Now each lease has an attempt id, and job ids are never reused.
 #[tokio::test]
-async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
+async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("before")).await.expect("created");
     let mut slot = bench.worker("a").await;

@@ -61,9 +61,9 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
         0
     );
 
-    let others = worker.claim(64).await;
-    assert_eq!(others.len(), 8);
-    assert!(others.iter().all(|lease| lease.policy == "sound"));
+    let sound_leases = worker.claim(64).await;
+    assert_eq!(sound_leases.len(), 8);
+    assert!(sound_leases.iter().all(|lease| lease.policy == "sound"));
     let idle = worker.claim_response("").await.idle_reason;
     assert!(
         idle.contains("`fragile`") && idle.contains("simulated failure"),
@@ -79,8 +79,8 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let status = bench.status("first").await;
     assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
-    let others = worker.claim(64).await;
-    assert!(others.iter().all(|lease| lease.policy == "sound"));
+    let sound_leases = worker.claim(64).await;
+    assert!(sound_leases.iter().all(|lease| lease.policy == "sound"));
     let resumed = bench.change("first", Change::Resume).await;
     resumed.expect("resumed");
     assert_eq!(bench.status("first").await.policy_retry_secs, Some(0.0));
@@ -90,7 +90,7 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
 }
 
 #[tokio::test]
-async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
+async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_its_other_jobs() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -115,14 +115,14 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
     assert!(bench.status("first").await.policy_paused);
     worker.heartbeat(&[&probe], 11).await;
     assert!(!bench.status("first").await.policy_paused);
-    let rest = worker.claim(64).await;
-    assert_eq!(rest.len(), 7);
+    let resumed = worker.claim(64).await;
+    assert_eq!(resumed.len(), 7);
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT max(outages) FROM policy").await, 0);
 }
 
 #[tokio::test]
-async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
+async fn a_failed_probe_doubles_the_pause_and_a_crashed_probe_is_replaced() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     let first = worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -230,7 +230,8 @@ async fn run_with_killer(answered_queries: u32) -> Bench {
     bench
 }
 
-/// Regression: the rollout was requeued, became the next probe, and so on forever.
+/// Regression: the rollout that crashed the policy was requeued and became the next probe, again
+/// and again.
 #[tokio::test]
 async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete() {
     for answered_queries in [3, 0] {
@@ -263,13 +264,13 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
         .await
         .expect("created");
     let mut worker = bench.worker("a").await;
-    // All of them had reached the policy when it went down.
+    // All rollouts had reached the policy when it went down.
     for lease in worker.claim(8).await {
         worker.lose_policy(&lease, 4).await;
     }
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
-        // Longer than the longest back-off, shorter than twice that.
+        // The interval is longer than the longest back-off, and shorter than twice that back-off.
         bench.advance(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;

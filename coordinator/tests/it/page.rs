@@ -30,30 +30,30 @@ impl Answer {
 
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
-        let found = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
-        found.map(|(_, value)| value)
+        let header = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
+        header.map(|(_, value)| value)
     }
 }
 
 /// Sends a request unchanged, since a client that normalises addresses would hide the tested cases.
-/// Chunked answers are joined.
+/// The chunks of a chunked answer are joined.
 fn send(url: &str, request: &str) -> Answer {
     let address = url.strip_prefix("http://").expect("a URL");
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(READ_TIMEOUT)).expect("set");
     let (head, body) = request.split_once("\n\n").unwrap_or((request, ""));
-    let (first, rest) = head.split_once('\n').unwrap_or((head, ""));
-    let host = match rest.contains("host: ") {
+    let (request_line, header_lines) = head.split_once('\n').unwrap_or((head, ""));
+    let host = match header_lines.contains("host: ") {
         true => String::new(),
         false => format!("host: {address}\r\n"),
     };
     let mut headers = String::new();
-    for line in rest.lines().filter(|line| !line.is_empty()) {
+    for line in header_lines.lines().filter(|line| !line.is_empty()) {
         headers.push_str(&format!("{line}\r\n"));
     }
     let length = body.len();
     let text = format!(
-        "{first} HTTP/1.1\r\n{host}{headers}content-length: {length}\r\nconnection: close\r\n\r\n{body}"
+        "{request_line} HTTP/1.1\r\n{host}{headers}content-length: {length}\r\nconnection: close\r\n\r\n{body}"
     );
     stream.write_all(text.as_bytes()).expect("sent");
     let mut bytes = Vec::new();
@@ -70,12 +70,12 @@ fn send(url: &str, request: &str) -> Answer {
         body: bytes[end + 4..].to_vec(),
     };
     if answer.header("transfer-encoding") == Some("chunked") {
-        answer.body = joined(&answer.body);
+        answer.body = join_chunks(&answer.body);
     }
     answer
 }
 
-fn joined(mut chunks: &[u8]) -> Vec<u8> {
+fn join_chunks(mut chunks: &[u8]) -> Vec<u8> {
     let mut body = Vec::new();
     while let Some(end) = chunks.windows(2).position(|w| w == b"\r\n") {
         let length = std::str::from_utf8(&chunks[..end]).expect("a length");
@@ -86,14 +86,14 @@ fn joined(mut chunks: &[u8]) -> Vec<u8> {
     body
 }
 
-/// As [`send`], on a thread that may block.
+/// Like [`send`], on a blocking thread.
 pub(crate) async fn http(url: &str, request: &str) -> Answer {
     let (url, request) = (url.to_owned(), request.to_owned());
     let answer = tokio::task::spawn_blocking(move || send(&url, &request));
     answer.await.expect("an answer")
 }
 
-/// Returns a campaign with two results and two queued jobs.
+/// Starts a coordinator with a campaign that has two results and two queued jobs.
 async fn half_finished() -> Bench {
     let bench = Bench::start().await;
     bench.create(&small_spec("begun")).await.expect("created");
@@ -172,8 +172,8 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
         assert_eq!(answer.header("cache-control"), Some("no-store"));
         // A browser that already has the page does not get it again.
         let tag = answer.header("etag").expect("a tag");
-        let again = http(&bench.url, &format!("GET {address}\nif-none-match: {tag}")).await;
-        assert_eq!((again.code, again.body.len()), (304, 0), "{address}");
+        let second = http(&bench.url, &format!("GET {address}\nif-none-match: {tag}")).await;
+        assert_eq!((second.code, second.body.len()), (304, 0), "{address}");
     }
 }
 
@@ -196,7 +196,7 @@ async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
     let bench = half_finished().await;
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
-        // Longer than the back-off of a failed rollout.
+        // Waits longer than the back-off of a failed rollout.
         bench.advance(10).await;
         let lease = worker.claim_one().await;
         worker.release(&lease, Reason::PolicyMisbehaved).await;
@@ -316,9 +316,9 @@ async fn a_video_is_sent_whole_and_in_ranges() {
         Some("bytes 100000-100009/200000")
     );
     assert_eq!(part.body, film[100_000..100_010]);
-    let beyond = http(&bench.url, &format!("GET {address}\nrange: bytes=200000-")).await;
+    let beyond_end = http(&bench.url, &format!("GET {address}\nrange: bytes=200000-")).await;
     assert_eq!(
-        (beyond.code, beyond.header("content-range")),
+        (beyond_end.code, beyond_end.header("content-range")),
         (416, Some("bytes */200000"))
     );
 
@@ -497,7 +497,7 @@ async fn pages_need_a_login_and_refuse_worker_tokens() {
         page.text()
     );
 
-    // A client that may not read pages is refused; a token gives the same access as elsewhere.
+    // A client that may not read pages is refused. A token in a header replaces the login.
     for (token, code) in [
         (None, 401),
         (Some(WORKER), 403),

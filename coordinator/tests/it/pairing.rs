@@ -1,4 +1,5 @@
-//! Results that are inconsistent with their siblings are refused.
+//! Results that are inconsistent with those of their siblings, the rollouts from the same initial
+//! state of a task, are refused.
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
@@ -20,7 +21,8 @@ async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
     (bench, worker, lease)
 }
 
-/// Commits a result with an altered provenance and asserts that it is refused with these words.
+/// Commits a result with an altered provenance, and asserts that the result is refused and that the
+/// explanation contains all `words`.
 async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str]) {
     let (bench, mut worker, lease) = commit_siblings().await;
     let mut report = worker.report(&lease, true);
@@ -39,36 +41,40 @@ async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str
 async fn another_scene_than_the_siblings_is_refused_with_the_difference_named() {
     let other = sha("another scene");
     let words = ["scene digest", &other, "object/t0/clean", "worker `a`"];
-    check_unpaired(|p| p.scene_digest = other.clone(), &words).await;
+    check_unpaired(|provenance| provenance.scene_digest = other.clone(), &words).await;
 }
 
 #[tokio::test]
 async fn another_initial_state_than_the_siblings_is_refused() {
     let other = sha("another state");
     let words = ["initial-state digest", &other];
-    check_unpaired(|p| p.init_state_digest = other.clone(), &words).await;
+    check_unpaired(
+        |provenance| provenance.init_state_digest = other.clone(),
+        &words,
+    )
+    .await;
 }
 
 #[tokio::test]
 async fn another_pack_simulator_renderer_or_realisation_than_the_campaigns_is_refused() {
     let other = sha("libero");
     check_unpaired(
-        |p| p.asset_pack_digest = other.clone(),
+        |provenance| provenance.asset_pack_digest = other.clone(),
         &["asset pack", &other[..12]],
     )
     .await;
     check_unpaired(
-        |p| p.mujoco_version = "3.4.0".to_owned(),
+        |provenance| provenance.mujoco_version = "3.4.0".to_owned(),
         &["MuJoCo", "3.4.0", "3.3.7"],
     )
     .await;
     check_unpaired(
-        |p| p.renderer = "NVIDIA H200".to_owned(),
+        |provenance| provenance.renderer = "NVIDIA H200".to_owned(),
         &["renderer", "NVIDIA H200", "llvmpipe"],
     )
     .await;
     check_unpaired(
-        |p| p.realisation = "reference".to_owned(),
+        |provenance| provenance.realisation = "reference".to_owned(),
         &["realisation mode", "reference", "matched"],
     )
     .await;
@@ -85,7 +91,7 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(4).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    // Another initial state of the same task has no siblings to agree with.
+    // A rollout from another initial state of the same task has no siblings with results yet.
     let mut other = worker.report(&leases[1], true);
     other.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
     assert_eq!(worker.commit_request(other).await.0, Verdict::Accepted);
@@ -137,7 +143,7 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
     for lease in [clean, camera, sensor] {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let shifted = |p: &mut wire::Provenance| shift_elements(p, "sensor", 0.5);
+    let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "sensor", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     for word in [
@@ -156,7 +162,7 @@ async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_ma
         for lease in &leases[..3] {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
-        let shifted = |p: &mut wire::Provenance| shift_elements(p, axis, 0.5);
+        let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, axis, 0.5);
         commit_altered(&mut worker, &leases[3], shifted).await.0
     };
     assert_eq!(verdict_of("sensor").await, Verdict::Accepted);
@@ -168,7 +174,7 @@ async fn a_replicate_with_other_realised_values_is_refused() {
     let once = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(once).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let shifted = |p: &mut wire::Provenance| shift_elements(p, "camera", 0.5);
+    let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("axis camera"), "{detail}");
@@ -181,7 +187,7 @@ async fn a_rollout_without_its_perturbation_is_refused() {
         "`none` here",
         "`sensor` in its manifest row",
     ];
-    check_unpaired(|p| p.realised.clear(), &words).await;
+    check_unpaired(|provenance| provenance.realised.clear(), &words).await;
 }
 
 #[tokio::test]
@@ -190,7 +196,7 @@ async fn a_replicate_with_another_first_frame_is_refused() {
     let (_bench, mut worker, leases) = leases_of(twice).await;
     let with_first_frame = |frame: &str| {
         let frame = sha(frame);
-        move |p: &mut wire::Provenance| p.first_frame_digest = frame
+        move |provenance: &mut wire::Provenance| provenance.first_frame_digest = frame
     };
     let first = commit_altered(&mut worker, &leases[0], with_first_frame("one")).await;
     assert_eq!(first.0, Verdict::Accepted);
@@ -207,7 +213,10 @@ async fn conditions_without_visual_perturbation_must_have_the_nominal_first_fram
         leases_of(json!({"axes": ["camera", "actuation", "language"]})).await;
     let mut commit_frame = async |lease: &wire::Lease, frame: &str| {
         let frame = sha(frame);
-        commit_altered(&mut worker, lease, |p| p.first_frame_digest = frame).await
+        commit_altered(&mut worker, lease, |provenance| {
+            provenance.first_frame_digest = frame
+        })
+        .await
     };
     let [clean, camera, actuation, language, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
@@ -241,7 +250,7 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
         for lease in &leases[..3] {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
-        let shifted = |p: &mut wire::Provenance| shift_elements(p, "camera", by);
+        let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", by);
         let (verdict, detail) = commit_altered(&mut worker, &leases[3], shifted).await;
         assert_eq!(verdict, expected, "{by}: {detail}");
         if verdict == Verdict::Accepted {
@@ -289,30 +298,30 @@ async fn digests_and_realised_values_are_stored_with_the_result() {
 #[tokio::test]
 async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     let (bench, mut worker, lease) = commit_siblings().await;
-    let good = worker.report(&lease, true);
+    let valid = worker.report(&lease, true);
     let mut check = async |alter: &dyn Fn(&mut wire::CommitRequest), word: &str| {
-        let mut request = good.clone();
+        let mut request = valid.clone();
         alter(&mut request);
         let refused = worker.service.commit(request).await.expect_err(word);
         assert_eq!(refused.code(), Code::InvalidArgument);
         assert!(refused.message().contains(word), "{refused}");
     };
-    check(&|r| r.provenance = None, "provenance").await;
-    check(&|r| r.result = None, "result").await;
-    check(&|r| r.attempt_id.clear(), "attempt id").await;
+    check(&|request| request.provenance = None, "provenance").await;
+    check(&|request| request.result = None, "result").await;
+    check(&|request| request.attempt_id.clear(), "attempt id").await;
     check(
-        &|r| r.provenance.as_mut().unwrap().scene_digest.clear(),
+        &|request| request.provenance.as_mut().unwrap().scene_digest.clear(),
         "scene_digest",
     )
     .await;
     check(
-        &|r| r.provenance.as_mut().unwrap().init_state_digest = "0".repeat(63),
+        &|request| request.provenance.as_mut().unwrap().init_state_digest = "0".repeat(63),
         "SHA-256",
     )
     .await;
     check(
-        &|r| {
-            r.provenance.as_mut().unwrap().realised[0]
+        &|request| {
+            request.provenance.as_mut().unwrap().realised[0]
                 .elements
                 .push(f64::NAN)
         },
@@ -320,27 +329,34 @@ async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     )
     .await;
     check(
-        &|r| r.provenance.as_mut().unwrap().renderer.clear(),
+        &|request| request.provenance.as_mut().unwrap().renderer.clear(),
         "`renderer`",
     )
     .await;
     check(
-        &|r| r.provenance.as_mut().unwrap().fingerprint.truncate(16),
+        &|request| {
+            request
+                .provenance
+                .as_mut()
+                .unwrap()
+                .fingerprint
+                .truncate(16)
+        },
         "`fingerprint`",
     )
     .await;
     check(
-        &|r| r.provenance.as_mut().unwrap().host = "x".repeat(1 << 20),
+        &|request| request.provenance.as_mut().unwrap().host = "x".repeat(1 << 20),
         "`host`",
     )
     .await;
     check(
-        &|r| r.result.as_mut().unwrap().wall_secs = f64::NAN,
+        &|request| request.result.as_mut().unwrap().wall_secs = f64::NAN,
         "not finite",
     )
     .await;
     check(
-        &|r| r.result.as_mut().unwrap().ik_residual_mm = Some(-1.0),
+        &|request| request.result.as_mut().unwrap().ik_residual_mm = Some(-1.0),
         "negative",
     )
     .await;

@@ -102,7 +102,7 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     served.spawn(coordinator.serve(listener, async {
         let _ = stopped.await;
     }));
-    // By then, some sweeps wait for the writer.
+    // Afterwards, some sweeps wait for the writer.
     tokio::time::sleep(Duration::from_millis(200)).await;
     let connected = tokio::time::timeout(
         Duration::from_secs(5),
@@ -156,7 +156,7 @@ fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
         while child.try_wait().expect("a child").is_none() {
             if began.elapsed() > Duration::from_secs(30) {
                 child.kill().expect("killed");
-                panic!("nobody noticed that {name} panicked");
+                panic!("{name} panicked, and the coordinator still runs");
             }
             std::thread::sleep(Duration::from_millis(20));
         }

@@ -13,10 +13,12 @@ const GL: &str = "llvmpipe";
 /// Registers a worker with this pack and renderer. Returns the reason in the response why the
 /// worker gets no jobs; empty if it may have jobs.
 async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
-    let mut worker = bench.worker_with_renderer("asks", pack, renderer).await;
-    let mut announced = registration("asks", pack);
-    renderer.clone_into(&mut announced.renderer);
-    let answer = worker.service.register(announced).await;
+    let mut worker = bench
+        .worker_with_renderer("candidate", pack, renderer)
+        .await;
+    let mut request = registration("candidate", pack);
+    renderer.clone_into(&mut request.renderer);
+    let answer = worker.service.register(request).await;
     answer.expect("registered").into_inner().idle_reason
 }
 
@@ -25,16 +27,18 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
     let mut first = bench.worker_on("a", "primitives").await;
-    let mut other = bench.worker_on("b", "libero").await;
+    let mut second = bench.worker_on("b", "libero").await;
     // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
-    let (lease, other_lease) = (first.claim_one().await, other.claim_one().await);
+    let (lease, other_lease) = (first.claim_one().await, second.claim_one().await);
     assert_eq!(bench.status("pinned").await.live_workers, 2);
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
     // The other worker's result is refused without a charge to its job or worker.
-    let (verdict, detail) = other.commit_request(other.report(&other_lease, true)).await;
+    let (verdict, detail) = second
+        .commit_request(second.report(&other_lease, true))
+        .await;
     assert_eq!(verdict, Verdict::Unpaired);
-    let response = other.claim_response("").await;
+    let response = second.claim_response("").await;
     assert!(response.lease.is_none());
     for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
         assert!(detail.contains(word), "{detail}");
@@ -51,13 +55,13 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
     let mut first = bench.worker_with_renderer("a", "primitives", "one").await;
-    let mut other = bench
+    let mut second = bench
         .worker_with_renderer("b", "primitives", "another")
         .await;
     let lease = first.claim_one().await;
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     for warm in ["", "libero_object/0"] {
-        let response = other.claim_response(warm).await;
+        let response = second.claim_response(warm).await;
         assert!(response.lease.is_none());
         for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
             assert!(response.idle_reason.contains(word), "{response:?}");
@@ -86,14 +90,17 @@ async fn a_result_that_is_refused_pins_nothing() {
 /// Replaced weights or another `--execute` make a different policy: the campaign's jobs wait until
 /// the measured policy is back, and no attempt is charged.
 #[tokio::test]
-async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
-    for (what, replace) in [
-        ("execute is `1` now and was `8`", execute as Replace),
+async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
+    for (difference, replace) in [
+        ("execute is `1` now and was `8`", replace_execute as Replace),
         (
             "image slots is `not given` now and was `image=agentview`",
-            forget_slots,
+            remove_image_slots,
         ),
-        ("digest of the weights is `other` now and was ``", weights),
+        (
+            "digest of the weights is `other` now and was ``",
+            replace_weights,
+        ),
     ] {
         let bench = Bench::start().await;
         bench.create(&small_spec("pinned")).await.expect("created");
@@ -109,24 +116,24 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
             replace(provenance);
             report
         };
-        let same: Replace = |_| {};
-        let [first, other, again] = [report(0, same), report(1, replace), report(2, same)];
+        let keep: Replace = |_| {};
+        let [first, replaced, restored] = [report(0, keep), report(1, replace), report(2, keep)];
         assert_eq!(worker.commit_request(first).await.0, Verdict::Accepted);
-        let (verdict, detail) = worker.commit_request(other).await;
+        let (verdict, detail) = worker.commit_request(replaced).await;
         assert_eq!(verdict, Verdict::Unpaired);
-        for word in ["`pinned`", what, "create another campaign"] {
+        for word in ["`pinned`", difference, "create another campaign"] {
             assert!(detail.contains(word), "{detail}");
         }
-        let waits = bench.status("pinned").await.policy_pause_reason;
-        assert!(waits.contains(what), "{waits}");
+        let reason = bench.status("pinned").await.policy_pause_reason;
+        assert!(reason.contains(difference), "{reason}");
         let charged = "SELECT (SELECT max(charged_attempts) FROM job)
             + (SELECT max(charged_in_a_row) FROM worker)";
         assert_eq!(bench.count(charged).await, 0);
-        assert_eq!(worker.commit_request(again).await.0, Verdict::Accepted);
+        assert_eq!(worker.commit_request(restored).await.0, Verdict::Accepted);
     }
 }
 
-/// A worker older than execution models waits for answers and reports no execution model.
+/// A worker of a release without execution models waits for answers and reports no execution model.
 #[tokio::test]
 async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() {
     for (campaign_model, result_model, expected) in [
@@ -187,11 +194,11 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
         .policy_settings;
     settings.clear();
     let worker_settings = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
-    let policy_settings_names = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
+    let policy_settings = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
     settings.extend(
         worker_settings
             .into_iter()
-            .chain(policy_settings_names)
+            .chain(policy_settings)
             .map(|name| (name, "1".to_owned())),
     );
     settings.insert("execution model".to_owned(), execution.to_owned());
@@ -199,18 +206,19 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     assert_eq!(verdict, Verdict::Accepted, "{detail}");
 }
 
+/// Function that changes a provenance as a replaced policy would.
 type Replace = fn(&mut Provenance);
 
-fn execute(policy: &mut Provenance) {
+fn replace_execute(policy: &mut Provenance) {
     let settings = &mut policy.policy_settings;
     settings.insert("execute".to_owned(), "1".to_owned());
 }
 
-fn forget_slots(policy: &mut Provenance) {
+fn remove_image_slots(policy: &mut Provenance) {
     policy.policy_settings.remove("image slots");
 }
 
-fn weights(policy: &mut Provenance) {
+fn replace_weights(policy: &mut Provenance) {
     "other".clone_into(&mut policy.policy_checkpoint_digest);
 }
 
@@ -230,9 +238,9 @@ async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
             assert!(reason.contains(word), "{reason}");
         }
         // The campaign's status shows the same reason.
-        let waits = bench.status("choosy").await.waiting_reason;
+        let waiting_reason = bench.status("choosy").await.waiting_reason;
         for word in ["wants assets `libero`", pack, renderer] {
-            assert!(waits.contains(word), "{waits}");
+            assert!(waiting_reason.contains(word), "{waiting_reason}");
         }
     }
     assert_eq!(refusal_reason(&bench, "libero", SOFTWARE).await, "");

@@ -1,4 +1,4 @@
-//! The program itself: killed, stopped, and called with invalid arguments.
+//! The `coordinator` program: killed, stopped, and called with invalid arguments.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -218,7 +218,7 @@ async fn a_killed_coordinator_continues_after_a_restart() {
 /// Regression: sweeps a second apart were taken for a suspension, so that leases of two seconds or
 /// less never expired.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_shortest_leases_expire_too() {
+async fn leases_of_one_and_two_seconds_expire() {
     for secs in ["1", "2"] {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let serve = Serve::start_with(folder.path(), &["--lease-secs", secs], Stdio::null());
@@ -228,15 +228,15 @@ async fn the_shortest_leases_expire_too() {
         assert_eq!(held.len(), 14);
         let mut other = serve.worker("other").await;
         let began = Instant::now();
-        let taken = loop {
+        let new_lease = loop {
             if let Some(lease) = other.claim(1).await.pop() {
                 break lease;
             }
             assert!(began.elapsed() < Duration::from_secs(20), "{secs} s");
             tokio::time::sleep(Duration::from_millis(50)).await;
         };
-        let lost = held.iter().find(|lease| lease.job_id == taken.job_id);
-        let late = silent.commit(lost.expect("a lost lease"), true).await;
+        let old_lease = held.iter().find(|lease| lease.job_id == new_lease.job_id);
+        let late = silent.commit(old_lease.expect("a lost lease"), true).await;
         assert_eq!(late, Verdict::Stale);
     }
 }
@@ -270,7 +270,7 @@ async fn invalid_commands_exit_with_2_and_write_nothing() {
     let check = |flag: &str, value: &str, words: &[&str]| {
         let mut arguments = CREATE.to_vec();
         match arguments.iter().position(|argument| *argument == flag) {
-            Some(place) => arguments[place + 1] = value,
+            Some(index) => arguments[index + 1] = value,
             None => arguments.extend([flag, value]),
         }
         let output = serve.command(&arguments);
@@ -343,9 +343,9 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
 
 #[test]
 fn an_unreachable_coordinator_is_named_after_retries() {
-    let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let url = format!("http://{}", free.local_addr().expect("an address"));
-    drop(free);
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let url = format!("http://{}", listener.local_addr().expect("an address"));
+    drop(listener);
     let stderr = &fail(
         coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]),
         1,
@@ -364,8 +364,8 @@ fn an_unreachable_coordinator_is_named_after_retries() {
 
 #[test]
 fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let address = taken.local_addr().expect("an address").to_string();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = listener.local_addr().expect("an address").to_string();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().to_str().expect("UTF-8");
     let error = &fail(
@@ -414,15 +414,15 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     };
     // Control sequences are not stored.
     let pool = open_database(folder.path()).await;
-    let kept: String = sqlx::query_scalar("SELECT error FROM failure")
+    let stored: String = sqlx::query_scalar("SELECT error FROM failure")
         .fetch_one(&pool)
         .await
         .expect("a failure");
     assert!(
-        kept.contains("all is well") && !has_control_sequence(&kept),
-        "{kept:?}"
+        stored.contains("all is well") && !has_control_sequence(&stored),
+        "{stored:?}"
     );
-    // Control sequences that something else stored are not printed.
+    // Control sequences that another program stored are not printed.
     for update in [
         "UPDATE failure SET error = ?",
         "UPDATE policy SET pause_reason = ?",
@@ -466,16 +466,16 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     std::fs::write(&spec, &printed.stdout).expect("written");
     let spec = spec.to_str().expect("UTF-8");
     succeed(serve.command(&create));
-    let again = serve.command(&["campaign", "create", "--spec", spec]);
-    let output = text(&again.stdout);
+    let output_of_spec = serve.command(&["campaign", "create", "--spec", spec]);
+    let output = text(&output_of_spec.stdout);
     assert!(
         output.contains("exists already, with this specification"),
         "{output}{}",
-        text(&again.stderr)
+        text(&output_of_spec.stderr)
     );
-    // A specification that is read from this output is printed as the same text.
-    let again = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
-    assert_eq!(text(&again.stdout), text(&printed.stdout));
+    // A specification that is read from this text is printed as the same text.
+    let output_of_spec = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
+    assert_eq!(text(&output_of_spec.stdout), text(&printed.stdout));
 }
 
 #[test]

@@ -1,11 +1,11 @@
 //! Random sequences of events. In any sequence, attempt numbers only rise, a stale attempt never
-//! commits, a paused campaign leases nothing, a cancelled one holds no lease, and every job of any
-//! other campaign ends with exactly one result or in quarantine. Duplicates and late reports occur
-//! by themselves, since events name leases that may no longer be held.
+//! commits, a paused campaign leases nothing, a cancelled campaign holds no lease, and every job of
+//! a campaign that is not cancelled ends with exactly one result or in quarantine. Duplicates and
+//! late reports occur without events of their own, since an event may name a lease that is no
+//! longer held.
 //!
-//! A failing sequence is printed after shrinking. Its seed is the line `cc …` in
-//! `proptest-regressions` beside this file; the next run replays it first, here or wherever the
-//! file is copied to.
+//! A failing sequence is printed after shrinking. Its seed is stored as a line `cc …` in
+//! `proptest-regressions` beside this file; the next run replays this sequence first.
 
 mod pure_core;
 mod real_queue;
@@ -55,7 +55,7 @@ enum Event {
         job: usize,
     },
     Restart,
-    /// Concurrent requests of callers that do not wait for one another.
+    /// Concurrent requests: none waits for the answer to another.
     Together(Vec<Event>),
 }
 

@@ -1,4 +1,4 @@
-//! Content of the report, which is the same regardless of faults along the way.
+//! Content of the report, which does not depend on the faults that occur while a campaign runs.
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
@@ -20,7 +20,7 @@ fn spec() -> Value {
     )
 }
 
-/// Outcome of a deterministic policy: only the combination of task 0 fails.
+/// Returns the outcome of a deterministic policy, which fails only under the combination in task 0.
 fn outcome(lease: &wire::Lease) -> bool {
     !rollout_id(lease).starts_with("object/t0/combination")
 }
@@ -35,7 +35,7 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
     }
 }
 
-/// A report in both of its formats.
+/// A report as JSON and as text.
 struct Report {
     json: Value,
     table: String,
@@ -70,7 +70,7 @@ async fn a_report_is_the_same_with_and_without_faults() {
     let disturbed = Bench::start().await;
     disturbed.create(&spec()).await.expect("created");
     let (mut a, mut b) = (disturbed.worker("x").await, disturbed.worker("y").await);
-    let lost = a.claim(2).await;
+    let lost_leases = a.claim(2).await;
     let leases = b.claim(4).await;
     b.release(&leases[0], Reason::SlotCrashed).await;
     b.release(&leases[1], Reason::PolicyUnavailable).await;
@@ -79,10 +79,14 @@ async fn a_report_is_the_same_with_and_without_faults() {
     let disturbed = disturbed.restart().await;
     let mut worker = disturbed.worker("z").await;
     run_all(&disturbed, &mut worker).await;
-    // The first worker reports late, with the outcome that other workers found too.
+    // The first worker reports late, with the same outcome as the worker that ran the rollout
+    // again.
     let mut late = disturbed.worker("x").await;
-    let success = outcome(&lost[0]);
-    assert_eq!(late.commit(&lost[0], success).await, Verdict::Duplicate);
+    let success = outcome(&lost_leases[0]);
+    assert_eq!(
+        late.commit(&lost_leases[0], success).await,
+        Verdict::Duplicate
+    );
 
     let (undisturbed, disturbed) = (report(&undisturbed).await, report(&disturbed).await);
     assert_eq!(undisturbed.table, disturbed.table);
@@ -145,14 +149,14 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let mut alone = bench.worker("alone").await;
-    let bad = loop {
+    let first_lease = loop {
         let lease = alone.claim_one().await;
         if rollout_id(&lease) == "object/t1/sensor/L1/c01" {
             break lease;
         }
         alone.commit(&lease, outcome(&lease)).await;
     };
-    let mut lease = bad;
+    let mut lease = first_lease;
     for _ in 0..2 {
         alone.release(&lease, Reason::SimulatorError).await;
         bench.advance(60).await;
@@ -360,9 +364,9 @@ fn a_rate_published_for_one_suite_has_its_own_gate() {
 fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let rows = folder.path().join("rollouts.jsonl");
-    let good = r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true}"#;
-    std::fs::write(&rows, format!("{good}\n{{\n")).expect("written");
-    let bad = folder.path().to_string_lossy().into_owned();
+    let valid_row = r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true}"#;
+    std::fs::write(&rows, format!("{valid_row}\n{{\n")).expect("written");
+    let rows_folder = folder.path().to_string_lossy().into_owned();
     let check = |arguments: &[&str], words: &[&str]| {
         let error = &fail(coordinator(arguments), 2);
         for word in words {
@@ -370,7 +374,10 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         }
     };
     check(&["report"], &["CAMPAIGNS"]);
-    check(&["report", "--from", &bad], &["1 line is bad", "line 2: "]);
+    check(
+        &["report", "--from", &rows_folder],
+        &["1 line is bad", "line 2: "],
+    );
     let table = folder
         .path()
         .join("table.xlsx")
@@ -378,7 +385,7 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         .into_owned();
     check(
         &["report", "--from", EXAMPLE, "--table", &table],
-        &["table.xlsx", "neither with .csv nor with .parquet"],
+        &["table.xlsx", "ends with .csv or .parquet"],
     );
     check(
         &["report", "--from", EXAMPLE, "--published", "oft=97.1"],
@@ -394,8 +401,8 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         ],
         &["`971` is no percentage"],
     );
-    let left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert_eq!(left.count(), 1, "only the rows are in the folder");
+    let files = std::fs::read_dir(folder.path()).expect("a folder");
+    assert_eq!(files.count(), 1, "only the rows are in the folder");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -15,7 +15,7 @@ const CAMERA: (&str, [u64; 3]) = (
     "object/t0/camera/L1/c00",
     [2_407_598_533, 1_434_740_286, 3_431_806_852],
 );
-/// The same for another condition of the configuration.
+/// `zlib.crc32` of the id of another condition of the same configuration.
 const COMBINATION: (&str, u64) = ("object/t0/combination/L1/c00", 2_351_656_207);
 
 fn spec(name: &str, realisation: &str) -> Value {
@@ -68,21 +68,21 @@ async fn seeds_agree_between_campaigns_and_realisation_modes() {
 async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
     let bench = Bench::start().await;
     let leases = run(&bench, &spec("thrice", "matched")).await;
-    let first = leases.iter().filter(|lease| lease.replicate == 0);
-    for nominal in first {
+    let first_replicates = leases.iter().filter(|lease| lease.replicate == 0);
+    for first in first_replicates {
         let replicates = leases
             .iter()
-            .filter(|lease| rollout_id(lease) == rollout_id(nominal));
+            .filter(|lease| rollout_id(lease) == rollout_id(first));
         for lease in replicates {
-            let same = wire::Lease {
+            let expected = wire::Lease {
                 attempt_id: lease.attempt_id.clone(),
                 job_id: lease.job_id,
                 attempt: lease.attempt,
                 replicate: lease.replicate,
                 policy_seed: lease.policy_seed,
-                ..nominal.clone()
+                ..first.clone()
             };
-            assert_eq!(*lease, same);
+            assert_eq!(*lease, expected);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Displayed states of workers, rates of campaigns and states of policies are correct at all times.
+//! Displayed states of workers and policies, rates of campaigns, and forecasts.
 
 use std::time::Duration;
 
@@ -120,16 +120,16 @@ async fn the_policy_of_a_deleted_campaign_is_no_longer_listed() {
         names.collect::<Vec<_>>()
     };
     assert_eq!(listed().await, ["expert", "gone"]);
-    let done = bench.delete("deleted", "deleted").await;
-    done.expect("deleted");
+    let deletion = bench.delete("deleted", "deleted").await;
+    deletion.expect("deleted");
     assert_eq!(listed().await, ["expert"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
+async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let dry = [&CREATE[..], &["--dry-run"]].concat();
-    // Without a coordinator, the rest is printed, and the command succeeds.
+    // Without a coordinator, everything but the forecast is printed, and the command succeeds.
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
     let printed = &succeed(coordinator(&nowhere));
     assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
@@ -165,7 +165,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
         "{printed}"
     );
     assert!(printed.contains("2 recent rollouts of expert"), "{printed}");
-    // Each waits for nearly all of the minute, although every slot has a core.
+    // Each rollout waits for nearly all of its minute, although every slot has a core.
     assert!(
         printed.contains("a rollout takes 60.0 s: physics 1 %"),
         "{printed}"
@@ -180,11 +180,11 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
         printed.contains("about 7m00s on the 2 workers"),
         "{printed}"
     );
-    let bound = "bottleneck: the policy's server, which answers no faster. More slots do not \
+    let bottleneck = "bottleneck: the policy's server, which answers no faster. More slots do not \
                  help; 2 slots would suffice";
-    assert!(printed.contains(bound), "{printed}");
-    let wrong = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
-    assert_eq!(wrong.status.code(), Some(2));
+    assert!(printed.contains(bottleneck), "{printed}");
+    let invalid_rate = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
+    assert_eq!(invalid_rate.status.code(), Some(2));
     let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
     assert_eq!(no_dry_run.status.code(), Some(2));
 }

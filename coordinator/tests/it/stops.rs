@@ -33,7 +33,8 @@ fn spec(name: &str) -> Value {
     })
 }
 
-/// Planted outcome: some tasks fail under robot alone, others under all axes together.
+/// Returns the planted outcome of a rollout: some tasks fail under the robot axis alone, others
+/// under all axes together.
 fn succeeds(id: &RolloutId) -> bool {
     let condition = id.condition().to_string();
     match id.task().index() {
@@ -92,7 +93,7 @@ fn id(lease: &Lease) -> RolloutId {
     rollout_id(lease).parse().expect("an id")
 }
 
-/// Runs this number of rollouts. Returns their ids.
+/// Runs `rollouts` rollouts; returns their ids.
 async fn run(worker: &mut Worker, rollouts: usize) -> Vec<RolloutId> {
     let mut ids = Vec::new();
     for _ in 0..rollouts {
@@ -151,7 +152,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     assert_eq!(sequential["has_stopped"], false);
     assert_eq!(sequential["used"], planted.configurations - 1);
 
-    // The last rollout that counts, and two rollouts after it.
+    // Claims the last rollout that counts, and two rollouts after it.
     let leases = worker.claim(3).await;
     assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);
     let last = succeeds(&id(&leases[0]));
@@ -229,10 +230,10 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     create(&serve, folder.path(), &spec("early"));
     let mut worker = serve.worker("w").await;
     run(&mut worker, planted.rollouts - 1).await;
-    // First, all rollouts of a later configuration, which does not count, and then the last rollout
-    // that does.
+    // Commits all rollouts of the next configuration, which does not count, and then the last
+    // rollout that counts.
     let leases = worker.claim(10).await;
-    let beyond = id(&leases[9]);
+    let later_configuration = id(&leases[9]);
     for lease in leases.iter().rev() {
         let committed = worker.commit(lease, succeeds(&id(lease))).await;
         assert_eq!(committed, Verdict::Accepted);
@@ -272,14 +273,15 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     ]).await;
     assert_eq!(measured["looked_for"], planted.configurations);
     assert_eq!(measured["found"], planted.configurations);
-    let is_of_beyond = |threshold: &Value| {
-        let number = beyond.config().map(Value::from);
-        threshold["task"] == json!(beyond.task()) && Some(&threshold["config"]) == number.as_ref()
+    let is_of_later_configuration = |threshold: &Value| {
+        let number = later_configuration.config().map(Value::from);
+        threshold["task"] == json!(later_configuration.task())
+            && Some(&threshold["config"]) == number.as_ref()
     };
     let thresholds = measured["thresholds"].as_array().expect("thresholds");
     assert!(
-        !thresholds.iter().any(is_of_beyond),
-        "{beyond} does not count"
+        !thresholds.iter().any(is_of_later_configuration),
+        "{later_configuration} does not count"
     );
     for name in ["early-thresholds", "early-explained", "early"] {
         succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
@@ -292,11 +294,11 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
 async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Value {
     let began = Instant::now();
     loop {
-        let found = printed(serve, &[arguments, &["--create", "--json"]].concat());
-        if found["complete"] == true && found["rollouts"].as_u64() > Some(0) {
-            return found;
+        let findings = printed(serve, &[arguments, &["--create", "--json"]].concat());
+        if findings["complete"] == true && findings["rollouts"].as_u64() > Some(0) {
+            return findings;
         }
-        assert!(began.elapsed() < PATIENCE, "{found}");
+        assert!(began.elapsed() < PATIENCE, "{findings}");
         for lease in worker.claim(64).await {
             let committed = worker.commit(&lease, succeeds(&id(&lease))).await;
             assert_eq!(committed, Verdict::Accepted);
@@ -329,7 +331,7 @@ fn an_invalid_stop_rule_is_refused_before_creation() {
         "with 2 `replicates`",
     );
     create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
-    // The reason for refusing a design is given only once, too.
+    // The reason why a design is refused is also given only once.
     create(&["--placebo-configs", "0"], "add L0 to `levels`");
     create(
         &["--levels", "L0,L1", "--placebo-configs", "77"],
@@ -373,8 +375,8 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     }
     let serve = Serve::start(folder.path());
     assert_eq!(stopped(&serve, "early").await["early_stop"], expected);
-    let found = serve.command(&report).stdout;
-    assert!(found == expected_report, "{}", text(&found));
+    let final_report = serve.command(&report).stdout;
+    assert!(final_report == expected_report, "{}", text(&final_report));
 }
 
 /// Returns a campaign whose stop rule is never met; the rule only gives it a random order.
@@ -401,10 +403,10 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     }
     let rule = "difference excludes 0";
     #[rustfmt::skip]
-    let found = printed(&serve, &[
+    let comparison = printed(&serve, &[
         "compare", "strong", "weak", "--sequential", "--stop", rule, "--json",
     ]);
-    let sequential = &found["sequential"];
+    let sequential = &comparison["sequential"];
     assert_eq!(sequential["rule"], rule);
     let cells = sequential["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 4);
@@ -413,16 +415,16 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
             (&cell["used"], &cell["configurations"]),
             (&json!(20), &json!(40))
         );
-        // The outcomes of all twenty observed configurations differ by one; the outcomes of the
-        // other twenty are unknown.
+        // In each of the twenty observed configurations, the outcomes differ by one. The outcomes
+        // of the other twenty configurations are unknown.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
         let after = cell["met_after"].as_u64().expect("a met rule");
         assert!((2..20).contains(&after), "{cell}");
     }
     // The result is also printed as text without being requested.
-    let found = serve.command(&["compare", "strong", "weak"]);
-    let words = text(&found.stdout);
+    let comparison = serve.command(&["compare", "strong", "weak"]);
+    let words = text(&comparison.stdout);
     assert!(
         words.contains("20 of 40") && words.contains("seed 7"),
         "{words}"

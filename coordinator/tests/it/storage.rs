@@ -39,8 +39,8 @@ impl Bucket {
             assert!(began.elapsed() < PATIENCE, "{program} does not listen");
             std::thread::sleep(Duration::from_millis(100));
         }
-        let made = http(address, "PUT", "/films", "Content-Length: 0\r\n");
-        assert!(made.0.starts_with("HTTP/1.1 200"), "{}", made.0);
+        let (head, _) = http(address, "PUT", "/films", "Content-Length: 0\r\n");
+        assert!(head.starts_with("HTTP/1.1 200"), "{head}");
         bucket
     }
 
@@ -76,7 +76,7 @@ fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String
     (head, answer[end + 4..].to_vec())
 }
 
-/// Returns an address at which nobody listens.
+/// Returns an address on which no program listens.
 fn free_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
@@ -175,10 +175,12 @@ fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
 }
 
 fn some_film(seed: u8) -> Vec<u8> {
-    (0..300_000_u32).map(|at| (at / 7) as u8 ^ seed).collect()
+    (0..300_000_u32)
+        .map(|index| (index / 7) as u8 ^ seed)
+        .collect()
 }
 
-/// Stores, serves, archives, imports and deletes films at an available place.
+/// Stores, serves, archives, imports and deletes films at `place`; `stored` counts the films there.
 async fn check_film_lifecycle(
     place: &str,
     variables: &[(&str, String)],
@@ -189,20 +191,21 @@ async fn check_film_lifecycle(
     create(&coordinator, &folder);
     let mut worker = coordinator.worker("a").await;
     let (first, second) = (some_film(1), some_film(2));
-    let one = film(&mut worker, &first).await;
-    assert_served(&coordinator, &one, &first);
-    let other = film(&mut worker, &second).await;
+    let first_rollout = film(&mut worker, &first).await;
+    assert_served(&coordinator, &first_rollout, &first);
+    let second_rollout = film(&mut worker, &second).await;
     wait_until("both films are stored", || {
         local_films(&folder) == 0 && stored() == 2
     })
     .await;
-    assert_served(&coordinator, &one, &first);
-    assert_served(&coordinator, &other, &second);
+    assert_served(&coordinator, &first_rollout, &first);
+    assert_served(&coordinator, &second_rollout, &second);
 
-    // A restarted coordinator finds the films, and so does another one through an archive.
+    // A restarted coordinator serves the films, and so does another coordinator that imports an
+    // archive.
     drop(coordinator);
     let coordinator = serve(folder.path(), place, variables);
-    assert_served(&coordinator, &other, &second);
+    assert_served(&coordinator, &second_rollout, &second);
     let archive = folder.path().join("filmed.tar.gz").display().to_string();
     run(
         &coordinator,
@@ -212,7 +215,7 @@ async fn check_film_lifecycle(
     let other_coordinator = Serve::start(other_folder.path());
     let message = run(&other_coordinator, &["campaign", "import", &archive]);
     assert!(message.contains("2 films"), "{message}");
-    assert_served(&other_coordinator, &one, &first);
+    assert_served(&other_coordinator, &first_rollout, &first);
     assert_eq!(local_films(&other_folder), 2);
 
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
@@ -225,12 +228,12 @@ async fn check_film_lifecycle(
 #[tokio::test(flavor = "multi_thread")]
 async fn films_are_stored_in_another_folder() {
     let folder = tempfile::tempdir().expect("a folder");
-    let place = folder.path().join("films");
+    let storage_folder = folder.path().join("films");
     let stored = || {
-        let campaign = std::fs::read_dir(place.join("artifacts/filmed"));
+        let campaign = std::fs::read_dir(storage_folder.join("artifacts/filmed"));
         campaign.map_or(0, Iterator::count)
     };
-    check_film_lifecycle(&place.display().to_string(), &[], &stored).await;
+    check_film_lifecycle(&storage_folder.display().to_string(), &[], &stored).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

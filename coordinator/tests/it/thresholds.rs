@@ -1,4 +1,4 @@
-//! Thresholds: planted ones are found again, even if the process is killed at any point.
+//! Planted thresholds are found again, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
 
@@ -12,7 +12,7 @@ use crate::json::{documented, keys};
 use crate::page::http;
 use crate::process::{Serve, fits_a_terminal, succeed, text};
 
-/// Returns the smallest radius at which a rollout of this suite fails.
+/// Returns the planted threshold: the smallest radius at which a rollout of this suite fails.
 fn failure_radius(id: &RolloutId) -> f64 {
     let task = f64::from(id.task().index());
     match (id.condition(), id.task().index()) {
@@ -69,12 +69,15 @@ async fn planted_thresholds_are_found_again() {
         json!(false)
     );
 
-    let found = measured(&serve, &[]).await;
+    let findings_json = measured(&serve, &[]).await;
     let mut printed = BTreeSet::new();
-    keys(&found, "", &mut printed);
+    keys(&findings_json, "", &mut printed);
     assert_eq!(printed, documented("thresholds"));
-    assert_eq!([&found["looked_for"], &found["found"]], [30, 30]);
-    for threshold in list(&found, "thresholds") {
+    assert_eq!(
+        [&findings_json["looked_for"], &findings_json["found"]],
+        [30, 30]
+    );
+    for threshold in list(&findings_json, "thresholds") {
         let number = |key: &str| threshold[key].as_f64();
         let [condition, task] = ["condition", "task"].map(|key| threshold[key].as_str());
         let (condition, task) = (condition.expect("a name"), task.expect("a name"));
@@ -102,7 +105,7 @@ async fn planted_thresholds_are_found_again() {
             }
         }
     }
-    for curve in list(&found, "curves") {
+    for curve in list(&findings_json, "curves") {
         assert_eq!([&curve["n"], &curve["nominal_fails"]], [10, 1]);
         assert_eq!(curve["points"][0]["survival"], json!(0.9));
         let half = &curve["half_success"];
@@ -131,7 +134,7 @@ async fn planted_thresholds_are_found_again() {
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
     // Creating the same campaign again adds no rollout; text and figures show the same findings.
-    assert_eq!(findings(&serve, "thresholds", &[]), found);
+    assert_eq!(findings(&serve, "thresholds", &[]), findings_json);
     let figures = folder.path().join("figures");
     let figures = figures.to_string_lossy();
     let output = serve.command(&["thresholds", "first", "--figures", &figures]);
@@ -184,12 +187,12 @@ async fn language_is_measured_at_its_own_levels_only() {
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/4",
         "--levels", "L2", "--configs", "0", "--axes", "camera,language",
     ]));
-    let found = measured(
+    let findings_json = measured(
         &serve,
         &["--axes", "language,simultaneous", "--tolerance", "0.1"],
     )
     .await;
-    assert_eq!(found["rollouts"], 4);
+    assert_eq!(findings_json["rollouts"], 4);
     let jobs = serve.command(&["jobs", "list", "first-thresholds"]);
     for level in ["L1", "L3"] {
         for condition in ["language", "combination"] {
@@ -227,9 +230,9 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
             "write axes such as camera,robot",
         );
     }
-    let others =
+    let missing_condition =
         "it does not run the condition sensor; its conditions are camera, robot, simultaneous";
-    refused(&first(&["--axes", "sensor"]), others);
+    refused(&first(&["--axes", "sensor"]), missing_condition);
     refused(&first(&["--budget", "20"]), "may take 24 rollouts");
     #[rustfmt::skip]
     let without_nominal = [&CREATE[..3], &["bare"], &CREATE[4..], &[
@@ -271,10 +274,16 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
 async fn thresholds_stay_within_their_budget() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
-    let found = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
-    assert!(found["rollouts"].as_u64() <= Some(100), "{found}");
+    let findings_json = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
+    assert!(
+        findings_json["rollouts"].as_u64() <= Some(100),
+        "{findings_json}"
+    );
     // Four configurations, each with three conditions and at most 24 rollouts.
-    assert_eq!([&found["found"], &found["beyond_budget"]], [12, 18]);
+    assert_eq!(
+        [&findings_json["found"], &findings_json["beyond_budget"]],
+        [12, 18]
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,5 +1,5 @@
-//! Batching: calls that arrive during a transaction share the next one, and each is answered as if
-//! it had arrived alone.
+//! Batching: calls that arrive during a transaction share the next transaction, and each call is
+//! answered as if it had arrived alone.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
-/// Long enough for requests to arrive while nothing can be written.
+/// Time in which all requests arrive, while nothing can be written.
 const ARRIVAL: Duration = Duration::from_millis(300);
 
 /// Sends all requests while the database is locked, so that they wait for one transaction. Answers
@@ -28,14 +28,14 @@ async fn send_in_one_batch<T: Send + 'static>(
         .await
         .expect("a write lock");
     let mut answers = JoinSet::new();
-    for (place, request) in requests.into_iter().enumerate() {
-        answers.spawn(async move { (place, request.await) });
+    for (index, request) in requests.into_iter().enumerate() {
+        answers.spawn(async move { (index, request.await) });
     }
     tokio::time::sleep(ARRIVAL).await;
     lock.rollback().await.expect("rolled back");
     database.close().await;
     let mut answers = answers.join_all().await;
-    answers.sort_by_key(|(place, _)| *place);
+    answers.sort_by_key(|(index, _)| *index);
     answers.into_iter().map(|(_, answer)| answer).collect()
 }
 
@@ -61,24 +61,28 @@ async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
 async fn batched_reports_each_get_their_own_verdict() {
     let (bench, mut worker, leases) = twelve_leases().await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let good: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
+    let accepted: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
         .iter()
-        .map(|place| &leases[*place])
+        .map(|index| &leases[*index])
         .map(|lease| (worker.report(lease, true), Verdict::Accepted))
         .collect();
-    let mut moved = worker.report(&leases[3], true);
-    moved.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
+    let mut unpaired = worker.report(&leases[3], true);
+    unpaired
+        .provenance
+        .as_mut()
+        .expect("provenance")
+        .scene_digest = sha("moved");
     worker.release(&leases[9], Reason::Draining).await;
     let stale = worker.report(&leases[9], true);
-    let again = worker.report(&leases[0], true);
-    let otherwise = worker.report(&leases[0], false);
+    let duplicate = worker.report(&leases[0], true);
+    let divergent = worker.report(&leases[0], false);
     let not_accepted = [
-        (again, Verdict::Duplicate),
-        (otherwise, Verdict::Divergent),
-        (moved, Verdict::Unpaired),
+        (duplicate, Verdict::Duplicate),
+        (divergent, Verdict::Divergent),
+        (unpaired, Verdict::Unpaired),
         (stale, Verdict::Stale),
     ];
-    let mixed: Vec<_> = good.into_iter().chain(not_accepted).collect();
+    let mixed: Vec<_> = accepted.into_iter().chain(not_accepted).collect();
     let requests = mixed.iter().map(|(report, _)| {
         let (mut worker, report) = (worker.clone(), report.clone());
         async move { worker.commit_request(report).await.0 }
@@ -113,10 +117,10 @@ async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
 async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let (bench, worker, leases) = twelve_leases().await;
     let same_state = [&leases[0], &leases[1]];
-    let requests = same_state.iter().enumerate().map(|(place, lease)| {
+    let requests = same_state.iter().enumerate().map(|(index, lease)| {
         let (mut worker, mut report) = (worker.clone(), worker.report(lease, true));
         let provenance = report.provenance.as_mut().expect("provenance");
-        provenance.scene_digest = sha(&format!("scene {place}"));
+        provenance.scene_digest = sha(&format!("scene {index}"));
         async move { worker.commit_request(report).await.0 }
     });
     let mut verdicts = send_in_one_batch(&bench, requests.collect()).await;
@@ -136,7 +140,7 @@ async fn batched_claims_are_served_in_order_of_arrival() {
     let mut requests = Vec::new();
     for number in 0..13_u32 {
         let mut worker = bench.worker(&format!("w{number}")).await;
-        // Every fourth worker holds no scene; the last ones find too few jobs.
+        // Every fourth worker holds no scene. Two workers find no job.
         let warm = ["libero_object/0", ""][usize::from(number % 4 == 3)];
         requests.push(async move { worker.claim_response(warm).await.lease });
     }

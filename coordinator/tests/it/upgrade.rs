@@ -1,4 +1,4 @@
-//! Databases of every released schema are upgraded to the current one without losing rows, and
+//! Databases of every released schema are upgraded to the current schema without losing rows, and
 //! their campaigns continue.
 
 use std::path::Path;
@@ -19,7 +19,7 @@ use crate::process::{coordinator, text};
 
 /// SQL dumps of databases, one per earlier schema, with jobs of every state, charged and uncharged
 /// failures, an unavailable policy, and films. The dumps from the third on hold the database of the
-/// second, upgraded by later releases. A new migration adds a dump of the schema before it.
+/// second dump, upgraded by later releases. Each new migration adds a dump of the previous schema.
 const RELEASED: [&str; 12] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
@@ -84,7 +84,7 @@ async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&st
         digest = campaign.spec_digest,
     ))
     .await;
-    for (place, job) in campaign.jobs.iter().enumerate() {
+    for (index, job) in campaign.jobs.iter().enumerate() {
         sqlx::query(
             "INSERT INTO job (campaign_id, rollout_id, replicate, task, init_id, unit_order,
                  manifest_row, policy_seed) VALUES (?, ?, ?, ?, ?, ?, ?, 5)",
@@ -99,7 +99,7 @@ async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&st
         .execute(pool)
         .await
         .expect("a job");
-        let Some(renderer) = renderers.get(place) else {
+        let Some(renderer) = renderers.get(index) else {
             continue;
         };
         let row: Value = serde_json::from_str(&job.manifest_row).expect("a row");
@@ -107,22 +107,22 @@ async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&st
         run(format!(
             "UPDATE job SET state = 'leased', attempt = 1, not_before_ms = NULL,
                  lease_owner = 'old', leased_ms = 0, lease_expires_ms = 0, control_steps = 0
-             WHERE campaign_id = {id} AND unit_order = {place};
+             WHERE campaign_id = {id} AND unit_order = {index};
              INSERT OR IGNORE INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
                  asset_pack_digest, realisation, policy_name, policy_checkpoint,
                  policy_checkpoint_digest, policy_privileged, policy_canonical_only, batch_mode,
                  program_version)
              VALUES ('bench', '{renderer}', '3.3.7', 'primitives', '{pack}', 'matched', 'expert',
                  'none', '', 1, 0, 'single', '0.1.0');
-             INSERT INTO result SELECT j.id, {id}, 1, 'old', {place}, 1, 120, 1.5, NULL, NULL,
+             INSERT INTO result SELECT j.id, {id}, 1, 'old', {index}, 1, 120, 1.5, NULL, NULL,
                  NULL, 0, 30, p.id, '{scene}', '{state}', '{perturbation}', ''
              FROM job j JOIN provenance p ON p.gl_renderer = '{renderer}'
-             WHERE j.campaign_id = {id} AND j.unit_order = {place};
+             WHERE j.campaign_id = {id} AND j.unit_order = {index};
              INSERT INTO motion SELECT id, x'000000000000', x'' FROM job
-             WHERE campaign_id = {id} AND unit_order = {place};
+             WHERE campaign_id = {id} AND unit_order = {index};
              UPDATE job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
                  lease_expires_ms = NULL, control_steps = NULL
-             WHERE campaign_id = {id} AND unit_order = {place};",
+             WHERE campaign_id = {id} AND unit_order = {index};",
             pack = sha("primitives"),
             scene = sha(&task),
             state = sha(&format!("{task}/{}", row["init_id"])),
@@ -279,7 +279,8 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
             .await
             .expect("an instant");
         pool.close().await;
-        // As an archive it is refused for holding several campaigns, not for a foreign schema.
+        // An archive with this database is refused for holding several campaigns, not for its
+        // schema.
         let archived = tempfile::tempdir().expect("a temporary folder");
         let database = archived.path().join(DATABASE_FILE);
         std::fs::copy(folder.path().join(DATABASE_FILE), database).expect("copied");
@@ -338,7 +339,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
 #[tokio::test]
 async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     let folder = Bench::start().await.stop().await;
-    let made = schema(folder.path()).await;
+    let expected = schema(folder.path()).await;
     let pool = open_database(folder.path()).await;
     sqlx::raw_sql(
         "DELETE FROM _sqlx_migrations WHERE version = 4;
@@ -351,6 +352,6 @@ async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     pool.close().await;
     let clock = Arc::new(ManualClock::at(UnixMillis(NOW_MS)));
     let folder = Bench::start_in(folder, clock).await.stop().await;
-    assert_eq!(schema(folder.path()).await, made);
+    assert_eq!(schema(folder.path()).await, expected);
     assert_eq!(check(folder.path()).await.expect("a database"), []);
 }

@@ -1,4 +1,4 @@
-//! Derived campaigns: they are not finished while further rollouts may be added.
+//! Derived campaigns are not finished while further rollouts may be derived.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,8 @@ use crate::harness::{Worker, rollout_id};
 use crate::page::http;
 use crate::process::{Serve, succeed, succeed_in_json, text};
 
-/// Three axes together cause a failure, but no two do, so that the search takes two rounds.
+/// Returns the planted outcome: three axes together cause a failure, but no two of them, so that
+/// the search takes two rounds.
 fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let fatal: AxisSet = "camera+robot+sensor".parse().expect("a set");
@@ -37,7 +38,7 @@ fn status(serve: &Serve, name: &str) -> Value {
     list["campaigns"][0].clone()
 }
 
-/// Runs one rollout, if one is waiting.
+/// Runs one rollout, if a rollout is waiting.
 async fn run_one(worker: &mut Worker) {
     for lease in worker.claim(1).await {
         let id = rollout_id(&lease).parse().expect("an id");
@@ -61,17 +62,17 @@ async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     assert_eq!(status(&serve, "first")["follows_from"], Value::Null);
     assert_eq!(waiting["rollouts"]["total"], 0);
     assert_eq!(waiting["is_finished"], false);
-    let why = "campaign `first`, which has 5 rollouts left";
+    let waiting_words = "campaign `first`, which has 5 rollouts left";
     let reason = waiting["waiting_reason"].as_str().expect("a reason");
-    assert!(reason.contains(why), "{reason}");
+    assert!(reason.contains(waiting_words), "{reason}");
     let output = serve.command(&["campaign", "status", "first-explained"]);
     let status_text = text(&output.stdout);
     assert!(status_text.contains("waits for first"), "{status_text}");
-    assert!(status_text.contains(why), "{status_text}");
+    assert!(status_text.contains(waiting_words), "{status_text}");
     for address in ["/", "/campaigns/first-explained"] {
         let page = http(&serve.url, &format!("GET {address}")).await.text();
         assert!(page.contains("waits for campaign first"), "{address}");
-        assert!(page.contains(why), "{address}");
+        assert!(page.contains(waiting_words), "{address}");
     }
 
     // Once the status reports the campaign as finished, everything is explained.
@@ -80,11 +81,11 @@ async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
         assert!(began.elapsed() < PATIENCE);
         run_one(&mut worker).await;
     }
-    let found = explain(&serve, "first");
-    assert_eq!(found["complete"], true);
-    assert_eq!(found["transitions"], 1);
+    let findings = explain(&serve, "first");
+    assert_eq!(findings["complete"], true);
+    assert_eq!(findings["transitions"], 1);
     // All 15 pairs of the six axes were run, and then triples.
-    let rollouts = found["rollouts"].as_u64().expect("a count");
+    let rollouts = findings["rollouts"].as_u64().expect("a count");
     assert!(rollouts > 15, "{rollouts}");
     let finished = status(&serve, "first-explained");
     assert_eq!(finished["waiting_reason"], Value::Null);
@@ -98,12 +99,12 @@ async fn campaigns_that_are_cancelled_or_without_transitions_derive_no_rollouts(
     explain(&serve, "cancelled");
     let cancelled = serve.command(&["campaign", "cancel", "cancelled"]);
     assert!(cancelled.status.success(), "{}", text(&cancelled.stderr));
-    let over = status(&serve, "cancelled-explained");
-    assert_eq!(over["is_finished"], true);
-    let why = over["waiting_reason"].as_str().expect("a reason");
+    let finished = status(&serve, "cancelled-explained");
+    assert_eq!(finished["is_finished"], true);
+    let waiting_reason = finished["waiting_reason"].as_str().expect("a reason");
     assert!(
-        why.contains("which was cancelled with 8 rollouts left"),
-        "{why}"
+        waiting_reason.contains("which was cancelled with 8 rollouts left"),
+        "{waiting_reason}"
     );
 
     create(&serve, "steady");
@@ -116,7 +117,7 @@ async fn campaigns_that_are_cancelled_or_without_transitions_derive_no_rollouts(
         assert!(began.elapsed() < PATIENCE);
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    let over = status(&serve, "steady-explained");
-    assert_eq!(over["rollouts"]["total"], 0);
-    assert_eq!(over["waiting_reason"], json!(null));
+    let finished = status(&serve, "steady-explained");
+    assert_eq!(finished["rollouts"]["total"], 0);
+    assert_eq!(finished["waiting_reason"], json!(null));
 }

@@ -8,17 +8,18 @@ use super::super::command::{CommandError, usage};
 
 /// Returns the absolute path, since the jobs run in another working directory.
 pub(super) fn absolute_path(path: &Path) -> Result<PathBuf, CommandError> {
-    let found = absolute(path).with_context(|| format!("find {}", path.display()));
-    found.map_err(usage)
+    let absolute = absolute(path).with_context(|| format!("find {}", path.display()));
+    absolute.map_err(usage)
 }
 
-pub(super) fn text(path: &Path) -> Result<String, CommandError> {
+/// Returns a path as UTF-8, since a script is UTF-8 text.
+pub(super) fn path_text(path: &Path) -> Result<String, CommandError> {
     let text = path.to_str().map(str::to_owned);
     text.ok_or_else(|| usage(anyhow!("use {}: its name is not UTF-8", path.display())))
 }
 
 /// Accepts a value without control characters, so that it cannot break its line of the script.
-pub(super) fn line(flag: &str, value: String) -> Result<String, CommandError> {
+pub(super) fn one_line(flag: &str, value: String) -> Result<String, CommandError> {
     match value.chars().any(char::is_control) {
         true => Err(usage(anyhow!("use {flag} {value:?}: write it in one line"))),
         false => Ok(value),
@@ -26,10 +27,13 @@ pub(super) fn line(flag: &str, value: String) -> Result<String, CommandError> {
 }
 
 /// Accepts a name or number for Slurm, such as a partition or a memory size.
-pub(super) fn word(flag: &str, value: Option<&String>) -> Result<Option<String>, CommandError> {
+pub(super) fn slurm_word(
+    flag: &str,
+    value: Option<&String>,
+) -> Result<Option<String>, CommandError> {
     let Some(value) = value else { return Ok(None) };
-    let plain = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
-    match !value.is_empty() && value.chars().all(plain) {
+    let is_plain_char = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
+    match !value.is_empty() && value.chars().all(is_plain_char) {
         true => Ok(Some(value.clone())),
         false => Err(usage(anyhow!(
             "use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/"
@@ -38,9 +42,9 @@ pub(super) fn word(flag: &str, value: Option<&String>) -> Result<Option<String>,
 }
 
 /// Accepts extra `sbatch` options; each must begin with a dash.
-pub(super) fn options(flag: &str, given: &[String]) -> Result<Vec<String>, CommandError> {
+pub(super) fn sbatch_options(flag: &str, given: &[String]) -> Result<Vec<String>, CommandError> {
     let option = |option: &String| match option.starts_with('-') {
-        true => line(flag, option.clone()),
+        true => one_line(flag, option.clone()),
         false => Err(usage(anyhow!(
             "use {flag} {option:?}: write an option of sbatch, such as {flag}=--constraint=avx2"
         ))),

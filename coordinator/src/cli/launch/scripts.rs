@@ -37,22 +37,22 @@ pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Submits all scripts but the coordinator's. Each job depends on the start of the one before it,
-/// since workers have no work until their gateway runs.
+/// Submits all scripts but the coordinator's. A job starts only once the previously submitted job
+/// has started, since workers have no work until their gateway runs.
 pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
-    let mut before: Option<String> = None;
+    let mut previous_job: Option<String> = None;
     for Script { path, .. } in scripts.iter().skip(1) {
         let mut sbatch = Command::new("sbatch");
         sbatch.arg("--parsable");
-        sbatch.args(before.map(|job| format!("--dependency=after:{job}")));
+        sbatch.args(previous_job.map(|job| format!("--dependency=after:{job}")));
         let output = sbatch.arg(path).output();
         let output = output.context("run sbatch: use a machine that has Slurm's commands")?;
-        let complaint = String::from_utf8_lossy(&output.stderr);
+        let error_text = String::from_utf8_lossy(&output.stderr);
         ensure!(
             output.status.success(),
             "submit {}: {}",
             path.display(),
-            complaint.trim()
+            error_text.trim()
         );
         let printed = String::from_utf8_lossy(&output.stdout);
         // With several clusters, `sbatch --parsable` prints `JOB;CLUSTER`.
@@ -63,7 +63,7 @@ pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
             .unwrap_or_default()
             .to_owned();
         print_line(&format!("submitted {} as job {job}", path.display()))?;
-        before = Some(job);
+        previous_job = Some(job);
     }
     Ok(())
 }

@@ -9,7 +9,7 @@ use terminal::number;
 use transport::{Role, SecurityError, ServerArguments, Tokens, parse_endpoint};
 
 use super::super::command::{CommandError, failure, print, print_line, usage};
-use super::checked::{absolute_path, line, options, text, word};
+use super::checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
 use super::scripts::{Script, submit, write};
 use super::template::{Values, fill, for_shell};
 use super::time_limit::TimeLimit;
@@ -18,6 +18,7 @@ use super::time_limit::TimeLimit;
 const PRIMITIVES: &str = "primitives";
 const LIBERO: &str = "libero";
 
+/// File names and templates of the scripts.
 const COORDINATOR: (&str, &str) = (
     "coordinator.sh",
     include_str!("../../../../deploy/slurm/coordinator.sh"),
@@ -47,8 +48,8 @@ pub(crate) struct SlurmArguments {
     /// which coordinator.sh will run, and a port.
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     connect: String,
-    /// Folder to write the scripts into; the jobs run and log there. It must be one
-    /// that all nodes share. Without it, the scripts are only shown.
+    /// Folder to write the scripts into; the jobs run and log there, so all nodes
+    /// must share it. If omitted, the scripts are only shown.
     #[arg(long, value_name = "DIR")]
     into: Option<PathBuf>,
     /// Submit the written scripts.
@@ -70,8 +71,8 @@ pub(crate) struct SlurmArguments {
     /// again. [default: the partition's]
     #[arg(long, value_name = "TIME")]
     time: Option<TimeLimit>,
-    /// Seconds before its time limit at which a job is signalled to end; Slurm may send the signal
-    /// up to a minute earlier.
+    /// Number of seconds before its time limit at which a job is signalled to end; Slurm may send
+    /// the signal up to a minute earlier.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 60,
         value_parser = number(1..=65_535_u32, "seconds"))]
     ahead_secs: u32,
@@ -115,7 +116,8 @@ struct WorkerArguments {
     )]
     slot_memory: String,
     /// Seconds that a worker has to finish its rollouts after the signal to end. It then gives the
-    /// rest back, which takes up to ten seconds more. Both must fit into Slurm's KillWait.
+    /// unfinished rollouts back, which takes up to ten seconds more. The sum of the two times must
+    /// fit into Slurm's KillWait.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 15,
         value_parser = number(0..=86_400_u32, "seconds"))]
     drain_secs: u32,
@@ -151,7 +153,7 @@ struct GatewayArguments {
     /// Partition of the gateway. [default: --partition]
     #[arg(long, hide_short_help = true, value_name = "NAME", requires = "policy")]
     gateway_partition: Option<String>,
-    /// Port of the gateway, or the next free one.
+    /// Port of the gateway; if it is taken on the node, the next free port is used.
     #[arg(long, hide_short_help = true, value_name = "PORT", default_value_t = 7412,
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
@@ -187,7 +189,7 @@ pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
     }
     match arguments.submit {
         true => submit(&scripts)?,
-        false => print_line("To submit them, repeat this with --submit.")?,
+        false => print_line("To submit the scripts, repeat the command with --submit.")?,
     }
     let [coordinator, ..] = scripts.as_slice() else {
         unreachable!("there are always two scripts");
@@ -199,7 +201,7 @@ pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
 }
 
 impl SlurmArguments {
-    /// Returns the scripts in order of submission, the coordinator's first.
+    /// Returns the coordinator's script, then the scripts of the jobs in order of submission.
     fn scripts(&self) -> Result<Vec<Script>, CommandError> {
         let values = self.values()?;
         let folder = absolute_path(self.into.as_deref().unwrap_or(Path::new(".")))?;
@@ -219,41 +221,45 @@ impl SlurmArguments {
         let mut values = Values::default();
         self.set_servers(&mut values)?;
         let folder = absolute_path(self.into.as_deref().unwrap_or(Path::new(".")))?;
-        values.set("folder", line("--into", text(&folder)?)?);
-        values.set("data", line("--data", text(&absolute_path(&self.data)?)?)?);
-        let partition = word("--partition", self.partition.as_ref())?;
-        let partition_of_gateway = word("--gateway-partition", gateway.gateway_partition.as_ref())?;
+        values.set("folder", one_line("--into", path_text(&folder)?)?);
+        values.set(
+            "data",
+            one_line("--data", path_text(&absolute_path(&self.data)?)?)?,
+        );
+        let partition = slurm_word("--partition", self.partition.as_ref())?;
+        let partition_of_gateway =
+            slurm_word("--gateway-partition", gateway.gateway_partition.as_ref())?;
         values.set_all(
             "gateway_partition",
             partition_of_gateway.or_else(|| partition.clone()),
         );
         values.set_all("partition", partition);
-        values.set_all("account", word("--account", self.account.as_ref())?);
+        values.set_all("account", slurm_word("--account", self.account.as_ref())?);
         values.set_all("time", self.time.as_ref().map(TimeLimit::to_string));
         values.set("ahead_secs", self.ahead_secs);
 
         let assets = match workers.assets.as_str() {
             name @ (LIBERO | PRIMITIVES) => name.to_owned(),
-            path => text(&absolute_path(Path::new(path))?)?,
+            path => path_text(&absolute_path(Path::new(path))?)?,
         };
-        values.set("assets", line("--assets", assets)?);
+        values.set("assets", one_line("--assets", assets)?);
         values.set("workers", workers.workers);
         values.set("slots", workers.slots);
-        let memory = word("--slot-memory", Some(&workers.slot_memory))?;
+        let memory = slurm_word("--slot-memory", Some(&workers.slot_memory))?;
         values.set_all("slot_memory", memory);
         values.set("drain_secs", workers.drain_secs);
         values.set("idle_secs", workers.idle_secs);
-        let further_options = options("--worker-sbatch", &workers.worker_sbatch)?;
+        let further_options = sbatch_options("--worker-sbatch", &workers.worker_sbatch)?;
         values.set_all("worker_options", further_options);
 
         values.set_all("route", gateway.route()?);
         let server = gateway.policy_server.clone();
         let server = server
-            .map(|command| line("--policy-server", command))
+            .map(|command| one_line("--policy-server", command))
             .transpose()?;
         values.set_all("policy_server", server);
-        values.set_all("gpus", word("--gpus", gateway.gpus.as_ref())?);
-        let further_options = options("--gateway-sbatch", &gateway.gateway_sbatch)?;
+        values.set_all("gpus", slurm_word("--gpus", gateway.gpus.as_ref())?);
+        let further_options = sbatch_options("--gateway-sbatch", &gateway.gateway_sbatch)?;
         values.set_all("gateway_options", further_options);
 
         let mut programs = vec![("worker", "worker"), ("coordinator", "coordinator")];
@@ -272,7 +278,7 @@ impl SlurmArguments {
                     path.display()
                 )));
             }
-            values.set(name, line("--programs", text(&path)?)?);
+            values.set(name, one_line("--programs", path_text(&path)?)?);
         }
         Ok(values)
     }
@@ -291,13 +297,13 @@ impl SlurmArguments {
         };
         if host == "localhost" || host.starts_with("127.") || host == "[::1]" {
             return Err(usage(anyhow!(
-                "use --connect {}: no other machine reaches that; write the name of the machine \
-                 on which coordinator.sh will run",
+                "use --connect {}: no other machine can reach this address; write the name of the \
+                 machine on which coordinator.sh will run",
                 self.connect
             )));
         }
-        let everywhere = SocketAddr::from(([0, 0, 0, 0], port));
-        let security = self.security.security(everywhere);
+        let all_interfaces = SocketAddr::from(([0, 0, 0, 0], port));
+        let security = self.security.security(all_interfaces);
         let security = security.map_err(|error| match error {
             SecurityError::Unguarded { .. } => usage(error),
             error => failure(error),
@@ -309,8 +315,8 @@ impl SlurmArguments {
         };
         if scheme != expected {
             return Err(usage(anyhow!(
-                "use --connect {}: with --tls-cert and --tls-key it begins with https://, and \
-                 without them with http://",
+                "use --connect {}: write a URL that begins with https:// if --tls-cert and \
+                 --tls-key are given, and with http:// if not",
                 self.connect
             )));
         }
@@ -318,17 +324,18 @@ impl SlurmArguments {
         values.set("scheme", scheme);
         values.set("coordinator_port", port);
         values.set("gateway_port", self.gateway.gateway_port);
-        let mut guard = Vec::new();
+        let mut security_flags = Vec::new();
         for (flag, file) in [
             ("--tls-cert", &self.security.tls_cert),
             ("--tls-key", &self.security.tls_key),
         ] {
             if let Some(file) = file {
-                guard.extend([flag.to_owned(), line(flag, text(&absolute_path(file)?)?)?]);
+                let path = path_text(&absolute_path(file)?)?;
+                security_flags.extend([flag.to_owned(), one_line(flag, path)?]);
             }
         }
-        guard.extend(self.security.insecure.then(|| "--insecure".to_owned()));
-        values.set_all("guard", guard);
+        security_flags.extend(self.security.insecure.then(|| "--insecure".to_owned()));
+        values.set_all("guard", security_flags);
         let worker_tokens = self.worker_token_file()?;
         for (name, flag, file) in [
             ("token_file", "--token-file", &self.security.token_file),
@@ -336,8 +343,8 @@ impl SlurmArguments {
             ("ca", "--ca", &self.ca),
         ] {
             let path = file.as_deref().map(absolute_path).transpose()?;
-            let path = path.map(|path| text(&path)).transpose()?;
-            values.set_all(name, path.map(|path| line(flag, path)).transpose()?);
+            let path = path.map(|path| path_text(&path)).transpose()?;
+            values.set_all(name, path.map(|path| one_line(flag, path)).transpose()?);
         }
         Ok(())
     }
@@ -365,8 +372,8 @@ impl SlurmArguments {
         let limit = self.time.as_ref().and_then(TimeLimit::secs);
         match limit {
             Some(limit) if limit <= self.ahead_secs.into() => Err(usage(anyhow!(
-                "use --time {limit} s: jobs are asked to end {} s before; give more time, or \
-                 lower --ahead-secs",
+                "use --time {limit} s: jobs are signalled to end {} s before this limit; give more \
+                 time, or lower --ahead-secs",
                 self.ahead_secs
             ))),
             _ => Ok(()),
@@ -387,13 +394,13 @@ impl GatewayArguments {
         let Some(route) = &self.policy else {
             return Ok(None);
         };
-        let named = |(name, backend): (&str, &str)| !name.is_empty() && !backend.is_empty();
-        if !route.split_once('=').is_some_and(named) {
+        let is_complete = |(name, backend): (&str, &str)| !name.is_empty() && !backend.is_empty();
+        if !route.split_once('=').is_some_and(is_complete) {
             return Err(usage(anyhow!(
                 "use --policy {route}: write NAME=BACKEND, such as \
                  openvla=grpc://127.0.0.1:5000"
             )));
         }
-        line("--policy", route.clone()).map(Some)
+        one_line("--policy", route.clone()).map(Some)
     }
 }

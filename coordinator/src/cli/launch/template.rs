@@ -20,8 +20,8 @@ impl Values {
     }
 
     fn get(&self, name: &str) -> &[String] {
-        let found = self.0.iter().find(|(placeholder, _)| *placeholder == name);
-        &found
+        let entry = self.0.iter().find(|(placeholder, _)| *placeholder == name);
+        &entry
             .unwrap_or_else(|| panic!("placeholder {{{{{name}}}}} of a template was never set"))
             .1
     }
@@ -42,16 +42,16 @@ pub(super) fn fill(template: &str, values: &Values) -> String {
                 let words = values.get(name).iter().map(|value| for_shell(value));
                 words.collect::<Vec<_>>().join(" ")
             };
-            return vec![replace(line, &words)];
+            return vec![fill_line(line, &words)];
         }
         let repetitions = names.iter().map(|name| values.get(name).len()).max();
-        let repeat = |time: usize| {
-            replace(line, &|name| {
+        let sbatch_line = |repetition: usize| {
+            fill_line(line, &|name| {
                 let values = values.get(name);
-                for_slurm(&values[time.min(values.len() - 1)])
+                for_slurm(&values[repetition.min(values.len() - 1)])
             })
         };
-        (0..repetitions.unwrap_or(1)).map(repeat).collect()
+        (0..repetitions.unwrap_or(1)).map(sbatch_line).collect()
     });
     lines.map(|line| line + "\n").collect()
 }
@@ -63,7 +63,8 @@ fn placeholders(line: &str) -> Vec<&str> {
         .collect()
 }
 
-fn replace(line: &str, value: &dyn Fn(&str) -> String) -> String {
+/// Replaces each placeholder of a line by `value(name)`.
+fn fill_line(line: &str, value: &dyn Fn(&str) -> String) -> String {
     let mut parts = line.split("{{");
     let mut filled = parts.next().unwrap_or_default().to_owned();
     for part in parts {
@@ -95,10 +96,10 @@ fn for_slurm(value: &str) -> String {
     }
 }
 
-/// Returns true if a value needs no quotation marks, neither for the shell nor for Slurm.
+/// Returns true if a value needs quotation marks neither for the shell nor for Slurm.
 fn is_plain(value: &str) -> bool {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-+=:,./@%".contains(c);
-    !value.is_empty() && value.chars().all(plain)
+    let is_plain_char = |c: char| c.is_ascii_alphanumeric() || "_-+=:,./@%".contains(c);
+    !value.is_empty() && value.chars().all(is_plain_char)
 }
 
 #[cfg(test)]

@@ -36,8 +36,8 @@ impl FromStr for TimeLimit {
             return Ok(limit(None));
         }
         let secs = seconds(text).filter(|secs| *secs > 0);
-        let remedy = "write what Slurm takes: minutes (90), hours:minutes:seconds (4:00:00), \
-                      days-hours (2-12), or unlimited";
+        let remedy = "write a time limit in Slurm's format: minutes (90), hours:minutes:seconds \
+                      (4:00:00), days-hours (2-12), or unlimited";
         secs.map(|secs| limit(Some(secs))).ok_or(remedy)
     }
 }

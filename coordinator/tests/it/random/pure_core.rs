@@ -76,7 +76,7 @@ impl Model {
             Event::Retry { job } => self.retry(*job),
             Event::Restart => self.restart(),
             Event::Together(events) => events.iter().for_each(|event| self.apply(event)),
-            // A claim that is repeated grants nothing.
+            // A repeated claim grants no further lease.
             Event::ClaimAgain { .. } => {}
             Event::Heartbeat { lease, steps } => {
                 if let Some(granted) = self.granted(*lease) {
@@ -113,8 +113,8 @@ impl Model {
         let now = self.now;
         let allowance = self.policy.allowance(now);
         let job = &mut self.jobs[number];
-        let waits = matches!(job.state, JobState::Queued { not_before } if not_before <= now);
-        if !waits || allowance == Allowance::Nothing || !self.campaign.may_lease() {
+        let is_due = matches!(job.state, JobState::Queued { not_before } if not_before <= now);
+        if !is_due || allowance == Allowance::Nothing || !self.campaign.may_lease() {
             return;
         }
         let owner = WorkerId(worker.to_owned());
@@ -205,15 +205,18 @@ impl Model {
                     &mut self.rng,
                 )
             }
-            FailureReason::PolicyMisbehaved => {
-                self.policy
-                    .after_misbehaviour(granted.attempt, "nonsense", self.now, &mut self.rng)
-            }
+            FailureReason::PolicyMisbehaved => self.policy.after_misbehaviour(
+                granted.attempt,
+                "misbehaved",
+                self.now,
+                &mut self.rng,
+            ),
             _ => self.policy.after_other_failure(granted.attempt, self.now),
         };
         self.fail(granted, reason, consequence);
     }
 
+    /// Advances the clock, and ends the attempts whose leases expire.
     fn pass(&mut self, secs: u64) {
         self.now = self.now.plus(Duration::from_secs(secs));
         assert!(

@@ -1,4 +1,4 @@
-//! Runs the same events on the queue with its SQLite store.
+//! Runs the random events on the queue with its SQLite store.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -118,7 +118,7 @@ fn campaign() -> CampaignName {
     CampaignName::parse("random").expect("a name")
 }
 
-/// Executes one event.
+/// Executes one event; `number` makes the id of a new claim unique.
 async fn apply(
     queue: &Queue,
     clock: &ManualClock,
@@ -139,10 +139,10 @@ async fn apply(
         }
         Event::ClaimAgain { claim: number } => {
             let mut newest_first = state.claims.iter().rev().cycle();
-            let before = newest_first.nth(number % state.claims.len().max(1));
-            if let Some((request, before)) = before.cloned() {
+            let repeated = newest_first.nth(number % state.claims.len().max(1));
+            if let Some((request, first_attempt)) = repeated.cloned() {
                 let attempt = claim(queue, &request).await;
-                if attempt.is_none() || attempt == before {
+                if attempt.is_none() || attempt == first_attempt {
                     return Effect::Nothing;
                 }
                 return Effect::Claimed(request, attempt);
@@ -215,8 +215,8 @@ async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
     accepted
 }
 
-/// Asserts that every job has ended, unless the campaign was cancelled, and that every accepted
-/// result is stored. The invariants cover the rest.
+/// Asserts that every invariant holds, that every job has ended unless the campaign was cancelled,
+/// and that every accepted result is stored.
 async fn check_results(folder: &Path, accepted: usize) {
     assert_eq!(check(folder).await.expect("a database"), []);
     let pool = open_database(folder).await;
