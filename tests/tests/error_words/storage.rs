@@ -224,7 +224,7 @@ fn moving(messages: &mut Messages) {
         StorageError::Location { .. } => StorageError::Location { location: text() },
         StorageError::Folder { .. } => StorageError::Folder { path: path(), source: io_error() },
         StorageError::Remote { .. } => StorageError::Remote {
-            doing: "store", key: text(), location: "s3://films".to_owned(), problem: text(),
+            verb: "store", key: text(), location: "s3://films".to_owned(), problem: text(),
         },
         StorageError::File { .. } => StorageError::File { path: path(), source: io_error() },
     );
