@@ -48,7 +48,6 @@ pages! {
     commands_of_python_work: "docs/PYTHON.md",
     commands_of_report_work: "docs/REPORT.md",
     commands_of_the_student_work: "docs/STUDENT.md",
-    commands_of_the_walkthrough_work: "docs/WALKTHROUGH.md",
     commands_of_why_work: "docs/WHY.md",
     commands_of_the_libero_pack_work: "assets/libero/README.md",
     commands_of_the_family_files_work: "assets/libero-family/README.md",
