@@ -7,6 +7,7 @@ pub mod browser;
 pub mod chaos;
 pub mod circles;
 pub mod documents;
+pub mod family;
 pub mod fidelity;
 pub mod files;
 pub mod measure;

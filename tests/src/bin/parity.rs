@@ -1,7 +1,8 @@
-//! Compares the simulator with reference data of the original LIBERO, task by task.
+//! Compares the simulator with reference data of the original LIBERO, task by task, or with the
+//! committed recordings of the benchmarks that extend it.
 //! Prepared and run by `cargo xtask parity`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, ensure};
@@ -10,6 +11,7 @@ use libero_ctrl::TaskRef;
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};
+use tests::family::{Comparison, Family, RECORDED, Table, recordings};
 use tests::fidelity::{
     CLOSE_LEVELS, Findings, Limits, ReferenceTask, RendererRelation, compare, find_tasks,
 };
@@ -20,8 +22,16 @@ use tests::files::open_pack;
 struct Arguments {
     /// Folder of reference tasks: SUITE/NN_TASK. Beside it lie `contact/` and
     /// `sensitivity.json`, if there are any.
-    #[arg(long)]
-    reference: PathBuf,
+    #[arg(long, required_unless_present = "family")]
+    reference: Option<PathBuf>,
+    /// Compare LIBERO-Plus, LIBERO-PRO and LIBERO-Para with the committed recordings instead.
+    /// `ROLLOUT_PRO_ASSETS` names the folder of LIBERO-PRO's assets, `ROLLOUT_PARA` the checkout of
+    /// LIBERO-Para.
+    #[arg(long, conflicts_with_all = ["reference", "tasks", "renderer", "frames_of_this_machine"])]
+    family: bool,
+    /// With `--family`: folder of recorded pictures; without it, those in the repository.
+    #[arg(long, requires = "family")]
+    pictures: Option<PathBuf>,
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = LIBERO)]
     assets: String,
@@ -63,7 +73,10 @@ fn run(arguments: &Arguments) -> Result<bool> {
         .clone()
         .unwrap_or_else(Sources::default_dir);
     let sources = Sources::open(&sources)?;
-    let tasks = select(find_tasks(&arguments.reference)?, &arguments.tasks)?;
+    let Some(reference) = &arguments.reference else {
+        return family(arguments, sources);
+    };
+    let tasks = select(find_tasks(reference)?, &arguments.tasks)?;
     let references = tasks.iter().map(|task| task.id().parse());
     let references = references.collect::<Result<Vec<TaskRef>, _>>()?;
     let pack = open_pack(&arguments.assets, &sources, references)?;
@@ -110,6 +123,31 @@ fn run(arguments: &Arguments) -> Result<bool> {
     }
     println!("{passed} of {} tasks agree with the original", tasks.len());
     Ok(passed == tasks.len())
+}
+
+/// Prints the table of docs/FAMILY.md.
+fn family(arguments: &Arguments, sources: Sources) -> Result<bool> {
+    let pack = open_pack(&arguments.assets, &sources, TaskRef::all())?;
+    let pictures = arguments.pictures.as_deref();
+    let pictures = pictures.unwrap_or(Path::new(RECORDED));
+    let mut comparison = Comparison::new(sources, pack, pictures)?;
+    let (mut table, mut agree) = (Table::default(), true);
+    for family in Family::ALL {
+        for recording in recordings(family)? {
+            match comparison.compare(family, &recording)? {
+                Ok(findings) => {
+                    table.add(family, recording.is_held_out, &findings);
+                    for violation in findings.violations() {
+                        println!("{}: {violation}", recording.name);
+                        agree = false;
+                    }
+                }
+                Err(skipped) => println!("skipped {}: {}", recording.name, skipped.0),
+            }
+        }
+    }
+    print!("{table}");
+    Ok(agree)
 }
 
 fn select(all: Vec<ReferenceTask>, wanted: &[String]) -> Result<Vec<ReferenceTask>> {

@@ -135,7 +135,8 @@ impl Least {
 }
 
 impl FrameFindings {
-    fn add(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
+    /// Compares two pictures of one size.
+    pub fn add(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
         let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
         for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {
             let difference = ours.iter().zip(theirs).map(|(a, b)| a.abs_diff(*b));
@@ -150,8 +151,15 @@ impl FrameFindings {
         self.close.add(share(close), place);
     }
 
+    /// Adds the findings of further frames.
+    pub fn merge(&mut self, other: &Self) {
+        self.equal.add(other.equal.share, &other.equal.place);
+        self.close.add(other.close.share, &other.close.place);
+        self.largest = self.largest.max(other.largest);
+    }
+
     /// Returns descriptions of the violated limits, including the reason for each limit.
-    pub(super) fn violations(&self, limits: &FrameLimits) -> Vec<String> {
+    pub fn violations(&self, limits: &FrameLimits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |least: &Least, limit: f64, condition: &str| {
             if least.share < limit {

@@ -1,0 +1,10 @@
+//! Numerical comparison of LIBERO-Plus, LIBERO-PRO and LIBERO-Para with what their own Python code
+//! does, as recorded by the scripts in `tests/tests/family`.
+
+mod comparison;
+mod recording;
+mod table;
+
+pub use comparison::{Comparison, Findings, Skipped, TOLERANCE};
+pub use recording::{Family, RECORDED, Recording, recordings};
+pub use table::Table;

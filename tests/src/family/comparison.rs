@@ -1,0 +1,381 @@
+//! Comparison of one case.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use libero_ctrl::numpy::LegacyRng;
+use libero_ctrl::{ManifestRow, Suite, TaskRef};
+use libero_family::plus::{Variant, entry};
+use libero_family::pro::ProSuite;
+use libero_family::{Case, Subject};
+use policy_protocol::CAMERAS;
+use scene::{AssetPack, Sources, TaskFiles};
+use sha2::{Digest, Sha256};
+use sim::{
+    CameraRequest, Environment, ObjectKind, ObservationRequest, Renderer, Reset, Simulator,
+    SimulatorConfig, Start, VariantStart,
+};
+use worker::variants::Prepared;
+
+use super::recording::{Family, Recording};
+use crate::fidelity::{FrameFindings, RendererRelation};
+
+/// Largest difference of any coordinate of a state or a camera.
+pub const TOLERANCE: f64 = 1e-9;
+/// Side of the recorded pictures, pixels. Those with fog are larger, but draw equally many numbers.
+const SIDE: usize = 128;
+/// Pictures that the original draws and corrupts: that of the reset and those of ten waits.
+const PICTURES: usize = 11;
+
+/// Differences from the original in one case.
+#[derive(Debug, Clone, Default)]
+pub struct Findings {
+    /// Dimension of LIBERO-Plus, or ending of LIBERO-PRO's suites.
+    pub group: String,
+    /// Largest difference of any coordinate of a state.
+    pub states: f64,
+    /// Largest difference of the compiled pose of `agentview`; `None` if it was not recorded.
+    pub camera: Option<f64>,
+    /// Whether the generator's next number is the same; `None` if it was not recorded.
+    pub draw: Option<bool>,
+    /// Whether the prompts are the same; `None` if none was recorded or the sentence is missing.
+    pub prompt: Option<bool>,
+    /// `None` if there is no recorded picture.
+    pub frames: Option<FrameFindings>,
+}
+
+impl Findings {
+    /// Returns descriptions of the violated limits.
+    pub fn violations(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        let differences = [("states", Some(self.states)), ("the camera", self.camera)];
+        for (what, difference) in differences {
+            if let Some(difference) = difference.filter(|difference| *difference > TOLERANCE) {
+                found.push(format!(
+                    "{what}: {difference:e} apart, more than {TOLERANCE:e}"
+                ));
+            }
+        }
+        let equal = [("prompts", self.prompt), ("next numbers", self.draw)];
+        for (what, _) in equal.iter().filter(|(_, equal)| *equal == Some(false)) {
+            found.push(format!("{what} differ"));
+        }
+        let limits = RendererRelation::AnotherRenderer.limits();
+        let frames = self.frames.as_ref();
+        found.extend(frames.map_or_else(Vec::new, |frames| frames.violations(&limits)));
+        found
+    }
+}
+
+/// Why a case was not compared.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Skipped(pub String);
+
+/// Compares cases with their recordings.
+pub struct Comparison {
+    sources: Sources,
+    pack: AssetPack,
+    /// LIBERO-PRO's objects are in a folder of their own.
+    pro_pack: Option<AssetPack>,
+    /// Checkout of LIBERO-Para.
+    para: Option<PathBuf>,
+    pictures: PathBuf,
+    simulators: BTreeMap<PathBuf, Simulator>,
+}
+
+/// A case as this project runs it.
+struct Run {
+    group: String,
+    files: TaskFiles,
+    row: ManifestRow,
+    start: VariantStart,
+    /// `None` if the file with the sentence is missing.
+    prompts: Option<Prompts>,
+}
+
+struct Prompts {
+    prompt: Option<String>,
+    sentence: String,
+}
+
+impl Comparison {
+    /// Prepares comparisons with LIBERO's assets, with those that `ROLLOUT_PRO_ASSETS` names, and
+    /// with the checkout of LIBERO-Para that `ROLLOUT_PARA` names.
+    ///
+    /// # Errors
+    /// If the folder of LIBERO-PRO's assets cannot be read.
+    pub fn new(sources: Sources, pack: AssetPack, pictures: &Path) -> Result<Self> {
+        let pro_pack = std::env::var("ROLLOUT_PRO_ASSETS").ok();
+        let pro_pack = pro_pack.map(|dir| AssetPack::open_whole(dir.as_ref()));
+        Ok(Self {
+            sources,
+            pack,
+            pro_pack: pro_pack.transpose()?,
+            para: std::env::var_os("ROLLOUT_PARA").map(PathBuf::from),
+            pictures: pictures.to_owned(),
+            simulators: BTreeMap::new(),
+        })
+    }
+
+    /// Compares a case, unless its files are missing.
+    ///
+    /// # Errors
+    /// If the recording belongs to no case, or the case cannot be run.
+    pub fn compare(
+        &mut self,
+        family: Family,
+        recording: &Recording,
+    ) -> Result<Result<Findings, Skipped>> {
+        let run = self.run(family, recording);
+        let run = match run.with_context(|| recording.name.clone())? {
+            Ok(run) => run,
+            Err(skipped) => return Ok(Err(skipped)),
+        };
+        let pack = match AssetPack::files_of_tasks(std::slice::from_ref(&run.files)) {
+            Ok(_) => {
+                self.pack
+                    .provide_with_bar(std::slice::from_ref(&run.files))?;
+                self.pack.clone()
+            }
+            Err(_) => match &self.pro_pack {
+                Some(pack) => pack.clone(),
+                None => {
+                    let lack = "ROLLOUT_PRO_ASSETS names no folder of assets";
+                    return Ok(Err(Skipped(lack.to_owned())));
+                }
+            },
+        };
+        let place = pack.dir().to_owned();
+        let sources = self.sources.clone();
+        let simulator = self.simulators.entry(place).or_insert_with(|| {
+            Simulator::new(SimulatorConfig {
+                sources,
+                pack,
+                renderer: Renderer::Software,
+                cached_scenes: 1,
+            })
+        });
+        let found = findings(family, recording, run, simulator, &self.pictures);
+        found.map(Ok).with_context(|| recording.name.clone())
+    }
+
+    fn run(&self, family: Family, recording: &Recording) -> Result<Result<Run, Skipped>> {
+        let name = &recording.name;
+        let (suite, rest) = name.split_once('/').unwrap_or(("", name));
+        let (subject, protocol) = match family {
+            Family::Plus => {
+                let variant: Variant = rest.parse()?;
+                // `states.txt` has further postures of the released code.
+                let Some(entry) = entry(&variant) else {
+                    let lack = "not one of the benchmark's 10,030 variants";
+                    return Ok(Err(Skipped(lack.to_owned())));
+                };
+                (Subject::Plus(entry), "plus-openpi")
+            }
+            Family::Pro => (Subject::Pro(suite.parse()?), "pro-openpi"),
+            Family::Para => (Subject::Unperturbed, "plus-openpi"),
+        };
+        let task = match subject {
+            Subject::Plus(entry) => entry.variant.task,
+            Subject::Pro(suite) => task_of(suite, rest)?,
+            _ => task_of_sentence(name)?,
+        };
+        let case = Case {
+            subject,
+            task,
+            trial: 0,
+        };
+        let protocol = protocol.parse()?;
+        let row = case.row(&protocol);
+        let files = worker::variants::files(&row, &self.sources)?;
+        for file in [&files.bddl, &files.init] {
+            if !file.is_file() {
+                return Ok(Err(Skipped(format!("there is no {}", file.display()))));
+            }
+        }
+        let Prepared {
+            mut files,
+            start,
+            row,
+        } = Prepared::new(&row, &self.sources)?;
+        let group = match subject {
+            Subject::Plus(entry) => entry.dimension().to_string(),
+            Subject::Pro(_) => suite.rsplit('_').next().unwrap_or_default().to_owned(),
+            _ => "sentences".to_owned(),
+        };
+        let prompts = match (family, &self.para) {
+            (Family::Para, None) => None,
+            (Family::Para, Some(checkout)) => {
+                let folder = checkout.join("libero/libero");
+                files.bddl = folder.join(format!("bddl_files/libero_para/{name}.bddl"));
+                let number = number_of_task(name)?;
+                files.init =
+                    folder.join(format!("init_files/libero_para/eval{number}.pruned_init"));
+                let sentence = files.problem()?.language;
+                // Its scripts keep the capitals, which no parser of BDDL does.
+                Some(Prompts {
+                    prompt: None,
+                    sentence,
+                })
+            }
+            _ => Some(Prompts {
+                prompt: Some(row.instruction.clone()),
+                sentence: files.problem()?.language,
+            }),
+        };
+        Ok(Ok(Run {
+            group,
+            files,
+            row,
+            start,
+            prompts,
+        }))
+    }
+}
+
+fn findings(
+    family: Family,
+    recording: &Recording,
+    run: Run,
+    simulator: &mut Simulator,
+    pictures: &Path,
+) -> Result<Findings> {
+    let mut findings = Findings {
+        group: run.group,
+        prompt: run.prompts.and_then(|prompts| prompts.equal(recording)),
+        ..Findings::default()
+    };
+    let numbers = |kind: &str| recording.numbers.get(kind);
+    if let Some(expected) = numbers("reset") {
+        let row = ManifestRow {
+            settle_steps: 0,
+            ..run.row.clone()
+        };
+        let start = VariantStart {
+            start: Start::Reset,
+            ..run.start.clone()
+        };
+        let mut episode = simulator.begin_variant(run.files.clone(), &row, &start)?;
+        let found = episode.environment().state();
+        findings.states = difference(&found, expected)?;
+    }
+    let mut episode = simulator.begin_variant(run.files.clone(), &run.row, &run.start)?;
+    episode.settle()?;
+    let expected = numbers("official").context("the state after the waits is missing")?;
+    let found = episode.environment().state();
+    findings.states = findings.states.max(difference(&found, expected)?);
+    if let Some(expected) = numbers("camera") {
+        findings.camera = Some(difference(&camera(episode.environment())?, expected)?);
+    }
+    for name in CAMERAS {
+        let Some(number) = recording.number else {
+            continue;
+        };
+        let place = format!("{}_{number:02}_{name}", family.name());
+        let path = pictures.join(format!("{place}.png"));
+        if !path.is_file() {
+            continue;
+        }
+        let expected = image::open(&path)?.flipv().into_rgb8();
+        let (width, height) = expected.dimensions();
+        let request = ObservationRequest {
+            cameras: vec![CameraRequest {
+                name: name.to_owned(),
+                width,
+                height,
+            }],
+            privileged: false,
+        };
+        let frame = episode.observe(&request)?.frames.swap_remove(0);
+        let frames = findings.frames.get_or_insert_default();
+        frames.add(&frame.rgb, expected.as_raw(), &place);
+    }
+    if let Some(expected) = numbers("draw") {
+        let mut rng = LegacyRng::seed(run.start.seed);
+        episode.environment().reset(&mut rng, Reset::Hard, 2)?;
+        if let Some(corruption) = run.start.corruption {
+            for _ in 0..PICTURES {
+                corruption.skip(SIDE, SIDE, &mut rng);
+            }
+        }
+        findings.draw = Some(*expected == [rng.random_sample()]);
+    }
+    if let Some(expected) = numbers("trial-1") {
+        let row = ManifestRow {
+            init_id: 1,
+            ..run.row
+        };
+        let start = VariantStart {
+            earlier_resets: 1,
+            ..run.start
+        };
+        let mut episode = simulator.begin_variant(run.files, &row, &start)?;
+        episode.settle()?;
+        let found = episode.environment().state();
+        findings.states = findings.states.max(difference(&found, expected)?);
+    }
+    Ok(findings)
+}
+
+impl Prompts {
+    fn equal(&self, recording: &Recording) -> Option<bool> {
+        let is_equal = |text: &str, expected: &Option<String>| match expected {
+            Some(expected) => digest(text) == *expected,
+            None => true,
+        };
+        recording.prompt.as_ref()?;
+        let prompt = self.prompt.as_ref();
+        let is_prompt = prompt.is_none_or(|prompt| is_equal(prompt, &recording.prompt));
+        Some(is_prompt && is_equal(&self.sentence, &recording.sentence))
+    }
+}
+
+fn digest(text: &str) -> String {
+    let digest = Sha256::digest(text.as_bytes());
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn camera(environment: &Environment) -> Result<Vec<f64>> {
+    let model = environment.model();
+    let camera = model.id(ObjectKind::Camera, "agentview");
+    let camera = camera.context("the scene has no camera agentview")?;
+    let (pos, quat) = (
+        &model.cam_pos()[camera * 3..],
+        &model.cam_quat()[camera * 4..],
+    );
+    Ok([&pos[..3], &quat[..4]].concat())
+}
+
+fn difference(found: &[f64], expected: &[f64]) -> Result<f64> {
+    ensure!(
+        found.len() == expected.len(),
+        "{} numbers instead of {}",
+        found.len(),
+        expected.len()
+    );
+    let pairs = found.iter().zip(expected);
+    Ok(pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max))
+}
+
+fn task_of(suite: ProSuite, name: &str) -> Result<TaskRef> {
+    let mut tasks = suite.suite.tasks();
+    let task = tasks.find(|task| task.name() == name);
+    task.with_context(|| format!("{suite} has no task {name}"))
+}
+
+/// Returns the number of the task that a name of LIBERO-Para's file has.
+fn number_of_task(name: &str) -> Result<usize> {
+    let number = name.rsplit_once("_eval").map(|(_, rest)| rest);
+    let number = number.and_then(|rest| rest.split_once("_ver"));
+    let (number, _) = number.context("the name has no _eval and _ver")?;
+    Ok(number.parse()?)
+}
+
+/// LIBERO-Para numbers the tasks of libero_goal alphabetically.
+fn task_of_sentence(name: &str) -> Result<TaskRef> {
+    let mut tasks: Vec<TaskRef> = Suite::Goal.tasks().collect();
+    tasks.sort_by_key(|task| task.name());
+    let task = tasks.get(number_of_task(name)?).copied();
+    task.context("libero_goal has ten tasks")
+}
