@@ -1,4 +1,4 @@
-//! Files `about.json`, which describe result rows. The properties are in `untrusted_input`.
+//! Files `about.json`, which describe result rows. The checks are in `untrusted_input`.
 
 #![no_main]
 

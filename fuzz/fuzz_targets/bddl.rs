@@ -1,4 +1,4 @@
-//! BDDL files. The properties are in `untrusted_input`.
+//! BDDL files. The checks are in `untrusted_input`.
 
 #![no_main]
 

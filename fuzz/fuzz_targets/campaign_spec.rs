@@ -1,4 +1,4 @@
-//! Campaign specifications. The properties are in `untrusted_input`.
+//! Campaign specifications. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Models, scenes and cameras for the renderer. The properties are in `untrusted_input`.
+//! Models, scenes and cameras for the renderer. The checks are in `untrusted_input`.
 
 #![no_main]
 

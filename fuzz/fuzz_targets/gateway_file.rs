@@ -1,4 +1,4 @@
-//! The gateway's configuration file. The properties are in `untrusted_input`.
+//! The gateway's configuration file. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Manifests. The properties are in `untrusted_input`.
+//! Manifests. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Object models of an asset pack. The properties are in `untrusted_input`.
+//! Object models of an asset pack. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Answers of policy servers to the gateway. The properties are in `untrusted_input`.
+//! Answers of policy servers to the gateway. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Initial-state files. The properties are in `untrusted_input`.
+//! Initial-state files. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Recorded actions. The properties are in `untrusted_input`.
+//! Recorded actions. The checks are in `untrusted_input`.
 
 #![no_main]
 

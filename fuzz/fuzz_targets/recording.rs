@@ -1,4 +1,4 @@
-//! Recorded sessions. The properties are in `untrusted_input`.
+//! Recorded sessions. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Result rows of an export or of the reference. The properties are in `untrusted_input`.
+//! Import of result rows, from an export or from the reference implementation. The checks are in
+//! `untrusted_input`.
 
 #![no_main]
 

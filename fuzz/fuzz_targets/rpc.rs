@@ -1,4 +1,4 @@
-//! Arbitrary calls of the coordinator's methods. The properties are in `untrusted_input`.
+//! Arbitrary calls of the coordinator's methods. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Token files. The properties are in `untrusted_input`.
+//! Token files. The checks are in `untrusted_input`.
 
 #![no_main]
 

@@ -28,8 +28,8 @@ from rollout_policies.adapters.upstream import (  # noqa: E402
     UnusableOption,
 )
 
-#: The adapter of each random policy. lerobot's ACT is served by MINERVA's adapter: both networks
-#: hold the chunks of one episode.
+#: The adapter of each random policy. MINERVA's adapter serves lerobot's ACT, too: both networks
+#: hold the action queues of a single episode, and the adapter exchanges the queues at each query.
 ADAPTERS = {"smolvla": "smolvla", "pi05": "pi05", "vla-jepa": "vla-jepa", "act": "minerva"}
 
 

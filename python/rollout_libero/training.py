@@ -137,7 +137,7 @@ class TrainingEnvironment:
         # Equal starts are simulated once, in the first row that has them.
         first: dict[tuple[str, str], int] = {}
         leader_of = [
-            first.setdefault((_bddl_file(start.task), self._start_row(start)), at)
+            first.setdefault((_bddl_file(start.task), self._start_json(start)), at)
             for at, start in enumerate(starts)
         ]
         leaders = sorted(first.values())
@@ -145,7 +145,7 @@ class TrainingEnvironment:
         result = self._advance(
             simulations,
             np.empty((len(simulations), 0, ACTION_WIDTH)),
-            [self._start_row(starts[at]) for at in leaders],
+            [self._start_json(starts[at]) for at in leaders],
             render,
         )
         errors = dict(zip(leaders, result["errors"], strict=True))
@@ -205,7 +205,7 @@ class TrainingEnvironment:
         return self._simulation(row).frame(camera, width, height)[::-1]
 
     def snapshot(self, row: int) -> native.Snapshot:
-        """Returns the complete state for a row's next step."""
+        """Returns a row's complete state, from which `restore` continues the rollout."""
         return self._simulation(row).snapshot()
 
     def restore(self, row: int, snapshot: native.Snapshot) -> None:
@@ -244,17 +244,17 @@ class TrainingEnvironment:
             raise ValueError(f"failed to choose rows {chosen}: rows are 0 to {self.num_envs - 1}")
         return chosen
 
-    def _start_row(self, start: Start) -> str:
+    def _start_json(self, start: Start) -> str:
         steps, action = self._settle
-        row = {
+        fields = {
             "legacy_seed": start.seed,
             "rounds": start.loads,
             "settle_steps": steps,
             "settle_action": action,
         }
         if start.state is not None:
-            row["state"] = np.asarray(start.state, dtype=np.float64).tolist()
-        return json.dumps(row)
+            fields["state"] = np.asarray(start.state, dtype=np.float64).tolist()
+        return json.dumps(fields)
 
     def _advance(
         self,

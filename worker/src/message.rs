@@ -144,7 +144,7 @@ pub enum RolloutEvent {
     Filming(u32),
     /// The video that was announced with the result is in its file.
     Filmed,
-    /// The video could not be made; the reason reads after "failed to".
+    /// The video could not be made. The reason completes the phrase "failed to …".
     NotFilmed(String),
 }
 
@@ -164,8 +164,8 @@ pub struct Finished {
 /// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// Name that the renderer reports, in campaigns even for rollouts without a frame. Empty if no
-    /// renderer was opened.
+    /// Name that the renderer reports. Empty if no renderer was opened; a campaign opens one even
+    /// for a rollout that renders no frame.
     pub renderer: String,
     /// See [`sim::fingerprint`]; empty if no renderer was opened.
     pub fingerprint: String,
@@ -244,9 +244,9 @@ impl FailureKind {
 }
 
 impl From<&PolicyError> for FailureKind {
-    /// Charges the rollout for an answer that breaks the protocol, but not for a missing answer. A
-    /// description that fits no rollout is not charged either, because then all rollouts of the
-    /// policy would be charged.
+    /// Charges the rollout for an answer that breaks the protocol, but not for a missing answer. An
+    /// unusable policy description is not charged either, because it would be charged to every
+    /// rollout of the policy.
     fn from(error: &PolicyError) -> Self {
         match *error {
             PolicyError::InvalidAnswer { .. }

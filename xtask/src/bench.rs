@@ -114,7 +114,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         (Vec::new(), Vec::new(), Vec::new());
     for round in 1..=options.rounds {
         let name = |title: &str| format!("round {round}: {title}");
-        our_runs.push(step(&name("here"), || ours().map(RolloutTime))?.0);
+        our_runs.push(step(&name("this simulator"), || ours().map(RolloutTime))?.0);
         released_runs.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
         if options.execute > 1 {
             let title = name("original with fewer frames");

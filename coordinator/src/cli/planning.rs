@@ -14,7 +14,7 @@ use terminal::{counted, wrapped};
 use super::command::{CommandError, Connection, usage};
 
 /// Description of the outcomes assumed without `--planning-from`.
-const STUDENT: &str = "the student's published ones (examples/student)";
+const STUDENT: &str = "the student's published outcomes (examples/student)";
 
 /// Smallest detectable differences of a campaign, as printed by `--json`.
 #[derive(Debug, Serialize)]
@@ -84,7 +84,7 @@ impl Planning {
                          with such outcomes"
                     )));
                 }
-                (format!("those of {name}"), assumed)
+                (format!("the outcomes of {name}"), assumed)
             }
         };
         Ok(Planning {
@@ -202,8 +202,8 @@ fn describe_level(planned: &PlannedLevel) -> String {
     let own_tasks = &planned.these_tasks;
     format!(
         "{level}, {configurations} of {tasks}: for new tasks, a difference of two policies (A - B) \
-         of {} points, I {} from 0, R_d {} {against}; for the campaign's own tasks only, {}, {} \
-         and {}",
+         of {} points, I at {} points from 0, and R_d at {} points {against}; for the campaign's \
+         own tasks only, {}, {} and {} points",
         points(*difference),
         points(*i),
         points(*r_d),

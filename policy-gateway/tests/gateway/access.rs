@@ -167,7 +167,7 @@ async fn an_expired_certificate_is_named() {
 /// The server has no WebSocket, so a trusted connection fails after the TLS handshake, and an
 /// untrusted connection fails during the handshake.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
+async fn a_websocket_server_is_trusted_only_if_the_given_authority_signed_its_certificate() {
     let credentials = Credentials::new();
     let server = credentials.serve(2099);
     let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));

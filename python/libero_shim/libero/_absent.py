@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-_USE = "install the original LIBERO in another environment for it"
+_USE = "install the original LIBERO in another environment"
 
 #: Modules of the original that are left out, each with its remedy.
 _MODULES = {
     "libero.configs": _USE,
     "libero.lifelong": f"it trains policies; {_USE}",
     **{
-        f"libero.libero.utils.{module}": "of LIBERO's utilities only time_utils is included; get "
+        f"libero.libero.utils.{module}": "only time_utils of LIBERO's utilities is included; get "
         f"folders from libero.libero.get_libero_path and videos from imageio; {_USE} otherwise"
         for module in (
             "bddl_generation_utils",

@@ -206,7 +206,7 @@ def segmentations() -> Log:
 
 
 def stove() -> Log:
-    """Turns on a burner, which glows, also after a reset without reloading the model."""
+    """Turns on a glowing burner, and resets with and without reloading the model."""
     log: Log = []
     for hard_reset in (False, True):
         env = make("turn_on", hard_reset=hard_reset)

@@ -95,7 +95,7 @@ struct Run {
 }
 
 struct Prompts {
-    prompt: Option<String>,
+    prompt: String,
     sentence: String,
 }
 
@@ -212,15 +212,14 @@ impl Comparison {
                 let number = number_of_task(name)?;
                 files.init =
                     folder.join(format!("init_files/libero_para/eval{number}.pruned_init"));
-                let sentence = files.problem()?.language;
-                // Its scripts keep the capitals, which no parser of BDDL does.
+                // LIBERO-Para's scripts keep the capitals, which no parser of BDDL does.
                 Some(Prompts {
-                    prompt: None,
-                    sentence,
+                    prompt: files.sentence()?,
+                    sentence: files.problem()?.language,
                 })
             }
             _ => Some(Prompts {
-                prompt: Some(row.instruction.clone()),
+                prompt: row.instruction.clone(),
                 sentence: files.problem()?.language,
             }),
         };
@@ -325,8 +324,7 @@ impl Prompts {
             None => true,
         };
         recording.prompt.as_ref()?;
-        let prompt = self.prompt.as_ref();
-        let is_prompt = prompt.is_none_or(|prompt| is_equal(prompt, &recording.prompt));
+        let is_prompt = is_equal(&self.prompt, &recording.prompt);
         Some(is_prompt && is_equal(&self.sentence, &recording.sentence))
     }
 }

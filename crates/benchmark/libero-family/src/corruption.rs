@@ -34,7 +34,7 @@ pub enum Kind {
     Zoom,
     /// Fog as a plasma fractal, drawn for each picture.
     Fog,
-    /// Pixels copied from nearby between two Gaussian blurs.
+    /// Gaussian blur, then pixels copied from nearby, then a second Gaussian blur.
     Glass,
 }
 

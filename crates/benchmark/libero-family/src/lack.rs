@@ -9,7 +9,8 @@ use crate::protocol::Benchmark;
 /// Largest number of rollouts that a report names per reason; the others are counted.
 const MAX_NAMED: usize = 3;
 
-/// Reason why a rollout cannot run.
+/// Reason why a rollout cannot run. Displays as the missing thing and its remedy, the object of
+/// `lacks`: `task files; run …`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Lack {
     /// The BDDL file or the initial states are missing.
@@ -18,7 +19,7 @@ pub enum Lack {
     Folder(String),
     /// A file of a suite file's task is missing.
     File(String),
-    /// The files of a task are others than the suite file's.
+    /// The digest of a task's files differs from the digest in the suite file.
     OtherFiles {
         /// Path of the BDDL file.
         bddl: String,
@@ -36,7 +37,7 @@ pub enum Lack {
     },
     /// The scene cannot be composed, for the reason given.
     Scene(String),
-    /// Files that no package index has are missing.
+    /// Files are missing, and no package index provides them.
     Further(Further),
 }
 

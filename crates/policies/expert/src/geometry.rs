@@ -169,11 +169,11 @@ pub(crate) struct Footprint {
     pub(crate) wide: f64,
 }
 
-/// Recovers a rectangle from its world-aligned bounding box (`half`) and the
-/// body's orientation: the box of a rectangle a × b turned by t is
-/// a·|cos t| + b·|sin t| by a·|sin t| + b·|cos t|, which is solved for a and
-/// b. Near 45° the two equations are degenerate, and near-round bodies have no sides: in
-/// these cases the bounding box is used unchanged, along the body's or the world's axes.
+/// Recovers a rectangle from its world-aligned bounding box (`half`) and the body's orientation:
+/// the box of a rectangle a × b turned by t is a·|cos t| + b·|sin t| by a·|sin t| + b·|cos t|,
+/// which is solved for a and b. Near 45° the two equations are degenerate, and the result is a
+/// square along the body's axes. A solution that is not positive means a nearly round body, whose
+/// bounding box is returned unchanged, along the world's axes.
 pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     let t = horizontal_axis_angle(quat);
     let (c, s) = (t.cos().abs(), t.sin().abs());

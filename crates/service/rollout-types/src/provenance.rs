@@ -42,8 +42,8 @@ pub struct Provenance {
     /// The worker's asset pack, simulator and renderer.
     #[serde(flatten)]
     pub pin: Pin,
-    /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
-    /// equal bits. Empty in results of database schema 1.
+    /// SHA-256 of a fixed motion and its frames, hex. Slots with equal fingerprints simulate and
+    /// render with equal bits. Empty in results of database schema 1.
     #[serde(default)]
     pub fingerprint: String,
     /// Realisation mode: "matched" or "reference".

@@ -20,8 +20,9 @@ use tonic::{Code, Status};
 const MAX_NEXT_BYTES: usize = 512;
 /// Longest session id that is looked up, bytes.
 const MAX_SESSION_BYTES: usize = 64;
-/// Headers that report the origin of a request, relative to the page's site. Browsers send these
-/// three with every request to a trustworthy address, loopback included.
+/// Headers that report how the requesting page's origin relates to the server's, and the mode and
+/// the destination of the request. Browsers send these three with every request to a trustworthy
+/// address, loopback included.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 const FETCH_DEST: HeaderName = HeaderName::from_static("sec-fetch-dest");
@@ -137,8 +138,8 @@ fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
     })
 }
 
-/// Returns true if the browser reports a request by a page of another origin, which includes
-/// another port, other than a link that the user followed.
+/// Returns true if the browser reports that a page of another origin caused the request, unless the
+/// user followed a link. Another port of the same host is another origin.
 fn is_foreign_fetch<B>(request: &Request<B>) -> bool {
     let has_value = |name: HeaderName, value: &str| {
         let sent = request.headers().get(name);
@@ -162,8 +163,8 @@ fn is_private_name(host: &str) -> bool {
     name.parse::<IpAddr>().is_ok() || (!name.is_empty() && !name.contains('.'))
 }
 
-/// Refuses a request that is not a gRPC call: redirects a browser that must log in to the form at
-/// `log_in`, and answers any other caller with a line of text.
+/// Returns the HTTP response that refuses a request other than a gRPC call: a redirect to the
+/// log-in form at `log_in` if a browser's user must log in first, otherwise a line of text.
 pub(crate) fn refusal<B>(
     status: &Status,
     request: &Request<B>,

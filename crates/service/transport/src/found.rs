@@ -377,7 +377,7 @@ impl fmt::Display for Remedy<'_> {
             ),
             ProbeResult::Certificate(CertificateFault::Untrusted) => write!(
                 f,
-                "name the certificate of the authority that signed it with {authority}"
+                "set {authority} to the certificate of the authority that signed it"
             ),
             ProbeResult::Certificate(CertificateFault::Expired { .. }) => {
                 f.write_str("start the server with a new one in --tls-cert")

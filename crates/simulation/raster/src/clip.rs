@@ -10,6 +10,7 @@ use crate::matrix::Vec3;
 pub(crate) struct ClippedCorner<V> {
     /// Position in the picture, pixels, and depth.
     pub(crate) window: [f32; 3],
+    /// Reciprocal of w in clip space.
     pub(crate) over_w: f32,
     /// Interpolated values, not divided by w.
     pub(crate) values: V,
@@ -83,7 +84,7 @@ impl Values for F {
 struct Corner<V> {
     pos: [f32; 4],
     values: V,
-    /// True for corners of the original triangle, which are not divided by w yet.
+    /// True for corners of the original triangle, false for corners that clipping added.
     is_original: bool,
 }
 

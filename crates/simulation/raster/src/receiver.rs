@@ -4,8 +4,8 @@ use crate::instance::View;
 use crate::lanes::F;
 use crate::matrix::Matrix;
 
-/// Planes in the eye's frame whose distances are the coordinates in a shadow map: column, row,
-/// depth, and the number that divides these three.
+/// Four planes in the eye's frame. The distances of a position from them are its coordinates in a
+/// shadow map: column, row, depth, and the number by which these three are divided.
 #[derive(Debug)]
 pub(crate) struct Receiver([[f32; 4]; 4]);
 

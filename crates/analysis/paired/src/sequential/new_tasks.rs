@@ -2,8 +2,9 @@
 //! drawn from, under the campaign's directions.
 //!
 //! # Estimand
-//! The tasks of suite h are independent draws from one population, with the mean μ_h of a
-//! task's own mean. An interval is about the average of μ_h over the suites.
+//! The mean of a task is the mean of a measure over its configurations. The tasks of suite h are
+//! independent draws from one population, and μ_h is the expectation of their means. An interval
+//! is about the average of μ_h over the suites.
 //!
 //! # Proof of validity at all looks
 //! Each round has one task of every suite. For numbers s (a bet) and c (a centre) that

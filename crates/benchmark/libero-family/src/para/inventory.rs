@@ -18,7 +18,8 @@ const FIGURES: &str = include_str!("../../data/para.txt");
 pub struct Paraphrase {
     /// LIBERO's task.
     pub task: TaskRef,
-    /// Position of the task in the alphabet of the suite's files: `eval` of the benchmark.
+    /// Index of the task, from 0, in the alphabetical order of the suite's task names: `eval` of
+    /// the benchmark.
     pub eval: u8,
     /// Type.
     pub kind: Kind,
@@ -52,8 +53,8 @@ impl fmt::Display for Paraphrase {
     }
 }
 
-/// Returns the SHA-256 of the benchmark's files, hex: of what `sha256sum` prints for the BDDL files
-/// and the metadata, by path.
+/// Returns the SHA-256, in hex, of the lines that `sha256sum` prints for the benchmark's BDDL files
+/// and metadata, in the order of their paths.
 pub fn digest() -> &'static str {
     FIGURES.lines().next().unwrap_or_default()
 }
@@ -102,7 +103,8 @@ fn parse(
     paraphrases.collect()
 }
 
-/// Returns the paraphrase of a task with a name of rollout ids; `None` if there is none.
+/// Returns the paraphrase of a task by its name in rollout ids, such as `act_hint_1`; `None` if
+/// there is none.
 pub fn paraphrase(task: TaskRef, label: &str) -> Option<&'static Paraphrase> {
     static INDICES: OnceLock<HashMap<(TaskRef, String), usize>> = OnceLock::new();
     let indices = INDICES.get_or_init(|| {

@@ -16,7 +16,7 @@ pub enum Wording {
     Coordination,
     /// A subordinate clause.
     Subordination,
-    /// A need, stated.
+    /// A statement of a need.
     Need,
     /// An imperative inside another sentence.
     Embedded,
@@ -29,8 +29,8 @@ pub enum Wording {
 }
 
 impl Wording {
-    /// The changes of words for the action, in the order of the paper's table. The first three are
-    /// also those for the object.
+    /// The changes of words for the action, in the order of the paper's table. The first three also
+    /// apply to the words for the object.
     pub const ALL: [Self; 10] = [
         Self::Addition,
         Self::Contextual,

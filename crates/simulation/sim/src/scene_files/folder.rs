@@ -225,8 +225,8 @@ impl SceneFolder {
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(file),
-                // A file system without locks never evicts files in use, since eviction requires a
-                // lock; and two processes that write one scene write identical files.
+                // Without locks, the caller proceeds: no file in use is evicted, since eviction
+                // requires a lock; and two processes that write one scene write identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) if started.elapsed() < self.max_wait => {
                     thread::sleep(POLL);

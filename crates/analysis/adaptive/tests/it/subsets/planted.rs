@@ -219,12 +219,13 @@ pub(crate) fn search(
     }
 }
 
-/// Returns true if every campaign of the axes `full` runs a subset: no axis, one, or all.
+/// Returns true if every campaign with the axes `full` runs the subset `set`, which then has
+/// no axis, one axis or all axes.
 pub(crate) fn is_of_source(set: AxisSet, full: AxisSet) -> bool {
     set.len() < 2 || set == full
 }
 
-/// Returns a configuration with the outcomes of a campaign that runs no further subsets.
+/// Returns a configuration with the outcomes of the subsets that every campaign runs.
 pub(crate) fn source(
     full: AxisSet,
     evidence: Evidence,
