@@ -1,5 +1,5 @@
-//! LIBERO's other 90 tasks. Nothing is evaluated on them, but their BDDL files resemble those that
-//! users write.
+//! The 90 tasks of LIBERO-90. LIBERO-CTRL evaluates no policy on them, but their BDDL files
+//! resemble those that users write.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -99,8 +99,8 @@ fn missing_category(task: &Task, error: &SceneError, pack: &Path) -> String {
         .clone()
 }
 
-/// Compiles each scene once and, for every task in it, resolves the goal, loads
-/// one of its released states and steps.
+/// Compiles each scene once. For every task in it, resolves the goal, loads a released initial
+/// state and steps. Returns the number of tasks.
 fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
     let mut ran = 0;
     for group in scenes.into_values() {
@@ -110,7 +110,7 @@ fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
             let model = environment.model();
             assert_eq!(task.states.width(), 1 + model.nq() + model.nv(), "{name}");
             let goal = Goal::resolve(scene, model).unwrap_or_else(|e| panic!("{name}: {e}"));
-            // A different state for each task, spread over the fifty.
+            // Each task of a scene gets another of the 50 states.
             environment.load(task.states.get(index * 7 % STATES).unwrap());
             for _ in 0..10 {
                 let step = environment.step(&NO_OP);

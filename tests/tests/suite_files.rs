@@ -26,18 +26,18 @@ struct OwnSuite {
 impl OwnSuite {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
-        let own = tests::files::sources();
+        let original = tests::files::sources();
         let sources = folder.path().join("sources");
         fs::create_dir(&sources).expect("a folder");
         for part in ["libero", "robosuite", "packs"] {
             let link = sources.join(part);
-            std::os::unix::fs::symlink(own.dir().join(part), link).expect("a link");
+            std::os::unix::fs::symlink(original.dir().join(part), link).expect("a link");
         }
         let suite = Self { folder };
         let files = suite.sources().join("suites/kitchen");
         fs::create_dir_all(files.join("states")).expect("a folder");
         for (task, name) in [("libero_goal/8", "plate"), ("libero_goal/7", "stove")] {
-            let task = TaskFiles::of_task(&own, task.parse().expect("a task"));
+            let task = TaskFiles::of_task(&original, task.parse().expect("a task"));
             fs::copy(task.bddl, files.join(format!("{name}.bddl"))).expect("copies");
             let states = files.join(format!("states/{name}.pruned_init"));
             fs::copy(task.init, states).expect("copies");
@@ -178,7 +178,8 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     let (_, unperturbed) = &results(&libero)["libero_goal/put_the_bowl_on_the_plate/e00"];
     assert_eq!(outcome, unperturbed);
 
-    // A camera, a posture, a corruption and more states reach the simulator.
+    // The file's camera, posture, corruption and second initial state reach the simulator: all
+    // first frames differ.
     let mut file = suite.read();
     file["budget"] = 1.into();
     file["suites"][0]["tasks"] = json!([
@@ -228,7 +229,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     assert_eq!(results(&output).len(), 1);
     fs::rename(&moved, &states).expect("moves back");
 
-    // The rest resumes; another file is refused.
+    // A second call runs the remaining rollouts; an altered suite file is refused.
     succeed(suite.call(&run));
     assert_eq!(results(&output).len(), 2);
     let mut other = file.clone();
@@ -376,7 +377,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
         "{shown}"
     );
 
-    // An archive with films is read by another coordinator.
+    // Another coordinator imports the archive with its films.
     let films = data.join("artifacts/ninety");
     let count = || fs::read_dir(&films).map_or(0, Iterator::count);
     let start = Instant::now();
@@ -445,7 +446,8 @@ fn a_worker_that_lacks_a_tasks_file_runs_the_others_until_the_file_is_there() {
         assert!(start.elapsed() < Duration::from_secs(120), "{text}");
         std::thread::sleep(Duration::from_millis(200));
     }
-    // Leased once, to find out, and not again.
+    // The worker leased at most one rollout of the task, whose failure told the coordinator that the
+    // file is missing.
     std::thread::sleep(Duration::from_secs(3));
     let attempts = |trial: u8| {
         let id = format!("own/t1/own:tables/i{trial:02}");

@@ -7,9 +7,9 @@ use sim::mujoco::ObjectKind;
 use sim::predicates::Goal;
 use sim::{Environment, Episode, ObservationRequest};
 
-/// Largest overlap of a movable object with anything at rest, m.
+/// Largest allowed overlap of a movable object with another body at rest, m.
 pub(crate) const MAX_OVERLAP: f64 = 0.005;
-/// Largest horizontal distance between an object's released and resting positions, m.
+/// Largest allowed horizontal distance between an object's released and resting positions, m.
 pub(crate) const MAX_DRIFT: f64 = 0.15;
 
 pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {

@@ -1,4 +1,4 @@
-//! Servers that a client does not expect, on real sockets.
+//! Servers that clients meet at an address, on real sockets, and a certificate authority.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};

@@ -157,7 +157,7 @@ impl PathUse {
 }
 
 /// Collects the paths in the tokens of a file, inside `depth` inline modules.
-fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
+fn collect(tokens: TokenStream, depth: usize, paths: &mut Vec<PathUse>) {
     let tokens: Vec<TokenTree> = tokens.into_iter().collect();
     let ident = |at: usize| match tokens.get(at) {
         Some(TokenTree::Ident(ident)) => Some(ident.to_string()),
@@ -172,8 +172,8 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                 at += 1 + item_length(&tokens[at + 1..]);
             }
             TokenTree::Group(group) => {
-                let inner = at >= 3 && ident(at - 3).is_some_and(|word| word == "mod");
-                collect(group.stream(), depth + usize::from(inner), found);
+                let is_module = at >= 3 && ident(at - 3).is_some_and(|word| word == "mod");
+                collect(group.stream(), depth + usize::from(is_module), paths);
                 // Parentheses may belong to `pub(crate)`.
                 is_reexport &= group.delimiter() == Delimiter::Parenthesis;
             }
@@ -184,7 +184,7 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                     .take_while(|token| !is(token, ';'))
                     .count();
                 for segments in use_tree(&tokens[at..at + length]) {
-                    found.push(PathUse {
+                    paths.push(PathUse {
                         segments,
                         is_reexport,
                         depth,
@@ -201,7 +201,7 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                     at += 3;
                 }
                 if segments.len() > 1 {
-                    found.push(PathUse {
+                    paths.push(PathUse {
                         segments,
                         is_reexport: false,
                         depth,
@@ -219,7 +219,7 @@ fn is(token: &TokenTree, punctuation: char) -> bool {
 }
 
 fn is_path_separator(tokens: &[TokenTree]) -> bool {
-    matches!(tokens, [one, two, ..] if is(one, ':') && is(two, ':'))
+    matches!(tokens, [first, second, ..] if is(first, ':') && is(second, ':'))
 }
 
 /// Returns true if the tokens start with `#[cfg(test)]`.
