@@ -60,8 +60,8 @@ fn one_build_of_each_dependency_serves_programs_and_tests() {
         let twice: Vec<_> = selected.difference(&tests).collect();
         assert!(
             twice.is_empty(),
-            "dependencies of {packages:?} have other features than in the tests: {twice:?}; add the \
-             tests' features to the package `workspace-hack`"
+            "dependencies of {packages:?} have other features than in the tests: {twice:?}; add \
+             the tests' features to the package `workspace-hack`"
         );
     }
 }

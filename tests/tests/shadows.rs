@@ -29,8 +29,8 @@ struct Case {
 const CASES: &str = include_str!("shadows/cases.json");
 /// Folder of the recorded pictures.
 const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shadows");
-/// Number of cases, at the beginning of the file, by which the renderer was developed; the remaining
-/// cases were held out.
+/// Number of cases, at the beginning of the file, by which the renderer was developed; the
+/// remaining cases were held out.
 const HELD_OUT: usize = 5;
 /// Smallest allowed share of pixels that are equal, and that are within [`CLOSE_LEVELS`].
 const EQUAL: f64 = 0.999;

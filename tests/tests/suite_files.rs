@@ -446,8 +446,8 @@ fn a_worker_that_lacks_a_tasks_file_runs_the_others_until_the_file_is_there() {
         assert!(start.elapsed() < Duration::from_secs(120), "{text}");
         std::thread::sleep(Duration::from_millis(200));
     }
-    // The worker leased at most one rollout of the task, whose failure told the coordinator that the
-    // file is missing.
+    // The worker leased at most one rollout of the task, whose failure told the coordinator that
+    // the file is missing.
     std::thread::sleep(Duration::from_secs(3));
     let attempts = |trial: u8| {
         let id = format!("own/t1/own:tables/i{trial:02}");

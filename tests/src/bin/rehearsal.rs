@@ -1,8 +1,8 @@
 //! Dress rehearsal of a week of operation in compressed time: a campaign of every rollout of a
 //! policy, with two replicates, on slots that start and stop, with a policy outage, an upgrade of
-//! the coordinator, a full disk, clock jumps and a restored backup. All processes are real, except that slots are simulated.
-//! Report and results must equal those of the same campaign without faults, byte for byte. Exits
-//! with 1 if they do not.
+//! the coordinator, a full disk, clock jumps and a restored backup. All processes are real, except
+//! that slots are simulated. Report and results must equal those of the same campaign without
+//! faults, byte for byte. Exits with 1 if they do not.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

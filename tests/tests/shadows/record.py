@@ -52,7 +52,7 @@ def states(path) -> np.ndarray:
 
 
 def changed(text: str, lights: dict) -> str:
-    """Returns a scene file with other attributes of lights, and paths for a folder one level deeper."""
+    """A scene file with other attributes of lights, and paths for a folder one level deeper."""
     text = text.replace('file="', 'file="../')
     for name, attributes in lights.items():
         (light,) = re.findall(rf'<light [^>]*name="{name}"[^>]*/>', text)
