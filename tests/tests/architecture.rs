@@ -110,10 +110,10 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
 
 /// Crates of each line of the diagram in docs/ARCHITECTURE.md, from the top.
 fn layers() -> Vec<Vec<String>> {
-    let map = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
-    let map = std::fs::read_to_string(map).unwrap();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
+    let page = std::fs::read_to_string(path).unwrap();
     let rule = "A crate uses only crates on the lines below its own.";
-    let (before, _) = map.split_once(rule).expect("the map states the rule");
+    let (before, _) = page.split_once(rule).expect("the page states the rule");
     let diagram = before
         .rsplit("```")
         .nth(1)
@@ -250,8 +250,8 @@ fn is_long_name(name: &str) -> bool {
 }
 
 #[test]
-fn the_map_names_only_files_tests_and_invariants_that_exist() {
-    let map = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
+fn the_architecture_page_names_only_files_tests_and_invariants_that_exist() {
+    let page = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
     let code = rust_sources();
     let exists = |name: &str| {
         if name.contains('/') {
@@ -262,7 +262,7 @@ fn the_map_names_only_files_tests_and_invariants_that_exist() {
             true
         }
     };
-    let mut missing = names(&map);
+    let mut missing = names(&page);
     missing.retain(|name| !exists(name));
     assert!(missing.is_empty(), "not in the repository: {missing:?}");
 }

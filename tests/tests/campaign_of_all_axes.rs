@@ -59,7 +59,8 @@ fn check_export(rows: &[String]) {
     );
 }
 
-/// Asserts that all three cells are complete, with the paired measures of both configurations.
+/// Asserts that the cells of all three levels are complete: each has the paired measures of the two
+/// tasks' configurations.
 fn check_report(report: &str) {
     let document: Value = serde_json::from_str(report).unwrap();
     let report = &document["reports"][0];

@@ -125,7 +125,7 @@ fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
 }
 
 #[test]
-fn all_ninety_other_tasks_are_read_with_their_initial_states() {
+fn all_tasks_of_libero_90_are_read_with_their_initial_states() {
     let tasks = tasks(&sources());
     assert_eq!(tasks.len(), TASKS);
     for task in tasks {
@@ -134,8 +134,8 @@ fn all_ninety_other_tasks_are_read_with_their_initial_states() {
 }
 
 #[test]
-fn other_tasks_run_on_the_real_assets_or_name_the_missing_category() {
-    let test = "other_tasks_run_on_the_real_assets_or_name_the_missing_category";
+fn tasks_of_libero_90_run_on_liberos_assets_or_name_the_missing_category() {
+    let test = "tasks_of_libero_90_run_on_liberos_assets_or_name_the_missing_category";
     let sources = sources();
     if let Some(pack) = libero(&sources, test) {
         check_pack(&pack, &sources);
@@ -143,7 +143,7 @@ fn other_tasks_run_on_the_real_assets_or_name_the_missing_category() {
 }
 
 #[test]
-fn other_tasks_run_on_the_built_in_pack_or_name_the_missing_category() {
+fn tasks_of_libero_90_run_on_the_built_in_pack_or_name_the_missing_category() {
     let sources = sources();
     check_pack(&primitives(&sources), &sources);
 }

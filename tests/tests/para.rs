@@ -66,8 +66,8 @@ fn files_of_all_sentences_equal_those_of_the_task_except_for_the_sentence() {
 }
 
 #[test]
-fn sentences_and_similarities_of_all_names_are_those_of_the_metadata() {
-    let test = "sentences_and_similarities_of_all_names_are_those_of_the_metadata";
+fn sentences_and_similarities_of_all_paraphrases_equal_the_metadata() {
+    let test = "sentences_and_similarities_of_all_paraphrases_equal_the_metadata";
     let Some(checkout) = checkout(test) else {
         return;
     };

@@ -193,8 +193,11 @@ impl ClusterCampaign {
         });
         // Longer than a requeued job waits until it may start.
         sleep(Duration::from_secs(8));
-        let now = self.cluster.job(task);
-        assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
+        let current = self.cluster.job(task);
+        assert!(
+            current.state != "RUNNING" || current.node != before.node,
+            "{current:?}"
+        );
         scontrol(&["update", &name, "State=RESUME"]);
         self.wait_until("the worker is back", |campaign| {
             campaign.is_back(task, before.restarts + 1)

@@ -157,12 +157,12 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     for words in ["tables", "kitchen@"] {
         assert!(table.contains(words), "no `{words}`: {table}");
     }
-    let own = results(&output);
+    let results_by_name = results(&output);
     assert_eq!(
-        own.keys().collect::<Vec<_>>(),
+        results_by_name.keys().collect::<Vec<_>>(),
         ["tables/t0/e00", "tables/t1/e00"]
     );
-    let (row, outcome) = &own["tables/t0/e00"];
+    let (row, outcome) = &results_by_name["tables/t0/e00"];
     assert_eq!(row["benchmark"], "kitchen");
     assert_eq!(row["task"], "own/0");
     assert_eq!(row["waits"], 10);
@@ -232,9 +232,9 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     // A second call runs the remaining rollouts; an altered suite file is refused.
     succeed(suite.call(&run));
     assert_eq!(results(&output).len(), 2);
-    let mut other = file.clone();
-    other["seed"] = 7.into();
-    suite.write(&other);
+    let mut altered = file.clone();
+    altered["seed"] = 7.into();
+    suite.write(&altered);
     assert_refused(
         &suite.call(&run),
         &["protocol `kitchen@", "give another --output"],
@@ -392,9 +392,9 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let archive = folder.path().join("ninety.tar");
     let archive = archive.to_str().expect("UTF-8");
     campaigns.succeed(&["campaign", "archive", "ninety", "--output", archive]);
-    let other = Campaigns::start(&folder.path().join("other"));
-    other.succeed(&["campaign", "import", archive]);
-    assert_eq!(other.outcomes("ninety"), campaigns.outcomes("ninety"));
+    let importer = Campaigns::start(&folder.path().join("importer"));
+    importer.succeed(&["campaign", "import", archive]);
+    assert_eq!(importer.outcomes("ninety"), campaigns.outcomes("ninety"));
 
     for arguments in [
         &["explain", "ninety", "--create"][..],
@@ -404,8 +404,8 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
         let output = campaigns.call(arguments);
         assert!(!output.status.success(), "{arguments:?}");
     }
-    let both = [&create[..], &["--protocol", "pro-bddl"]].concat();
-    assert!(!campaigns.call(&both).status.success());
+    let conflicting = [&create[..], &["--protocol", "pro-bddl"]].concat();
+    assert!(!campaigns.call(&conflicting).status.success());
     fs::write(&path, "{}").expect("writes");
     assert_refused(
         &campaigns.call(&create),
@@ -414,7 +414,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
 }
 
 #[test]
-fn a_worker_that_lacks_a_tasks_file_runs_the_others_until_the_file_is_there() {
+fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
     let suite = OwnSuite::new();
     let mut file = suite.read();
     file["budget"] = 1.into();

@@ -1,5 +1,5 @@
 //! Benchmark of the software renderer against OpenGL: speed and agreement of pixels.
-//! Both render the same scenes alternately in one process, frame by frame. Run by
+//! The renderers draw the same scenes alternately in one process, frame by frame. Run by
 //! `cargo xtask bench draw`; docs/PERFORMANCE.md explains the results.
 
 #![forbid(unsafe_code)]
@@ -371,7 +371,7 @@ impl Totals {
         ))
     }
 
-    /// Adds both cameras of a scene.
+    /// Adds the ratio of the renderers' times over both cameras of a scene.
     fn add(&mut self, scene: &str, findings: &[Findings; 2]) {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
             let medians = findings

@@ -105,9 +105,9 @@ fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 
         }
     };
     thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
+        let helpers: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
         work()?;
-        others
+        helpers
             .into_iter()
             .try_for_each(|thread| thread.join().expect("no panic"))
     })

@@ -321,17 +321,17 @@ fn measure(arguments: &Arguments) -> Result<()> {
 
     let (mut private, mut resident, mut mapped) = (Vec::new(), Vec::new(), Vec::new());
     for task in &tasks {
-        let mut both = [start()?, start()?];
-        for slot in &mut both {
+        let mut pair = [start()?, start()?];
+        for slot in &mut pair {
             slot.send(*task)?;
             slot.wait_for_start()?;
             slot.wait_for_steps()?;
         }
-        let memory = both[1].memory()?;
+        let memory = pair[1].memory()?;
         private.push(memory.private);
         resident.push(memory.resident);
-        mapped.push(both[1].resident_of(&scenes)?);
-        both.into_iter().try_for_each(Slot::end)?;
+        mapped.push(pair[1].resident_of(&scenes)?);
+        pair.into_iter().try_for_each(Slot::end)?;
     }
     row(
         "a further slot, one scene, not shared: most",

@@ -10,8 +10,8 @@ use tempfile::TempDir;
 
 use crate::programs::program;
 
-/// Folders of the checkout that are copied because commands write to them; the others are
-/// symbolic links.
+/// Folders of the checkout that are copied because commands write to them. The sandbox has symbolic
+/// links in place of all other folders.
 const COPIED: [&str; 2] = ["assets", "policies"];
 
 /// Environment variables that are removed, since a new reader has not set them.

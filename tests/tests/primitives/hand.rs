@@ -142,8 +142,8 @@ fn joints_of<'a>(scene: &'a Scene, name: &str) -> (&'a Instance, &'a [String]) {
 }
 
 /// Makes the last of the reached predicates true while the earlier ones stay true: releases its
-/// object on or in its place, at one position after another. Returns the state at rest; `None` if no
-/// position works.
+/// object on or in its place, at one position after another. Returns the state at rest; `None` if
+/// no position works.
 fn place_object(
     episode: &mut Episode<'_>,
     state: &[f64],

@@ -65,12 +65,12 @@ impl<'a> Released<'a> {
     /// Describes the objects that have moved by more than `drift` m or fallen since their release,
     /// and the initial statements that do not hold.
     pub(crate) fn compare(&self, episode: &mut Episode<'_>, drift: f64) -> Vec<String> {
-        let now = entities(episode);
+        let at_rest = entities(episode);
         let workspace = workspace_height(self.problem);
         let mut problems = Vec::new();
         for before in &self.objects {
             let name = &before.name;
-            let after = now.iter().find(|entity| entity.name == *name);
+            let after = at_rest.iter().find(|entity| entity.name == *name);
             let after = after.expect("objects do not vanish");
             let moved = (after.pos[0] - before.pos[0]).hypot(after.pos[1] - before.pos[1]);
             if moved.is_nan() || moved > drift {

@@ -79,13 +79,13 @@ fn over_tls(
     serve: impl Fn([String; 4]) -> Process,
     trusted: &Authority,
 ) -> (Vec<Process>, Vec<Case>) {
-    let other = Authority::new();
+    let untrusted = Authority::new();
     let processes = [
         trusted.arguments("localhost", 2099),
-        other.arguments("localhost", 2099),
+        untrusted.arguments("localhost", 2099),
         trusted.arguments("localhost", 2020),
         trusted.arguments("gpu-3.example", 2099),
-        other.own_arguments(),
+        untrusted.own_arguments(),
     ]
     .map(serve);
     let at = |index: usize| {
