@@ -21,7 +21,8 @@ pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
     observation.privileged.expect("privileged state").entities
 }
 
-/// Returns the deepest overlap of a movable object with anything, m, and the names of both geoms.
+/// Returns the deepest overlap of a movable object with another geom, m, and the names of the two
+/// geoms.
 pub(crate) fn deepest_overlap(environment: &Environment) -> (f64, String) {
     let (scene, model) = (environment.scene(), environment.model());
     let objects = scene.instances.iter();
