@@ -73,20 +73,20 @@ pub fn shared(folder: &str, test: &str) -> Option<PathBuf> {
     None
 }
 
-/// Makes a folder of assets with links to a pack's files. The folders `own` inside it are no links,
-/// so that files can be added to them.
+/// Makes a folder of assets with links to a pack's files. The folders `writable` inside it are real
+/// folders instead of links, so that files can be added to them.
 ///
 /// # Panics
 /// If the pack cannot be read or the folder cannot be written.
-pub fn folder_with_links(pack: &Path, own: &[&str]) -> tempfile::TempDir {
+pub fn folder_with_links(pack: &Path, writable: &[&str]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    for inside in [&[""], own].concat() {
-        let here = folder.path().join(inside);
-        std::fs::create_dir_all(&here).expect("a folder");
-        for entry in std::fs::read_dir(pack.join(inside)).expect("a pack") {
+    for subfolder in [&[""], writable].concat() {
+        let target = folder.path().join(subfolder);
+        std::fs::create_dir_all(&target).expect("a folder");
+        for entry in std::fs::read_dir(pack.join(subfolder)).expect("a pack") {
             let entry = entry.expect("a file");
-            if !own.iter().any(|name| entry.file_name() == **name) {
-                let link = here.join(entry.file_name());
+            if !writable.iter().any(|name| entry.file_name() == **name) {
+                let link = target.join(entry.file_name());
                 std::os::unix::fs::symlink(entry.path(), link).expect("a link");
             }
         }

@@ -5,11 +5,11 @@
 
 pub mod browser;
 pub mod chaos;
-pub mod circles;
 pub mod documents;
 pub mod family;
 pub mod fidelity;
 pub mod files;
+pub mod import_cycles;
 pub mod measure;
 pub mod phrases;
 pub mod programs;

@@ -126,7 +126,8 @@ impl Drop for Process {
 /// A coordinator and a gateway, with an operator's commands.
 pub struct Campaigns {
     pub coordinator: Process,
-    /// The gateway, with routes `expert`, `noop` and `student`: of boxes, unless another was given.
+    /// The gateway, with routes `expert`, `noop` and `student`. The last one leads to
+    /// `builtin:student-boxes` unless [`Self::with_student`] names another back-end.
     pub gateway: Process,
 }
 
@@ -136,7 +137,7 @@ impl Campaigns {
         Self::with_student(data, "builtin:student-boxes")
     }
 
-    /// As [`Self::start`], with another policy as `student`.
+    /// Starts both programs like [`Self::start`], with `backend` as the policy `student`.
     pub fn with_student(data: &Path, backend: &str) -> Self {
         let mut gateway = Command::new(program("policy-gateway"));
         gateway.args(["--listen", "127.0.0.1:0"]);

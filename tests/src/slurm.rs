@@ -329,7 +329,7 @@ pub fn host_name() -> String {
 /// Returns free TCP ports.
 ///
 /// # Panics
-/// If there are not enough.
+/// If too few ports are free.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
     listeners.map(|listener| listener.local_addr().expect("an address").port())

@@ -17,7 +17,7 @@ A comparison of two policies has a "name" and "compared": per row, its "name", "
 [steps of A, of B]], where a goal is [predicates that held, predicates].
 
 Prints how many figures agree; fails with the names of those that do not. Shares no code with the
-crate; the formulas are those of docs/REPORT.md.
+crate `paired`; the formulas are those of docs/REPORT.md.
 """
 
 import json
@@ -39,7 +39,7 @@ TOLERANCE = 1e-9
 
 
 def grouped(labels):
-    """Rows of each label, as indices."""
+    """Returns the indices of the rows of each label."""
     order = {}
     for row, label in enumerate(labels):
         order.setdefault(label, []).append(row)
@@ -57,12 +57,12 @@ class Sample:
         if any(len({t for t, s in zip(tasks, suites) if s == suite}) < 2 for suite in set(suites)):
             suites = [0] * len(keys)
         rows = [[[row] for row in rows] for rows in grouped(suites).values()]
-        of_suites = [
+        tasks_by_suite = [
             list(grouped_rows(tasks, rows).values()) for rows in grouped(suites).values()
         ]
         self.tasks = len(set(tasks))
         self.in_task = self.leave_out([[[row] for row in rows] for rows in grouped(tasks).values()])
-        self.by_task = self.leave_out(of_suites)
+        self.by_task = self.leave_out(tasks_by_suite)
         self.by_row = self.leave_out(rows)
         by_direction = grouped(config for _, _, config in keys)
         self.by_direction = self.leave_out([list(by_direction.values())])
@@ -91,7 +91,8 @@ class Sample:
         variance = float(((sizes - 1) / sizes * squares).sum())
         return (variance, int((sizes - 1).sum())) if np.isfinite(variance) else None
 
-    def estimate(self, f, is_share):
+    def estimate(self, f, scale):
+        """`scale`: True for a share, False for a difference of shares, or "product" or "mean"."""
         with np.errstate(all="ignore"):
             value = float(f(self.x.sum(axis=0)))
             if not np.isfinite(value):
@@ -111,7 +112,7 @@ class Sample:
         if self.tasks < MIN_TASKS:
             new = both = None
         interval = {"product": product_interval, "mean": unbounded_t_interval}.get(
-            is_share, wilson if is_share else t_interval
+            scale, wilson if scale else t_interval
         )
         has_spread = new is not None and new[0] > 1e-24
         return {
@@ -237,7 +238,7 @@ def excess(keys, y, placebo):
         rows[key] = [1, alone and not outcomes[-1], not alone and outcomes[-1], 0, 0, 0]
     for key, outcomes in zip(*placebo):
         m, chosen = len(outcomes), []
-        # Every rollout takes the role of the simultaneous one in turn.
+        # Every rollout takes the role of the simultaneous rollout in turn.
         for at in range(m):
             alone = np.delete(outcomes, at).all()
             chosen.append([alone and not outcomes[at], not alone and outcomes[at]])
@@ -323,8 +324,9 @@ def inference(rows, placebo):
         }
         conditions = dict(zip(AXES, alone.T)) | {"combination": sim}
         losses = {name: loss(keys, nominal, y) for name, y in conditions.items()}
-        for one, p in zip(losses.values(), holm([one["sign_flip_p"] for one in losses.values()])):
-            one["holm_p"] = p
+        adjusted = holm([row["sign_flip_p"] for row in losses.values()])
+        for row, p in zip(losses.values(), adjusted):
+            row["holm_p"] = p
         result["losses"] = losses
     if placebo is not None:
         stacked = lambda rows: np.array([row[4] + [row[5]] for row in rows], dtype=float)
@@ -433,12 +435,12 @@ def max_t(by_tasks):
 def compare_policies(campaign, comparison):
     rows = campaign["compared"]
     ours = [difference(row["pairs"], row["own_directions"]) for row in rows]
-    adjusted = holm([one["sign_flip_p"] for one, _ in ours])
+    adjusted = holm([measures["sign_flip_p"] for measures, _ in ours])
     critical = max_t([by_task for _, by_task in ours])
-    for row, (one, _), p in zip(rows, ours, adjusted):
+    for row, (measures, _), p in zip(rows, ours, adjusted):
         where, theirs = f"{campaign['name']} {row['name']}", row["difference"]
-        comparison.check(where, one | {"holm_p": p}, theirs)
-        error, interval = one["estimate"]["standard_error"], theirs["simultaneous_ci95"]
+        comparison.check(where, measures | {"holm_p": p}, theirs)
+        error, interval = measures["estimate"]["standard_error"], theirs["simultaneous_ci95"]
         if critical is None or error is None or interval is None:
             comparison.count(f"{where} max-t", critical and error, interval, interval is None)
         elif -1 < interval[0] and interval[1] < 1:
@@ -446,14 +448,14 @@ def compare_policies(campaign, comparison):
             comparison.check(f"{where} max-t", 1.0, half / error / critical, SIGNS_TOLERANCE)
     progresses = [progress(row["pairs"], row["own_directions"]) for row in rows]
     for name in ["goal", "steps"]:
-        tested = [one[name] for one in progresses if one and one[name]]
-        for one in tested:
-            one["holm_p"] = None
-        tested = [one for one in tested if one["p"] is not None]
-        for one, p in zip(tested, holm([one["p"] for one in tested])):
-            one["holm_p"] = p
-    for row, one in zip(rows, progresses):
-        comparison.check(f"{campaign['name']} {row['name']} progress", one, row["progress"])
+        tested = [found[name] for found in progresses if found and found[name]]
+        for change in tested:
+            change["holm_p"] = None
+        tested = [change for change in tested if change["p"] is not None]
+        for change, p in zip(tested, holm([change["p"] for change in tested])):
+            change["holm_p"] = p
+    for row, found in zip(rows, progresses):
+        comparison.check(f"{campaign['name']} {row['name']} progress", found, row["progress"])
 
 
 class Comparison:
@@ -487,9 +489,9 @@ def claims(cells):
         found = cell["inference"]
         if found["excess"]:
             for name in ["r_e", "r_c"]:
-                one = found["excess"]["excess"][name]
-                p = two_sided(one)
-                tested[level, name] = (1.0 if p is None else p, one["value"] > 0)
+                estimate = found["excess"]["excess"][name]
+                p = two_sided(estimate)
+                tested[level, name] = (1.0 if p is None else p, estimate["value"] > 0)
         else:
             tested[level, "i"] = (found["i_sign_flip_p"], found["paired"]["i"]["value"] < 0)
         if found["directions"]:
@@ -526,15 +528,15 @@ def gate(outcomes, published, enough):
 
 
 def compare_gates(campaign, comparison):
-    of_tasks = {}
+    by_task = {}
     for suite, task, success in campaign["nominal"]:
-        of_tasks.setdefault((suite, task), []).append(success)
+        by_task.setdefault((suite, task), []).append(success)
     report, published = campaign["report"], campaign["published"]
-    ours = gate(list(of_tasks.values()), published, 2000)
+    ours = gate(list(by_task.values()), published, 2000)
     comparison.check(f"{campaign['name']} gate", ours, report["gate"])
     theirs = {row["suite"]: row for row in report["suite_gates"]}
     for name, number in campaign["suites"]:
-        outcomes = [task for (suite, _), task in of_tasks.items() if suite == number]
+        outcomes = [task for (suite, _), task in by_task.items() if suite == number]
         where = f"{campaign['name']} gate of {name}"
         comparison.check(where, gate(outcomes, published, 500), theirs[name])
 

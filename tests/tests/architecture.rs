@@ -29,7 +29,8 @@ fn metadata(arguments: &[&str]) -> Value {
     serde_json::from_slice(&cargo(&metadata)).unwrap()
 }
 
-/// Dependencies with their features, as the packages that `packages` selects need them.
+/// Dependencies of the packages that the cargo arguments `packages` select, each with the features
+/// that these packages enable.
 fn features(packages: &[&str], edges: &str) -> BTreeSet<String> {
     let tree = [
         "tree",
@@ -55,12 +56,12 @@ fn one_build_of_each_dependency_serves_programs_and_tests() {
         &["--package", "xtask"],
         &["--package", "python"],
     ] {
-        let others = features(packages, "normal,build");
-        let twice: Vec<_> = others.difference(&tests).collect();
+        let selected = features(packages, "normal,build");
+        let twice: Vec<_> = selected.difference(&tests).collect();
         assert!(
             twice.is_empty(),
-            "{packages:?} have other features than the tests: {twice:?}; add those of the tests to \
-             the package `workspace-hack`"
+            "dependencies of {packages:?} have other features than in the tests: {twice:?}; add \
+             the tests' features to the package `workspace-hack`"
         );
     }
 }
@@ -109,10 +110,10 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
 
 /// Crates of each line of the diagram in docs/ARCHITECTURE.md, from the top.
 fn layers() -> Vec<Vec<String>> {
-    let map = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
-    let map = std::fs::read_to_string(map).unwrap();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
+    let page = std::fs::read_to_string(path).unwrap();
     let rule = "A crate uses only crates on the lines below its own.";
-    let (before, _) = map.split_once(rule).expect("the map states the rule");
+    let (before, _) = page.split_once(rule).expect("the page states the rule");
     let diagram = before
         .rsplit("```")
         .nth(1)
@@ -135,20 +136,21 @@ fn violations(
         if TOOLS.contains(&&**name) {
             continue;
         }
-        let Some(own) = layer(name) else {
+        let Some(user_layer) = layer(name) else {
             violations.push(format!("{name} is not in the diagram"));
             continue;
         };
-        for other in used {
-            let is_allowed = match (dependencies.contains_key(other), layer(other)) {
-                (true, Some(others)) => others > own,
+        for dependency in used {
+            let is_workspace_crate = dependencies.contains_key(dependency);
+            let is_allowed = match (is_workspace_crate, layer(dependency)) {
+                (true, Some(dependency_layer)) => dependency_layer > user_layer,
                 (true, None) => false,
                 (false, _) => LIBRARIES
                     .iter()
-                    .all(|(library, crates)| library != other || crates.contains(&&**name)),
+                    .all(|(library, crates)| library != dependency || crates.contains(&&**name)),
             };
             if !is_allowed {
-                violations.push(format!("{name} uses {other}"));
+                violations.push(format!("{name} uses {dependency}"));
             }
         }
     }
@@ -239,17 +241,17 @@ fn names(page: &str) -> Vec<&str> {
         .collect()
 }
 
-/// Returns true for a name as Rust and Python have them, of at least three words.
+/// Returns true for a name in snake case of at least three words.
 fn is_long_name(name: &str) -> bool {
-    let is_of_name = |character: char| {
+    let is_name_character = |character: char| {
         character.is_ascii_lowercase() || character.is_ascii_digit() || character == '_'
     };
-    name.chars().all(is_of_name) && name.matches('_').count() >= 2
+    name.chars().all(is_name_character) && name.matches('_').count() >= 2
 }
 
 #[test]
-fn the_map_names_only_files_tests_and_invariants_that_exist() {
-    let map = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
+fn the_architecture_page_names_only_files_tests_and_invariants_that_exist() {
+    let page = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
     let code = rust_sources();
     let exists = |name: &str| {
         if name.contains('/') {
@@ -260,12 +262,12 @@ fn the_map_names_only_files_tests_and_invariants_that_exist() {
             true
         }
     };
-    let mut missing = names(&map);
+    let mut missing = names(&page);
     missing.retain(|name| !exists(name));
     assert!(missing.is_empty(), "not in the repository: {missing:?}");
 }
 
-/// Names on pages that only other projects' sources have.
+/// Names on pages that occur only in the sources of other projects.
 const FOREIGN: [&str; 1] = ["get_camera_meta"];
 
 #[test]
@@ -274,8 +276,10 @@ fn pages_name_only_files_and_tests_that_exist() {
     for folder in ["python", "policies", "training", "tests"] {
         code.push_str(&sources(&root().join(folder), "py"));
     }
-    let is_of_word = |character: char| character.is_ascii_alphanumeric() || character == '_';
-    let words: BTreeSet<&str> = code.split(|character| !is_of_word(character)).collect();
+    let is_word_character = |character: char| character.is_ascii_alphanumeric() || character == '_';
+    let words: BTreeSet<&str> = code
+        .split(|character| !is_word_character(character))
+        .collect();
     let exists = |name: &str| match name.split_once('/') {
         // Other paths are names of tasks, and files of users and other projects.
         Some((folder, _)) if !folder.is_empty() && root().join(folder).join("").is_dir() => {
@@ -307,7 +311,7 @@ fn no_crate_has_import_cycles_between_its_files() {
     for package in packages {
         let name = package["name"].as_str().unwrap();
         let manifest = PathBuf::from(package["manifest_path"].as_str().unwrap());
-        for cycle in tests::circles::import_cycles(&manifest.with_file_name("src")).unwrap() {
+        for cycle in tests::import_cycles::import_cycles(&manifest.with_file_name("src")).unwrap() {
             found.push_str(&format!("in {name}:\n{cycle}"));
         }
     }

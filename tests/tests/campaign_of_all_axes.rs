@@ -15,8 +15,8 @@ const TASKS: [&str; 2] = ["libero_object/0", "libero_spatial/0"];
 const SUBSETS: &str = "camera+language,robot+sensor+actuation";
 /// Six axes alone, two subsets of them, and all of them together.
 const CONDITIONS: usize = 9;
-/// One configuration of each task: its nominal rollout, and every condition at
-/// every level.
+/// Number of rollouts: for one configuration of each task, its nominal rollout, and every condition
+/// at every level.
 const ROLLOUTS: usize = TASKS.len() * (1 + CONDITIONS * Level::PERTURBED.len());
 
 #[test]
@@ -59,7 +59,8 @@ fn check_export(rows: &[String]) {
     );
 }
 
-/// Asserts that all three cells are complete, with the paired measures of both configurations.
+/// Asserts that the cells of all three levels are complete: each has the paired measures of the two
+/// tasks' configurations.
 fn check_report(report: &str) {
     let document: Value = serde_json::from_str(report).unwrap();
     let report = &document["reports"][0];

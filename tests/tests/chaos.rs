@@ -17,8 +17,8 @@ use tests::chaos::{Fault, Fleet, LEASE, Link, Plan, Schedule, SlotKind};
 /// Numbers of schedules with simulated slots and with MuJoCo.
 const SIMULATED_SCHEDULES: u64 = 48;
 const REAL_SCHEDULES: u64 = 4;
-/// Number of concurrent systems for each core; most of the time they wait.
-const AT_A_TIME_PER_CORE: usize = 3;
+/// Number of concurrent systems for each core; a system waits most of the time.
+const SYSTEMS_PER_CORE: usize = 3;
 
 /// Query for the number of charged attempts.
 const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
@@ -56,7 +56,7 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let (seeds, failed) = (Mutex::new(seeds), Mutex::new(Vec::new()));
     std::thread::scope(|threads| {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
-        for _ in 0..cores * AT_A_TIME_PER_CORE {
+        for _ in 0..cores * SYSTEMS_PER_CORE {
             threads.spawn(|| {
                 while let Some(seed) = { seeds.lock().unwrap().pop_front() } {
                     if !ends_as_expected(&Schedule::new(seed), slots, &expected) {
@@ -71,7 +71,7 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let failed = failed.into_inner().unwrap();
     assert!(
         failed.is_empty(),
-        "schedules {failed:?} failed; play one again with ROLLOUT_CHAOS_SEEDS=SEED"
+        "schedules {failed:?} failed; replay one of them with ROLLOUT_CHAOS_SEEDS=SEED"
     );
 }
 
@@ -116,15 +116,16 @@ fn ends_as_expected(schedule: &Schedule, slots: SlotKind, expected: &str) -> boo
 /// Returns the first lines that differ.
 fn difference(expected: &str, outcome: &str) -> String {
     let mut pairs = expected.lines().zip(outcome.lines());
-    match pairs.find(|(one, other)| one != other) {
-        Some((one, other)) => format!("expected {one}\ngot      {other}"),
-        None => "one of the two ends early".to_owned(),
+    match pairs.find(|(expected, found)| expected != found) {
+        Some((expected, found)) => format!("expected {expected}\ngot      {found}"),
+        None => "one outcome is the beginning of the other".to_owned(),
     }
 }
 
 #[test]
 fn workers_suspended_beyond_their_leases_lose_no_result() {
-    // With several workers, a rollout might be leased to another one before its worker wakes.
+    // With several workers, a rollout might be leased to another worker before the suspended worker
+    // wakes.
     let mut fleet = Fleet::start_with(Plan {
         workers: 1,
         ..Plan::small(SlotKind::Simulated)

@@ -19,6 +19,7 @@ fn check(name: &str, arguments: &[&str]) {
         .expect("the program runs");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{name} {arguments:?}: {stderr}");
+    // `ipe` is part of `pipe` and of `Pipe`.
     for words in ["ipe", "panicked", "failed"] {
         assert!(!stderr.contains(words), "{name} {arguments:?}: {stderr}");
     }

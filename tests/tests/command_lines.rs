@@ -11,7 +11,8 @@ const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 /// An address at which no server listens.
 const UNUSED_ADDRESS: &str = "127.0.0.1:9";
 
-/// Returns a command whose environment has only these variables and the necessary ones.
+/// Returns a command whose environment has only `variables`, and those with the paths of programs
+/// and libraries.
 fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Command {
     let mut command = Command::new("timeout");
     command.args(["--signal=TERM", "60"]).arg(program(name));
@@ -19,7 +20,7 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
     command
         .env_clear()
         .env("PATH", std::env::var_os("PATH").expect("a path"));
-    // Variables that are needed to find the build's libraries.
+    // The programs need these to find the build's libraries.
     for variable in ["HOME", "LD_LIBRARY_PATH"] {
         command.envs(std::env::var_os(variable).map(|value| (variable, value)));
     }
@@ -66,14 +67,21 @@ fn documented_codes() -> Vec<i32> {
 }
 
 #[test]
-fn exit_codes_are_those_of_the_table() {
+fn exit_codes_equal_the_documented_table() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (data, missing) = (path("data"), path("missing"));
-    let one = path("one.jsonl");
+    let manifest = path("manifest.jsonl");
     let url = format!("http://{UNUSED_ADDRESS}");
     let grpc = format!("grpc://{UNUSED_ADDRESS}");
-    let expand = ["manifest", "expand", "--version", "v0.1", "--output", &one];
+    let expand = [
+        "manifest",
+        "expand",
+        "--version",
+        "v0.1",
+        "--output",
+        &manifest,
+    ];
     let serves = ["serve", "--data", &data, "--listen", "127.0.0.1:0"];
     let (output, ended) = serve("coordinator", &serves, &[]);
     assert!(output.ends_with("stopped\n"), "{output}");
@@ -104,7 +112,7 @@ fn exit_codes_are_those_of_the_table() {
     }
     check(0, "coordinator", &["check", &data]);
     check(0, "coordinator", &expand);
-    check(0, "coordinator", &["manifest", "check", &one]);
+    check(0, "coordinator", &["manifest", "check", &manifest]);
     let empty = path("empty.jsonl");
     std::fs::write(&empty, "{}\n").expect("written");
     check(1, "coordinator", &["manifest", "check", &empty]);
@@ -150,7 +158,8 @@ fn exit_codes_are_those_of_the_table() {
     assert_eq!(documented_codes(), codes);
 }
 
-/// Returns the options in a program's help, each with its environment variable, if any.
+/// Returns the options in a program's help, each with its environment variable; `None` for an
+/// option without a variable.
 fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
     let help = run(name, &[words, &["--help"]].concat(), &[]);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
@@ -276,7 +285,7 @@ fn an_invalid_variable_is_refused_by_servers_and_ignored_by_other_commands() {
             "{stderr}"
         );
     }
-    // Errors about a value of the command line do not name the environment.
+    // An error about a value on the command line does not name a variable.
     let arguments = ["serve", "--data", "d", "--listen", "there"];
     let output = run(
         "coordinator",
@@ -288,7 +297,7 @@ fn an_invalid_variable_is_refused_by_servers_and_ignored_by_other_commands() {
         stderr.contains("there") && !stderr.contains("the environment"),
         "{stderr}"
     );
-    // Commands without these options ignore the variables of a unit that started them.
+    // Commands that lack these options ignore the variables, which a systemd unit may set.
     for (name, arguments) in [
         ("worker", &["assets", "list", "primitives"][..]),
         ("worker", &["completions", "bash"]),

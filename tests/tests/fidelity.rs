@@ -1,5 +1,5 @@
-//! Comparison of the simulator with the original: by all of the reference data where available, and
-//! by a few committed figures on every machine.
+//! Comparison of the simulator with the original: by all of the reference data if it is available,
+//! and by a few committed figures on every machine.
 
 use std::collections::BTreeSet;
 
@@ -144,8 +144,8 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
     );
 }
 
-/// Compares depths and segments, for one task of each suite and both cameras. Colours are compared
-/// above.
+/// Compares depths and segments, for one task of each suite and both cameras. Other tests compare
+/// colours.
 #[test]
 fn depths_and_segments_equal_those_of_opengl() {
     const SIZE: [u32; 2] = [256, 256];

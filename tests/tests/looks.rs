@@ -13,11 +13,12 @@ use tests::programs::{Campaigns, Process};
 
 /// Widths of a phone, a tablet, a laptop and a desktop screen, CSS pixels.
 const WIDTHS: [u32; 4] = [390, 768, 1280, 1920];
-/// Width from which cards must stand side by side, CSS pixels.
+/// Width from which a page's cards must stand side by side, CSS pixels.
 const WIDE: u32 = 1280;
 /// Smallest allowed letters, CSS pixels.
 const MIN_LETTERS_PX: f64 = 11.0;
-/// Least share of the page's width for a figure with its caption, on a wide screen.
+/// Smallest allowed share of the page's width that a figure with its caption takes on a wide
+/// screen.
 const MIN_FILLED: f64 = 0.85;
 /// Tallest screenshot, CSS pixels.
 const MAX_HEIGHT: u64 = 8_000;
@@ -65,7 +66,8 @@ fn create(campaigns: &Campaigns, name: &str, levels: &str) {
 /// Longest time that a derived campaign may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Returns true if the planted rule of a task and configuration fails under these axes.
+/// Returns true if a configuration fails under these axes by a made-up rule, which depends on task
+/// and configuration.
 fn is_planted_to_fail(task: usize, config: u16, axes: AxisSet) -> bool {
     let has = |text: &str| text.parse::<AxisSet>().unwrap().is_subset(axes);
     match (task + usize::from(config)) % 7 {
@@ -78,7 +80,7 @@ fn is_planted_to_fail(task: usize, config: u16, axes: AxisSet) -> bool {
     }
 }
 
-/// Returns result rows for every subset of the axes, with planted outcomes.
+/// Returns result rows for every subset of the axes, with the outcomes of [`is_planted_to_fail`].
 fn planted_outcomes() -> String {
     let mut rows = String::new();
     let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
@@ -101,7 +103,7 @@ fn planted_outcomes() -> String {
     rows
 }
 
-/// Runs and explains a campaign of one suite, and runs another one with all subsets.
+/// Runs and explains a campaign of one suite, and runs a second campaign of all subsets of axes.
 fn explain(campaigns: &Campaigns, outcomes: &Path) {
     let endpoint = &campaigns.gateway.url;
     for (name, further) in [

@@ -1,5 +1,5 @@
-//! LIBERO's other 90 tasks. Nothing is evaluated on them, but their BDDL files resemble those that
-//! users write.
+//! The 90 tasks of LIBERO-90. LIBERO-CTRL evaluates no policy on them, but their BDDL files
+//! resemble those that users write.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -99,8 +99,8 @@ fn missing_category(task: &Task, error: &SceneError, pack: &Path) -> String {
         .clone()
 }
 
-/// Compiles each scene once and, for every task in it, resolves the goal, loads
-/// one of its released states and steps.
+/// Compiles each scene once. For every task in it, resolves the goal, loads a released initial
+/// state and steps. Returns the number of tasks.
 fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
     let mut ran = 0;
     for group in scenes.into_values() {
@@ -110,7 +110,7 @@ fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
             let model = environment.model();
             assert_eq!(task.states.width(), 1 + model.nq() + model.nv(), "{name}");
             let goal = Goal::resolve(scene, model).unwrap_or_else(|e| panic!("{name}: {e}"));
-            // A different state for each task, spread over the fifty.
+            // Each task of a scene gets another of the 50 states.
             environment.load(task.states.get(index * 7 % STATES).unwrap());
             for _ in 0..10 {
                 let step = environment.step(&NO_OP);
@@ -125,7 +125,7 @@ fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
 }
 
 #[test]
-fn all_ninety_other_tasks_are_read_with_their_initial_states() {
+fn all_tasks_of_libero_90_are_read_with_their_initial_states() {
     let tasks = tasks(&sources());
     assert_eq!(tasks.len(), TASKS);
     for task in tasks {
@@ -134,8 +134,8 @@ fn all_ninety_other_tasks_are_read_with_their_initial_states() {
 }
 
 #[test]
-fn other_tasks_run_on_the_real_assets_or_name_the_missing_category() {
-    let test = "other_tasks_run_on_the_real_assets_or_name_the_missing_category";
+fn tasks_of_libero_90_run_on_liberos_assets_or_name_the_missing_category() {
+    let test = "tasks_of_libero_90_run_on_liberos_assets_or_name_the_missing_category";
     let sources = sources();
     if let Some(pack) = libero(&sources, test) {
         check_pack(&pack, &sources);
@@ -143,7 +143,7 @@ fn other_tasks_run_on_the_real_assets_or_name_the_missing_category() {
 }
 
 #[test]
-fn other_tasks_run_on_the_built_in_pack_or_name_the_missing_category() {
+fn tasks_of_libero_90_run_on_the_built_in_pack_or_name_the_missing_category() {
     let sources = sources();
     check_pack(&primitives(&sources), &sources);
 }

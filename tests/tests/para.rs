@@ -17,7 +17,7 @@ fn checkout(test: &str) -> Option<PathBuf> {
     checkout
 }
 
-/// Returns the BDDL file and the states that the checkout has for a sentence.
+/// Returns the checkout's BDDL file and initial states of a paraphrase.
 fn released(checkout: &Path, paraphrase: &Paraphrase) -> TaskFiles {
     let package = checkout.join(para::PACKAGE);
     let states = format!("init_files/libero_para/eval{}.pruned_init", paraphrase.eval);
@@ -66,8 +66,8 @@ fn files_of_all_sentences_equal_those_of_the_task_except_for_the_sentence() {
 }
 
 #[test]
-fn sentences_and_similarities_of_all_names_are_those_of_the_metadata() {
-    let test = "sentences_and_similarities_of_all_names_are_those_of_the_metadata";
+fn sentences_and_similarities_of_all_paraphrases_equal_the_metadata() {
+    let test = "sentences_and_similarities_of_all_paraphrases_equal_the_metadata";
     let Some(checkout) = checkout(test) else {
         return;
     };
@@ -109,7 +109,7 @@ fn sentences_and_similarities_of_all_names_are_those_of_the_metadata() {
     });
     let mut found: Vec<(String, f64, f64)> = found.collect();
     for all in [&mut expected, &mut found] {
-        all.sort_by(|one, other| one.0.cmp(&other.0));
+        all.sort_by(|a, b| a.0.cmp(&b.0));
     }
     assert_eq!(found, expected);
 }
@@ -124,7 +124,7 @@ fn empty_sources(folder: &Path) -> Sources {
 }
 
 #[test]
-fn a_folder_with_other_or_missing_files_is_refused_with_the_commands() {
+fn an_altered_or_incomplete_checkout_is_refused_with_the_fetch_command() {
     let folder = tempfile::tempdir().expect("a folder");
     let sources = empty_sources(&folder.path().join("sources"));
     let checkout = folder.path().join("checkout");

@@ -65,8 +65,8 @@ fn check_task(simulator: &mut Simulator, task: TaskRef, file: &Path) {
             expect("cam_quat", &model.cam_quat()[camera * 4..][..4], 1e-9);
             expect("light_pos", model.light_pos(), 1e-9);
             expect("light_dir", model.light_dir(), 1e-9);
-            // Colours are single precision in MuJoCo; the double-precision
-            // values before that are compared in crate `sim`.
+            // MuJoCo rounds colours to single precision; the crate `sim` tests their values in
+            // double precision.
             expect("light_diffuse", &widened(model.light_diffuse()), 3e-6);
             expect("light_specular", &widened(model.light_specular()), 3e-6);
             expect("ambient", &widened(&model.headlight_ambient()), 3e-6);

@@ -9,7 +9,8 @@ fn gateway(arguments: &[&str]) -> Process {
     Process::serve(command.args(arguments).args(["--listen", "127.0.0.1:0"]))
 }
 
-/// Runs one rollout against an endpoint. Also returns success and steps of its result, if any.
+/// Runs one rollout against an endpoint. Also returns success and steps of its result, `None` if it
+/// has no result.
 fn roll_out(id: &str, endpoint: &str) -> (Output, Option<serde_json::Value>) {
     let folder = tempfile::tempdir().unwrap();
     #[rustfmt::skip]
@@ -57,8 +58,11 @@ fn a_recorded_rollout_replays_identically_without_its_server() {
     let (_, again) = roll_out(id, &replay.url);
     assert_eq!(again, Some(first));
 
-    let (other, outcome) = roll_out("object/t0/camera/L1/c01", &replay.url);
-    let errors = String::from_utf8_lossy(&other.stderr);
-    assert!(!other.status.success() && outcome.is_none(), "{errors}");
+    let (unrecorded, outcome) = roll_out("object/t0/camera/L1/c01", &replay.url);
+    let errors = String::from_utf8_lossy(&unrecorded.stderr);
+    assert!(
+        !unrecorded.status.success() && outcome.is_none(),
+        "{errors}"
+    );
     assert!(errors.contains("record that rollout first"), "{errors}");
 }

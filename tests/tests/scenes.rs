@@ -13,7 +13,7 @@ use sim::mujoco::ObjectKind;
 use tempfile::TempDir;
 use tests::files::{libero, primitives, sources};
 
-/// BDDL files in the hf-libero wheel: 40 evaluation tasks and 90 others.
+/// Number of BDDL files in the hf-libero wheel: 40 evaluation tasks and the 90 of LIBERO-90.
 const BDDL_FILES: usize = 130;
 
 fn bddl_files(sources: &Sources) -> Vec<PathBuf> {
@@ -36,8 +36,8 @@ fn every_bddl_file_is_parsed_and_survives_a_round_trip() {
     for file in files {
         let text = std::fs::read_to_string(&file).unwrap();
         let problem = Problem::parse(&text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
-        let again = Problem::parse(&problem.to_string()).unwrap();
-        assert_eq!(again, problem, "{}", file.display());
+        let reparsed = Problem::parse(&problem.to_string()).unwrap();
+        assert_eq!(reparsed, problem, "{}", file.display());
         let names: Vec<_> = problem.objects.iter().chain(&problem.fixtures).collect();
         let unique: HashSet<_> = names.iter().map(|declaration| &declaration.name).collect();
         assert_eq!(unique.len(), names.len(), "{}", file.display());

@@ -29,9 +29,10 @@ struct Case {
 const CASES: &str = include_str!("shadows/cases.json");
 /// Folder of the recorded pictures.
 const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shadows");
-/// Number of cases before those that were held out.
+/// Number of cases, at the beginning of the file, by which the renderer was developed; the
+/// remaining cases were held out.
 const HELD_OUT: usize = 5;
-/// Shares of pixels that are equal, and within [`CLOSE_LEVELS`], at least.
+/// Smallest allowed share of pixels that are equal, and that are within [`CLOSE_LEVELS`].
 const EQUAL: f64 = 0.999;
 const CLOSE: f64 = 0.9999;
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
@@ -59,7 +60,8 @@ fn folder_with_scenes(pack: &Path) -> tempfile::TempDir {
     folder
 }
 
-/// Returns a scene with other attributes of its lights, for a folder one level deeper.
+/// Returns a scene file with the case's attributes of lights. Its paths are for a folder one level
+/// deeper.
 fn changed(text: &str, case: &Case) -> String {
     let mut text = text.replace("file=\"", "file=\"../");
     for (name, attributes) in &case.lights {
@@ -71,13 +73,14 @@ fn changed(text: &str, case: &Case) -> String {
         let [light] = lights[..] else {
             panic!("{}: {} lights are called {name}", case.name, lights.len());
         };
-        let mut other = light.to_owned();
+        let mut replacement = light.to_owned();
         for (attribute, value) in attributes {
-            let start = other.find(&format!(" {attribute}=\"")).unwrap() + attribute.len() + 3;
-            let end = start + other[start..].find('"').unwrap();
-            other.replace_range(start..end, value);
+            let name_start = replacement.find(&format!(" {attribute}=\"")).unwrap();
+            let start = name_start + attribute.len() + 3;
+            let end = start + replacement[start..].find('"').unwrap();
+            replacement.replace_range(start..end, value);
         }
-        text = text.replace(light, &other);
+        text = text.replace(light, &replacement);
     }
     text
 }
@@ -94,7 +97,7 @@ fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> 
         "{}_{}_light_sync_modified_{number}",
         problem.name, case.scene
     );
-    // The digest identifies the pack in results, and there are none.
+    // The digest only identifies the pack in results, and this test stores none.
     let pack = AssetPack::open_known(folder.to_str().unwrap(), sources, "lights").unwrap();
     let scene = compose(&problem, &pack, sources, ENV_SEED).unwrap();
     let mut environment = Environment::new(scene, &pack, sources).unwrap();
@@ -200,7 +203,7 @@ fn light_variants_run_from_a_folder_with_their_scene_files() {
         lights: BTreeMap::new(),
         ..cases().remove(0)
     };
-    let [as_liberos, casting] = [&same_lights, case].map(|case| {
+    let [unaltered_lights, altered_lights] = [&same_lights, case].map(|case| {
         std::fs::write(folder.path().join(file), changed(&base, case)).unwrap();
         let listed = variants(&name, folder.path(), &["--list"]);
         assert!(listed.trim_end().ends_with("\truns"), "{listed}");
@@ -213,16 +216,19 @@ fn light_variants_run_from_a_folder_with_their_scene_files() {
         rows(&output)
     });
     let (unperturbed, variant) = (0, 1);
-    assert_eq!(as_liberos.len(), 2);
+    assert_eq!(unaltered_lights.len(), 2);
     let name_of = |row: &serde_json::Value| row["variant"].as_str().unwrap().to_owned();
-    assert!(name_of(&casting[variant]).contains(&name), "{casting:?}");
+    assert!(
+        name_of(&altered_lights[variant]).contains(&name),
+        "{altered_lights:?}"
+    );
     assert_eq!(
-        as_liberos[unperturbed]["first_frame_digest"],
-        casting[unperturbed]["first_frame_digest"]
+        unaltered_lights[unperturbed]["first_frame_digest"],
+        altered_lights[unperturbed]["first_frame_digest"]
     );
     // The lights move nothing, but the policy sees them.
     for (field, is_equal) in [("init_state_digest", true), ("first_frame_digest", false)] {
-        let is_same = as_liberos[variant][field] == casting[variant][field];
+        let is_same = unaltered_lights[variant][field] == altered_lights[variant][field];
         assert_eq!(is_same, is_equal, "{field}");
     }
 }

@@ -60,7 +60,7 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
     }
     campaign.lose_node(&on_second);
     for job in [&on_first, &gateway] {
-        campaign.wait_until("a job whose time was up is back", |campaign| {
+        campaign.wait_until("a job that reached its time limit runs again", |campaign| {
             campaign.is_back(job, 1)
         });
     }
@@ -166,7 +166,7 @@ impl ClusterCampaign {
             log.unwrap_or_default().matches(&message).count()
         };
         let before = preemptions();
-        // A task that reaches its time limit just then is not preempted; the loop then tries again.
+        // A task that reaches its time limit first is not preempted; the loop then tries again.
         while preemptions() == before {
             self.wait_until("the worker runs", |campaign| campaign.is_back(task, 0));
             let node = format!("--nodelist={}", self.cluster.job(task).node);
@@ -193,8 +193,11 @@ impl ClusterCampaign {
         });
         // Longer than a requeued job waits until it may start.
         sleep(Duration::from_secs(8));
-        let now = self.cluster.job(task);
-        assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
+        let current = self.cluster.job(task);
+        assert!(
+            current.state != "RUNNING" || current.node != before.node,
+            "{current:?}"
+        );
         scontrol(&["update", &name, "State=RESUME"]);
         self.wait_until("the worker is back", |campaign| {
             campaign.is_back(task, before.restarts + 1)

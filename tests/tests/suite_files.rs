@@ -26,18 +26,18 @@ struct OwnSuite {
 impl OwnSuite {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
-        let own = tests::files::sources();
+        let original = tests::files::sources();
         let sources = folder.path().join("sources");
         fs::create_dir(&sources).expect("a folder");
         for part in ["libero", "robosuite", "packs"] {
             let link = sources.join(part);
-            std::os::unix::fs::symlink(own.dir().join(part), link).expect("a link");
+            std::os::unix::fs::symlink(original.dir().join(part), link).expect("a link");
         }
         let suite = Self { folder };
         let files = suite.sources().join("suites/kitchen");
         fs::create_dir_all(files.join("states")).expect("a folder");
         for (task, name) in [("libero_goal/8", "plate"), ("libero_goal/7", "stove")] {
-            let task = TaskFiles::of_task(&own, task.parse().expect("a task"));
+            let task = TaskFiles::of_task(&original, task.parse().expect("a task"));
             fs::copy(task.bddl, files.join(format!("{name}.bddl"))).expect("copies");
             let states = files.join(format!("states/{name}.pruned_init"));
             fs::copy(task.init, states).expect("copies");
@@ -157,12 +157,12 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     for words in ["tables", "kitchen@"] {
         assert!(table.contains(words), "no `{words}`: {table}");
     }
-    let own = results(&output);
+    let results_by_name = results(&output);
     assert_eq!(
-        own.keys().collect::<Vec<_>>(),
+        results_by_name.keys().collect::<Vec<_>>(),
         ["tables/t0/e00", "tables/t1/e00"]
     );
-    let (row, outcome) = &own["tables/t0/e00"];
+    let (row, outcome) = &results_by_name["tables/t0/e00"];
     assert_eq!(row["benchmark"], "kitchen");
     assert_eq!(row["task"], "own/0");
     assert_eq!(row["waits"], 10);
@@ -178,7 +178,8 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     let (_, unperturbed) = &results(&libero)["libero_goal/put_the_bowl_on_the_plate/e00"];
     assert_eq!(outcome, unperturbed);
 
-    // A camera, a posture, a corruption and more states reach the simulator.
+    // The file's camera, posture, corruption and second initial state reach the simulator: all
+    // first frames differ.
     let mut file = suite.read();
     file["budget"] = 1.into();
     file["suites"][0]["tasks"] = json!([
@@ -228,12 +229,12 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     assert_eq!(results(&output).len(), 1);
     fs::rename(&moved, &states).expect("moves back");
 
-    // The rest resumes; another file is refused.
+    // A second call runs the remaining rollouts; an altered suite file is refused.
     succeed(suite.call(&run));
     assert_eq!(results(&output).len(), 2);
-    let mut other = file.clone();
-    other["seed"] = 7.into();
-    suite.write(&other);
+    let mut altered = file.clone();
+    altered["seed"] = 7.into();
+    suite.write(&altered);
     assert_refused(
         &suite.call(&run),
         &["protocol `kitchen@", "give another --output"],
@@ -376,7 +377,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
         "{shown}"
     );
 
-    // An archive with films is read by another coordinator.
+    // Another coordinator imports the archive with its films.
     let films = data.join("artifacts/ninety");
     let count = || fs::read_dir(&films).map_or(0, Iterator::count);
     let start = Instant::now();
@@ -391,9 +392,9 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let archive = folder.path().join("ninety.tar");
     let archive = archive.to_str().expect("UTF-8");
     campaigns.succeed(&["campaign", "archive", "ninety", "--output", archive]);
-    let other = Campaigns::start(&folder.path().join("other"));
-    other.succeed(&["campaign", "import", archive]);
-    assert_eq!(other.outcomes("ninety"), campaigns.outcomes("ninety"));
+    let importer = Campaigns::start(&folder.path().join("importer"));
+    importer.succeed(&["campaign", "import", archive]);
+    assert_eq!(importer.outcomes("ninety"), campaigns.outcomes("ninety"));
 
     for arguments in [
         &["explain", "ninety", "--create"][..],
@@ -403,8 +404,8 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
         let output = campaigns.call(arguments);
         assert!(!output.status.success(), "{arguments:?}");
     }
-    let both = [&create[..], &["--protocol", "pro-bddl"]].concat();
-    assert!(!campaigns.call(&both).status.success());
+    let conflicting = [&create[..], &["--protocol", "pro-bddl"]].concat();
+    assert!(!campaigns.call(&conflicting).status.success());
     fs::write(&path, "{}").expect("writes");
     assert_refused(
         &campaigns.call(&create),
@@ -413,7 +414,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
 }
 
 #[test]
-fn a_worker_that_lacks_a_tasks_file_runs_the_others_until_the_file_is_there() {
+fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
     let suite = OwnSuite::new();
     let mut file = suite.read();
     file["budget"] = 1.into();
@@ -445,7 +446,8 @@ fn a_worker_that_lacks_a_tasks_file_runs_the_others_until_the_file_is_there() {
         assert!(start.elapsed() < Duration::from_secs(120), "{text}");
         std::thread::sleep(Duration::from_millis(200));
     }
-    // Leased once, to find out, and not again.
+    // The worker leased at most one rollout of the task, whose failure told the coordinator that
+    // the file is missing.
     std::thread::sleep(Duration::from_secs(3));
     let attempts = |trial: u8| {
         let id = format!("own/t1/own:tables/i{trial:02}");

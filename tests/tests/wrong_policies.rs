@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use tests::programs::{Campaigns, Process, program};
 
-/// Timeout of the first attempts.
+/// Timeout of the wait for a command's output.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// A policy server built with the package `rollout_policies`, whose actions repeat one number seven
 /// times.

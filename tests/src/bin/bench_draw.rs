@@ -1,5 +1,5 @@
 //! Benchmark of the software renderer against OpenGL: speed and agreement of pixels.
-//! Both render the same scenes alternately in one process, frame by frame. Run by
+//! The renderers draw the same scenes alternately in one process, frame by frame. Run by
 //! `cargo xtask bench draw`; docs/PERFORMANCE.md explains the results.
 
 #![forbid(unsafe_code)]
@@ -58,7 +58,7 @@ struct Arguments {
     /// A folder for the frame of each camera that differs most: ours, OpenGL's, and the difference.
     #[arg(long)]
     output: Option<PathBuf>,
-    /// Folder with the unpacked sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
 }
@@ -67,7 +67,7 @@ struct Arguments {
 const PERTURBED: &str = "camera/L1/c00,camera/L2/c03,camera/L3/c05,camera/L3/c07,\
                          lighting/L1/c00,lighting/L2/c03,lighting/L3/c05,lighting/L3/c07";
 /// Environment variable with the number of llvmpipe's rasteriser threads in addition to the
-/// calling one. Mesa reads it when it is loaded.
+/// calling thread. Mesa reads it once, when the library is loaded.
 const LLVMPIPE_THREADS: &str = "LP_NUM_THREADS";
 
 /// Measurements of one camera of one scene.
@@ -80,9 +80,10 @@ struct Findings {
     worst: Option<Worst>,
 }
 
-/// The frame that differs most, from both renderers.
+/// The frame in which the renderers differ most, as each of them draws it.
 struct Worst {
-    /// Number of pixels that differ by more than [`CLOSE_LEVELS`], and of all that differ.
+    /// Number of pixels that differ by more than [`CLOSE_LEVELS`], and number of pixels that
+    /// differ at all.
     differing_pixels: (usize, usize),
     ours: Frame,
     theirs: Frame,
@@ -97,14 +98,15 @@ struct Agreement {
     largest: u8,
 }
 
-/// All scenes together.
+/// Results over all scenes.
 #[derive(Default)]
 struct Totals {
     /// Ratio of the renderers' times over both cameras, by scene.
     ratios: Vec<(f64, String)>,
     least_equal: Option<(f64, String)>,
     least_close: Option<(f64, String)>,
-    /// Memory used by our first frames, by scene, MiB.
+    /// Growth of resident memory while our renderer draws the first frame of each camera, by
+    /// scene, MiB.
     memory: Vec<f64>,
 }
 
@@ -304,7 +306,7 @@ impl Bench {
 
 impl Agreement {
     /// Adds a frame. Returns the number of its pixels that differ by more than
-    /// [`CLOSE_LEVELS`], and of all that differ.
+    /// [`CLOSE_LEVELS`], and the number of its pixels that differ at all.
     fn add(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
         let (mut far, mut differ) = (0, 0);
         for (a, b) in ours.rgb.chunks_exact(3).zip(theirs.rgb.chunks_exact(3)) {
@@ -369,7 +371,7 @@ impl Totals {
         ))
     }
 
-    /// Adds both cameras of a scene.
+    /// Adds the ratio of the renderers' times over both cameras of a scene.
     fn add(&mut self, scene: &str, findings: &[Findings; 2]) {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
             let medians = findings

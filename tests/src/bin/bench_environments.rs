@@ -31,7 +31,7 @@ struct Arguments {
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = LIBERO)]
     assets: String,
-    /// Folder of the sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
     #[arg(long, default_value_t = 16)]
@@ -83,8 +83,8 @@ fn actions(count: usize) -> Vec<[f64; 7]> {
         .collect()
 }
 
-/// Steps all environments once, reads the robot and renders into stacked pictures. Each thread
-/// takes the next pending environment.
+/// Steps all environments once, reads the robot's state, and renders every camera into one buffer
+/// of all environments. Each thread takes the next pending environment.
 fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 7]) -> Result<()> {
     let bytes = (SIDE * SIDE * 3) as usize;
     let pictures = CAMERAS.map(|_| Mutex::new(vec![0_u8; environments.len() * bytes]));
@@ -105,9 +105,9 @@ fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 
         }
     };
     thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
+        let helpers: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
         work()?;
-        others
+        helpers
             .into_iter()
             .try_for_each(|thread| thread.join().expect("no panic"))
     })

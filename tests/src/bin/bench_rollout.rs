@@ -48,7 +48,7 @@ struct Arguments {
     /// Control steps of each rollout.
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Rollouts that are timed, after one that is not.
+    /// Rollouts that are timed, after a first one that compiles the scene and is not timed.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
     /// Renderer: `software`, or `gl` for MuJoCo's renderer through OpenGL,
@@ -64,7 +64,7 @@ struct Arguments {
     /// evaluation state.
     #[arg(long)]
     actions: Option<PathBuf>,
-    /// Folder with the unpacked sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
 }
@@ -85,7 +85,7 @@ struct Phases {
     /// Encoding an observation into the message to a policy.
     encode: f64,
     policy: f64,
-    /// Everything else.
+    /// Time of the rollout outside the phases above.
     other: f64,
 }
 
@@ -103,7 +103,7 @@ struct Timer {
     phases: Phases,
     /// Time of the next control step's physics on a copy of the state, milliseconds.
     physics_millis: f64,
-    /// Copy of the state.
+    /// Copy of the simulation's state on which physics is timed.
     copy: Option<Data>,
     /// True if physics is timed on copies, which takes time itself.
     times_physics: bool,

@@ -22,6 +22,7 @@ const CACHED_SCENES: usize = 2;
 const STEPS: usize = 10;
 const SIDE: u32 = 256;
 const MIB: f64 = (1 << 20) as f64;
+/// Script that prints how long the creation of an environment of a task takes, s.
 const PYTHON: &str = "
 import sys, time
 import rollout_libero
@@ -29,7 +30,8 @@ start = time.perf_counter()
 rollout_libero.Environment(sys.argv[1])
 print(time.perf_counter() - start)
 ";
-/// Moves many environments of the given tasks and then waits for the end of its input.
+/// Script that steps many environments of the given tasks, then waits until its standard input is
+/// closed.
 const PYTHON_VECTOR: &str = "
 import sys
 import numpy as np
@@ -42,7 +44,8 @@ for _ in range(3):
 print('moved', flush=True)
 sys.stdin.read()
 ";
-/// Environments of each task in one Python process, or of each of [`PROCESSES`] processes.
+/// Number of environments per task if one Python process holds all of them, and number per process
+/// if [`PROCESSES`] processes do.
 const ENVIRONMENTS: usize = 16;
 const PROCESSES: usize = 8;
 
@@ -58,10 +61,10 @@ struct Arguments {
     /// Slots that use all scenes in turn.
     #[arg(long, default_value_t = 64)]
     slots: usize,
-    /// Folder of the scene files, or `off`. [default: an empty one, removed at the end]
+    /// Folder of the scene files, or `off`. [default: a temporary folder, empty at the start]
     #[arg(long)]
     scenes: Option<PathBuf>,
-    /// Folder of the sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
     /// An interpreter with `rollout_libero`, to time its environments. [default: not timed]
@@ -318,17 +321,17 @@ fn measure(arguments: &Arguments) -> Result<()> {
 
     let (mut private, mut resident, mut mapped) = (Vec::new(), Vec::new(), Vec::new());
     for task in &tasks {
-        let mut both = [start()?, start()?];
-        for slot in &mut both {
+        let mut pair = [start()?, start()?];
+        for slot in &mut pair {
             slot.send(*task)?;
             slot.wait_for_start()?;
             slot.wait_for_steps()?;
         }
-        let memory = both[1].memory()?;
+        let memory = pair[1].memory()?;
         private.push(memory.private);
         resident.push(memory.resident);
-        mapped.push(both[1].resident_of(&scenes)?);
-        both.into_iter().try_for_each(Slot::end)?;
+        mapped.push(pair[1].resident_of(&scenes)?);
+        pair.into_iter().try_for_each(Slot::end)?;
     }
     row(
         "a further slot, one scene, not shared: most",

@@ -33,7 +33,7 @@ struct Arguments {
     /// Rollouts that are timed.
     #[arg(long, default_value_t = 5)]
     rollouts: usize,
-    /// Folder with the unpacked sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
 }

@@ -25,10 +25,10 @@ use worker::measure::open_loop::smooth_action;
 /// Run short rollouts and watch this process's memory.
 #[derive(Parser)]
 struct Arguments {
-    /// Rollouts in all, at least three rounds over the tasks.
+    /// Total number of rollouts, at least three rounds over the tasks.
     #[arg(long, default_value_t = 500)]
     rollouts: usize,
-    /// Tasks, spread evenly over the forty.
+    /// Number of tasks, spread evenly over the protocol's 40.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=40))]
     tasks: u8,
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
@@ -37,7 +37,7 @@ struct Arguments {
     /// Compiled scenes that are kept.
     #[arg(long, default_value_t = 3)]
     cached_scenes: usize,
-    /// Folder with the unpacked sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
 }

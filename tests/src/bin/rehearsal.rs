@@ -1,8 +1,8 @@
-//! Dress rehearsal of a week of operation in compressed time: every rollout of a policy, twice, on
-//! slots that start and stop, with a policy outage, an upgrade of the coordinator, a full disk,
-//! clock jumps and a restored backup. All processes are real, except that slots are simulated.
-//! Report and results must equal those of the same campaign without faults, byte for byte. Exits
-//! with 1 if they do not.
+//! Dress rehearsal of a week of operation in compressed time: a campaign of every rollout of a
+//! policy, with two replicates, on slots that start and stop, with a policy outage, an upgrade of
+//! the coordinator, a full disk, clock jumps and a restored backup. All processes are real, except
+//! that slots are simulated. Report and results must equal those of the same campaign without
+//! faults, byte for byte. Exits with 1 if they do not.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -114,8 +114,11 @@ fn main() -> ExitCode {
         }
         false => {
             let mut pairs = expected.lines().zip(outcome.lines());
-            let (one, other) = pairs.find(|(one, other)| one != other).unwrap_or_default();
-            println!("report and results differ:\n  undisturbed {one}\n  disturbed   {other}");
+            let differing = pairs.find(|(undisturbed, disturbed)| undisturbed != disturbed);
+            let (undisturbed, disturbed) = differing.unwrap_or_default();
+            println!(
+                "report and results differ:\n  undisturbed {undisturbed}\n  disturbed   {disturbed}"
+            );
             ExitCode::FAILURE
         }
     }
@@ -217,7 +220,7 @@ impl Rehearsal<'_> {
         *self.occurrences.entry(label.to_owned()).or_default() += 1;
     }
 
-    /// Draws a random fault, most often one of a worker.
+    /// Draws a random fault, most often a fault of a worker.
     fn random_fault(&mut self) -> Fault {
         match self.rng.next_u64() % 10 {
             0..=2 => Fault::KillWorker,

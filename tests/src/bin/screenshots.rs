@@ -134,7 +134,7 @@ fn take(
     let is_too_wide = browser.value("document.documentElement.scrollWidth > window.innerWidth");
     ensure!(
         is_too_wide == false,
-        "show {}: it is wider than its screen",
+        "show {}: the page is wider than its screen",
         picture.name
     );
     let png = browser.screenshot();

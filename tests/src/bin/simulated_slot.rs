@@ -30,7 +30,7 @@ use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 const STEPS: u32 = 12;
 /// Default duration of a control step, milliseconds.
 const STEP_MILLIS: u64 = 12;
-/// Name of the simulated renderer, with a fingerprint of its own.
+/// Name of the simulated renderer. Its digest serves as the slot's fingerprint.
 const RENDERER: &str = "simulated";
 /// Number of control steps per query of the policy.
 const STEPS_PER_QUERY: u32 = 4;
@@ -58,7 +58,7 @@ fn main() {
     }
 }
 
-/// Settings from the environment.
+/// Settings from environment variables.
 struct Script {
     /// Outcomes to repeat, by rollout id.
     outcomes: HashMap<String, bool>,

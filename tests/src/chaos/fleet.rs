@@ -18,8 +18,8 @@ use crate::programs::{Process, program};
 
 /// Duration of a lease without a heartbeat.
 pub const LEASE: Duration = Duration::from_secs(3);
-/// Timeout of a campaign after the last fault. Outages and charged attempts back off for
-/// some seconds, doubling.
+/// Timeout of a campaign after the last fault. After an outage or a charged attempt, the next try
+/// waits for some seconds, and twice as long each time.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Number of lines of the log shown with a failure.
 const LAST_LINES: usize = 60;
@@ -96,7 +96,7 @@ impl Plan {
 }
 
 impl Fleet {
-    /// Starts everything, and a small campaign.
+    /// Starts all processes and creates a small campaign.
     ///
     /// # Panics
     /// If something does not start.
@@ -104,7 +104,7 @@ impl Fleet {
         Self::start_with(Plan::small(slots))
     }
 
-    /// Starts everything, and a campaign.
+    /// Starts all processes and creates the plan's campaign.
     ///
     /// # Panics
     /// If something does not start.
@@ -176,7 +176,8 @@ impl Fleet {
         format!("{report}\n{json}\n{}", rows.join("\n"))
     }
 
-    /// Returns true if the campaign is finished: nothing happens without an operator.
+    /// Returns true if the campaign is finished, so that no rollout runs unless an operator
+    /// intervenes.
     ///
     /// # Panics
     /// If the coordinator does not respond.
@@ -207,7 +208,7 @@ impl Fleet {
         }
     }
 
-    /// Suspends the parents of all workers for a time; their slots continue.
+    /// Suspends the parent processes of all workers for a time; their slots continue.
     pub fn stop_all_workers(&self, time: Duration) {
         for worker in &self.workers {
             worker.process.signal("-STOP");
@@ -277,7 +278,7 @@ impl Fleet {
                 victim.signal("-TERM");
                 self.start_worker(machine);
                 match self.slot_victim == Some(victim.id()) {
-                    // With so many failures at once, the worker may already have given up.
+                    // All its slots failed at once, so that it may have exited with an error.
                     true => drop(victim.end()),
                     false => victim.wait(),
                 }
@@ -379,7 +380,7 @@ impl Fleet {
     }
 
     /// Restarts the coordinator with its wall clock shifted by `by` in libfaketime's format,
-    /// such as `+1d`. Returns false if that library is not installed.
+    /// such as `+1d`. Returns false if libfaketime is not installed.
     ///
     /// # Panics
     /// If the coordinator does not come back.
@@ -409,7 +410,8 @@ impl Fleet {
     }
 
     /// Returns a command that starts the coordinator through a shell that ignores SIGXFSZ, so
-    /// that writes beyond the file size limit fail, as on a full disk, instead of killing it.
+    /// that a write beyond the file size limit fails, as on a full disk, and does not kill the
+    /// coordinator.
     fn coordinator_command(&self) -> Command {
         let mut command = Command::new("sh");
         command.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]);
@@ -466,7 +468,7 @@ impl Fleet {
         self.workers.push(Worker { process, machine });
     }
 
-    /// Shuts everything down gracefully.
+    /// Kills workers, gateway and policy, and shuts the coordinator down gracefully.
     fn stop(&mut self) {
         self.workers.clear();
         self.gateway = None;

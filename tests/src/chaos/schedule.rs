@@ -6,11 +6,12 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
+/// Number of faults in a schedule.
 const FAULTS: u64 = 3;
-/// Largest number of faults in a schedule that are charged to a rollout because a slot
-/// exits under its worker. A third charged attempt would correctly quarantine the rollout,
-/// which is not the subject of these tests. Faults of the network, the disk, the coordinator
-/// and whole workers are never charged and therefore not limited.
+/// Largest number of faults in a schedule that are charged to a rollout, which are those that
+/// kill a slot while its worker runs. A third charged attempt would correctly quarantine the
+/// rollout, which is not the subject of these tests. Faults of the network, the disk, the
+/// coordinator and whole workers are never charged and therefore not limited.
 const MAX_CHARGED_FAULTS: usize = 2;
 /// Latest start of the last fault, milliseconds; the campaign is still running then.
 const LATEST_START_MS: u64 = 2_500;
@@ -108,8 +109,8 @@ impl Schedule {
 }
 
 impl Fault {
-    /// Returns true if the fault may cost a rollout one of its attempts, because its worker
-    /// reports it.
+    /// Returns true if the fault may cost a rollout one of its attempts, because the worker reports
+    /// the failure of its slot.
     fn is_charged(self) -> bool {
         matches!(self, Fault::KillSlot)
     }

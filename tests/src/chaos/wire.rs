@@ -168,8 +168,8 @@ impl State {
         }
     }
 
-    /// Copies data until either end closes; then closes both. Data read while `discards` is set is
-    /// discarded.
+    /// Copies data until one end closes, and then closes all ends. Data read while `discards` is
+    /// set is discarded.
     fn copy(&self, mut from: &TcpStream, to: &[Arc<TcpStream>], discards: &AtomicBool) {
         let mut buffer = vec![0; BUFFER_BYTES];
         while let Ok(count @ 1..) = from.read(&mut buffer) {

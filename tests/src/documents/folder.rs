@@ -10,11 +10,11 @@ use tempfile::TempDir;
 
 use crate::programs::program;
 
-/// Folders of the checkout that are copied because commands write to them; the others are
-/// symbolic links.
+/// Folders of the checkout that are copied because commands write to them. The sandbox has symbolic
+/// links in place of all other folders.
 const COPIED: [&str; 2] = ["assets", "policies"];
 
-/// Environment variables that a new reader does not have set.
+/// Environment variables that are removed, since a new reader has not set them.
 const UNSET: [&str; 6] = [
     "COORDINATOR_URL",
     "ROLLOUT_TOKENS",
@@ -58,12 +58,14 @@ impl Requirement {
                  sets it"
                     .to_owned()
             }),
-            Self::TypeScriptBuild => (!checkout().join(BUILT).is_file())
-                .then(|| "`cargo xtask test` builds it where npm is installed".to_owned()),
+            Self::TypeScriptBuild => (!checkout().join(BUILT).is_file()).then(|| {
+                "no TypeScript build; `cargo xtask test` makes one if npm is installed".to_owned()
+            }),
         }
     }
 }
 
+/// A file that the TypeScript build produces.
 const BUILT: &str = "policies/typescript/dist/src/main.js";
 
 /// Returns the folder of wheels for the pages' `pip install`; tests never download them.

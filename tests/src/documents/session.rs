@@ -102,7 +102,10 @@ impl Session {
             return Ok(());
         }
         let status = status.split(' ').next().unwrap_or_default();
-        Err(failure(format!("it ended with status {status}"), &output))
+        Err(failure(
+            format!("the command ended with status {status}"),
+            &output,
+        ))
     }
 
     fn start_server(&mut self, command: &str) -> Result<(), Failure> {
@@ -133,11 +136,14 @@ impl Session {
                 if is_display && status.starts_with("0 ") {
                     return Ok(());
                 }
-                return Err(failure("it ended at once".to_owned(), &output));
+                return Err(failure("the server ended at once".to_owned(), &output));
             }
             std::thread::sleep(Duration::from_millis(100));
         }
-        Err(failure("it does not become ready".to_owned(), &output))
+        Err(failure(
+            "the server does not become ready".to_owned(),
+            &output,
+        ))
     }
 
     /// Checks the servers at the end of a page.
@@ -178,7 +184,7 @@ impl Session {
             Err(RecvTimeoutError::Disconnected) => Err(fatal("the shell has ended".to_owned())),
             Err(RecvTimeoutError::Timeout) => {
                 let secs = PATIENCE.as_secs();
-                Err(fatal(format!("it takes more than {secs} s")))
+                Err(fatal(format!("the command takes more than {secs} s")))
             }
         }
     }

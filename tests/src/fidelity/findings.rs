@@ -14,7 +14,7 @@ pub struct Limits {
     /// Observed readings, m or rad.
     pub observed: f64,
     pub frames: FrameLimits,
-    /// Contact-rich steps, in multiples of the original's own sensitivity.
+    /// Joint positions in contact-rich steps, in multiples of the original's own sensitivity.
     pub sensitivities: f64,
 }
 
@@ -33,7 +33,7 @@ impl Limits {
 
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    /// The first differing name, if any: ours and the original's.
+    /// The first name of the model that differs, with the original's; `None` if all names agree.
     pub name: Option<String>,
     /// Largest relative difference of a model array, with the array's name.
     pub arrays: Worst,
@@ -47,9 +47,9 @@ pub struct Findings {
     pub success_flags: usize,
     /// Numbers of differing and of all predicate truth values.
     pub predicates: (usize, usize),
-    /// Contact-rich steps; `None` without a recording.
+    /// Findings about contact-rich steps; `None` without a recording of such steps.
     pub contact: Option<ContactFindings>,
-    /// Frames; `None` without reference frames.
+    /// Findings about frames; `None` without reference frames.
     pub frames: Option<FrameFindings>,
 }
 

@@ -189,8 +189,10 @@ fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFinding
 /// Returns the original's sensitivity at a step, from samples of its running maximum at every
 /// 20th step; between two samples, the later one applies.
 fn sensitivity_at(sampled: &[f64], step: usize) -> Option<f64> {
-    const EVERY: usize = 20;
-    sampled.get(step.div_ceil(EVERY).saturating_sub(1)).copied()
+    const SAMPLE_INTERVAL: usize = 20;
+    sampled
+        .get(step.div_ceil(SAMPLE_INTERVAL).saturating_sub(1))
+        .copied()
 }
 
 fn compare_positions(

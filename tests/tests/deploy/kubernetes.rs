@@ -17,7 +17,7 @@ const FOLDERS: [&str; 3] = ["base", "keda", "job"];
 fn python(test: &str) -> Option<PathBuf> {
     let python = std::env::var_os("ROLLOUT_DEPLOY_PYTHON").map(PathBuf::from);
     if python.is_none() {
-        println!("skipped {test}: `cargo xtask test` installs kubernetes-validate, where it can");
+        println!("skipped {test}: `cargo xtask test` installs kubernetes-validate if it can");
     }
     python
 }

@@ -19,8 +19,7 @@ fn runs(tool: &str, argument: &str) -> bool {
     Command::new(tool).arg(argument).output().is_ok()
 }
 
-/// Seconds that a worker needs to give back rollouts once it has no more time to finish
-/// them.
+/// Seconds that a worker needs, after its time to drain, to give back unfinished rollouts.
 const GIVE_BACK_SECS: u32 = 30;
 
 /// Returns the help of a command line's program. The first word is the program; a second

@@ -13,8 +13,9 @@ import yaml
 
 # The oldest version that large providers still serve, and the newest.
 VERSIONS = ("1.31", kubernetes_validate.latest_version())
-# Prefixes of kinds that are not Kubernetes' own.
+# Prefixes of the `apiVersion` of other projects' kinds, for which there is no schema.
 FOREIGN = ("keda.sh/",)
+# Folder at which secrets are mounted.
 SECRETS = "/etc/rollout/"
 
 
@@ -101,19 +102,18 @@ class Manifests:
         pods = self.select_pods(policy, policy["spec"]["podSelector"]["matchLabels"])
         for direction, peers in (("ingress", "from"), ("egress", "to")):
             for rule in policy["spec"].get(direction, []):
-                others: list[dict] = []
+                peer_pods: list[dict] = []
                 for peer in rule[peers]:
                     if "podSelector" in peer:
-                        others += self.select_pods(policy, peer["podSelector"]["matchLabels"])
+                        peer_pods += self.select_pods(policy, peer["podSelector"]["matchLabels"])
                 for port in rule["ports"]:
                     if isinstance(port["port"], str):
-                        self.check_port(
-                            policy, pods if direction == "ingress" else others, port["port"]
-                        )
+                        listening = pods if direction == "ingress" else peer_pods
+                        self.check_port(policy, listening, port["port"])
 
     def check_pod(self, document: dict, pod: dict) -> None:
         if not pod["securityContext"].get("runAsNonRoot"):
-            self.add_fault(document, "it may run as root")
+            self.add_fault(document, "its pods may run as root")
         volumes = {volume["name"]: volume for volume in pod.get("volumes", [])}
         claims = document["spec"].get("volumeClaimTemplates", [])
         claimed = {claim["metadata"]["name"] for claim in claims}
@@ -130,7 +130,8 @@ class Manifests:
                 self.add_fault(document, f"there is no ConfigMap {volume['configMap']['name']}")
         for container in pod["containers"]:
             if not container["securityContext"].get("readOnlyRootFilesystem"):
-                self.add_fault(document, "its root is writable")
+                name = container["name"]
+                self.add_fault(document, f"container {name} has a writable root file system")
             for mount in container.get("volumeMounts", []):
                 if mount["name"] not in volumes.keys() | claimed:
                     self.add_fault(document, f"there is no volume {mount['name']}")

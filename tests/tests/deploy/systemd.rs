@@ -85,7 +85,7 @@ fn units_use_only_flags_and_variables_that_programs_have() {
         assert!(!set.is_empty(), "{name}");
         for variable in set {
             let variable = variable.split('=').next().expect("a name");
-            // Not an option of ours: the parent folder of the programs' caches.
+            // The parent folder of caches is a convention, not an option of the programs.
             if variable == "XDG_CACHE_HOME" {
                 continue;
             }

@@ -38,7 +38,7 @@ fn name() -> RouteName {
     "pi05".parse().expect("a name")
 }
 
-fn trouble() -> Box<ConnectError> {
+fn connect_error() -> Box<ConnectError> {
     Box::new(ConnectError {
         expected: ServerKind::Policy,
         host: "gpu-3".to_owned(),
@@ -189,11 +189,11 @@ fn checks(messages: &mut Messages) {
 fn back_ends(messages: &mut Messages) {
     let address = || "gpu-3:5000".to_owned();
     let backend = || "grpc://gpu-3:5000".to_owned();
-    let why = || "nothing listens there; start it".to_owned();
+    let problem_text = || "nothing listens there; start it".to_owned();
     for cause in [
-        Cause::Unreachable(why()),
-        Cause::Misconfigured(why()),
-        Cause::TokenRejected(why()),
+        Cause::Unreachable(problem_text()),
+        Cause::Misconfigured(problem_text()),
+        Cause::TokenRejected(problem_text()),
         Cause::DescriptionDiffers("describes itself otherwise".to_owned()),
         Cause::NoAnswer,
         Cause::RepeatedError("ValueError: shape".to_owned()),
@@ -218,13 +218,13 @@ fn back_ends(messages: &mut Messages) {
     }
     variants!(messages, BackendError,
         BackendError::Unreachable { .. } => BackendError::Unreachable {
-            address: address(), trouble: trouble(),
+            address: address(), trouble: connect_error(),
         },
         BackendError::TokenRejected { .. } => BackendError::TokenRejected {
             address: address(), reason: "it answered HTTP 401".to_owned(),
         },
         BackendError::OutOfService { .. } => BackendError::OutOfService {
-            backend: backend(), cause: Cause::Unreachable(why()),
+            backend: backend(), cause: Cause::Unreachable(problem_text()),
             retry_in: Duration::from_secs(1),
         },
         BackendError::TimedOut { .. } => BackendError::TimedOut {
@@ -265,7 +265,7 @@ fn routes(messages: &mut Messages) {
         RouteError::Replica { .. } => RouteError::Replica {
             route: name(), replica: "grpc://h:1".to_owned(),
             source: Box::new(BackendError::Unreachable {
-                address: "h:1".to_owned(), trouble: trouble(),
+                address: "h:1".to_owned(), trouble: connect_error(),
             }),
         },
         RouteError::Action { .. } => RouteError::Action {
@@ -299,7 +299,7 @@ fn conformance(messages: &mut Messages) {
             ConformanceError::Access(AccessError::Host { host: text() })
         },
         ConformanceError::Connect { .. } => ConformanceError::Connect {
-            url: url(), trouble: trouble(),
+            url: url(), trouble: connect_error(),
         },
         ConformanceError::Describe { .. } => ConformanceError::Describe {
             url: url(), status: Box::new(Status::unknown("")),

@@ -1,5 +1,5 @@
 //! Prints every variant of every error with its whole chain of causes: no message has a raw phrase
-//! of a library, and nothing is missing or doubled. A listed error with a missing variant does not
+//! of a library, a missing part or a repeated word. A listed error with a missing variant does not
 //! compile; an error that is not listed is found in the sources.
 
 mod gateway;

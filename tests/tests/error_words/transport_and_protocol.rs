@@ -25,8 +25,8 @@ fn no_suite_file() -> SuiteFileError {
 }
 
 pub(crate) fn add(messages: &mut Messages) {
-    for trouble in troubles() {
-        messages.add("ConnectError", trouble);
+    for error in connect_errors() {
+        messages.add("ConnectError", error);
     }
     variants!(messages, Untrusted,
         Untrusted::AnotherUser => Untrusted::AnotherUser,
@@ -217,7 +217,7 @@ fn protocol(messages: &mut Messages) {
 }
 
 /// Returns every finding at a server's address, for every kind of server.
-fn troubles() -> Vec<ConnectError> {
+fn connect_errors() -> Vec<ConnectError> {
     let web = |is_backend_down| ProbeResult::Web {
         answer: "HTTP status 404".to_owned(),
         is_backend_down,
@@ -270,13 +270,13 @@ fn troubles() -> Vec<ConnectError> {
         ServerKind::Openpi,
         ServerKind::VlaEval,
     ];
-    let mut troubles = vec![];
+    let mut connect_errors = vec![];
     for (found, expected) in found
         .iter()
         .flat_map(|found| kinds.map(|kind| (found, kind)))
     {
         for has_authority in [false, true] {
-            troubles.push(ConnectError {
+            connect_errors.push(ConnectError {
                 expected,
                 host: "gpu-3".to_owned(),
                 found: found.clone(),
@@ -285,7 +285,7 @@ fn troubles() -> Vec<ConnectError> {
             });
         }
     }
-    troubles
+    connect_errors
 }
 
 /// Fails to compile if a variant is missing from the list above.

@@ -141,9 +141,9 @@ fn joints_of<'a>(scene: &'a Scene, name: &str) -> (&'a Instance, &'a [String]) {
     (instance, &region.joints)
 }
 
-/// Makes the last of the reached predicates true while the others stay true: releases its object on
-/// or in its place, at one position after another. Returns the state at rest; `None` if no position
-/// works.
+/// Makes the last of the reached predicates true while the earlier ones stay true: releases its
+/// object on or in its place, at one position after another. Returns the state at rest; `None` if
+/// no position works.
 fn place_object(
     episode: &mut Episode<'_>,
     state: &[f64],
@@ -203,8 +203,8 @@ fn share_offset(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     }
 }
 
-/// Raises the object of this free joint from a position until it is free, and leaves the scene in
-/// that state. Returns false if there is no room.
+/// Raises the object of this free joint from a position until it overlaps nothing, and leaves the
+/// scene in that state. Returns false if no height up to [`MAX_LIFT`] is free.
 fn lift_free(environment: &mut Environment, state: &[f64], address: usize, from: [f64; 3]) -> bool {
     let mut state = state.to_vec();
     // The state begins with the time; the object's rotation is unchanged.

@@ -7,9 +7,9 @@ use sim::mujoco::ObjectKind;
 use sim::predicates::Goal;
 use sim::{Environment, Episode, ObservationRequest};
 
-/// Largest overlap of a movable object with anything at rest, m.
+/// Largest allowed overlap of a movable object with another body at rest, m.
 pub(crate) const MAX_OVERLAP: f64 = 0.005;
-/// Largest horizontal distance between an object's released and resting positions, m.
+/// Largest allowed horizontal distance between an object's released and resting positions, m.
 pub(crate) const MAX_DRIFT: f64 = 0.15;
 
 pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
@@ -21,7 +21,8 @@ pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
     observation.privileged.expect("privileged state").entities
 }
 
-/// Returns the deepest overlap of a movable object with anything, m, and the names of both geoms.
+/// Returns the deepest overlap of a movable object with another geom, m, and the names of the two
+/// geoms.
 pub(crate) fn deepest_overlap(environment: &Environment) -> (f64, String) {
     let (scene, model) = (environment.scene(), environment.model());
     let objects = scene.instances.iter();
@@ -65,12 +66,12 @@ impl<'a> Released<'a> {
     /// Describes the objects that have moved by more than `drift` m or fallen since their release,
     /// and the initial statements that do not hold.
     pub(crate) fn compare(&self, episode: &mut Episode<'_>, drift: f64) -> Vec<String> {
-        let now = entities(episode);
+        let at_rest = entities(episode);
         let workspace = workspace_height(self.problem);
         let mut problems = Vec::new();
         for before in &self.objects {
             let name = &before.name;
-            let after = now.iter().find(|entity| entity.name == *name);
+            let after = at_rest.iter().find(|entity| entity.name == *name);
             let after = after.expect("objects do not vanish");
             let moved = (after.pos[0] - before.pos[0]).hypot(after.pos[1] - before.pos[1]);
             if moved.is_nan() || moved > drift {

@@ -39,7 +39,7 @@ SCENES = {
 
 
 class States(pickle.Unpickler):
-    """The pickled array of a file of initial states."""
+    """Unpickler of a file of initial states, whose array may come from an older NumPy."""
 
     def find_class(self, module, name):
         return super().find_class(module.replace("numpy.core", "numpy._core"), name)
@@ -52,14 +52,14 @@ def states(path) -> np.ndarray:
 
 
 def changed(text: str, lights: dict) -> str:
-    """A scene with other attributes of its lights, for a folder one level deeper."""
+    """A scene file with other attributes of lights, and paths for a folder one level deeper."""
     text = text.replace('file="', 'file="../')
     for name, attributes in lights.items():
         (light,) = re.findall(rf'<light [^>]*name="{name}"[^>]*/>', text)
-        other = light
+        replacement = light
         for attribute, value in attributes.items():
-            other = re.sub(rf'(\b{attribute})="[^"]*"', rf'\1="{value}"', other)
-        text = text.replace(light, other)
+            replacement = re.sub(rf'(\b{attribute})="[^"]*"', rf'\1="{value}"', replacement)
+        text = text.replace(light, replacement)
     return text
 
 

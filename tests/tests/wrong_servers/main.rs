@@ -1,4 +1,4 @@
-//! Tests every client against unexpected servers: the message names the attempt, the finding and
+//! Tests every client against unexpected servers: the message names the address, the finding and
 //! the remedy, in this project's own words, and the client retries only if a retry can help.
 //! Real programs on real sockets.
 
@@ -79,13 +79,13 @@ fn over_tls(
     serve: impl Fn([String; 4]) -> Process,
     trusted: &Authority,
 ) -> (Vec<Process>, Vec<Case>) {
-    let other = Authority::new();
+    let untrusted = Authority::new();
     let processes = [
         trusted.arguments("localhost", 2099),
-        other.arguments("localhost", 2099),
+        untrusted.arguments("localhost", 2099),
         trusted.arguments("localhost", 2020),
         trusted.arguments("gpu-3.example", 2099),
-        other.own_arguments(),
+        untrusted.own_arguments(),
     ]
     .map(serve);
     let at = |index: usize| {
@@ -173,7 +173,7 @@ async fn clients_of_a_coordinator_explain_unexpected_servers() {
     };
     let (_processes, encrypted) = over_tls(serve, &trusted);
     let mut servers = grpc::Servers::new();
-    let own_kind = [
+    let client_cases = [
         case(
             authority(&other_server),
             "http",
@@ -203,7 +203,7 @@ async fn clients_of_a_coordinator_explain_unexpected_servers() {
     let cases = cases_for_any_client()
         .into_iter()
         .chain(encrypted)
-        .chain(own_kind);
+        .chain(client_cases);
     for case in cases {
         check(
             "coordinator campaign list",
@@ -231,7 +231,7 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
     let clear = gateway(&[]);
     let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &trusted);
     let mut servers = grpc::Servers::new();
-    let own_kind = [
+    let client_cases = [
         case(
             authority(&other_server),
             "http",
@@ -249,7 +249,7 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
     for case in cases_for_any_client()
         .into_iter()
         .chain(encrypted)
-        .chain(own_kind)
+        .chain(client_cases)
     {
         let scheme = if case.is_encrypted { "https" } else { "grpc" };
         let url = format!("{scheme}://{}", case.at);

@@ -1,4 +1,5 @@
-//! Servers that a client does not expect, on real sockets.
+//! Servers that listen where a client expects another one, on real sockets, and a certificate
+//! authority for servers with TLS.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};

@@ -147,8 +147,8 @@ impl PathUse {
             .rev()
             .find(|length| files.contains_key(&full_path[..*length]))?;
         let target = full_path[..length].to_vec();
-        let own_child = self.is_reexport && target.starts_with(module);
-        if target == *module || own_child {
+        let reexports_child = self.is_reexport && target.starts_with(module);
+        if target == *module || reexports_child {
             return None;
         }
         let item = full_path.get(length).cloned();
@@ -157,7 +157,7 @@ impl PathUse {
 }
 
 /// Collects the paths in the tokens of a file, inside `depth` inline modules.
-fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
+fn collect(tokens: TokenStream, depth: usize, paths: &mut Vec<PathUse>) {
     let tokens: Vec<TokenTree> = tokens.into_iter().collect();
     let ident = |at: usize| match tokens.get(at) {
         Some(TokenTree::Ident(ident)) => Some(ident.to_string()),
@@ -172,8 +172,8 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                 at += 1 + item_length(&tokens[at + 1..]);
             }
             TokenTree::Group(group) => {
-                let inner = at >= 3 && ident(at - 3).is_some_and(|word| word == "mod");
-                collect(group.stream(), depth + usize::from(inner), found);
+                let is_module = at >= 3 && ident(at - 3).is_some_and(|word| word == "mod");
+                collect(group.stream(), depth + usize::from(is_module), paths);
                 // Parentheses may belong to `pub(crate)`.
                 is_reexport &= group.delimiter() == Delimiter::Parenthesis;
             }
@@ -181,10 +181,10 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
             TokenTree::Ident(word) if word == "use" => {
                 let length = tokens[at..]
                     .iter()
-                    .take_while(|token| !is(token, ';'))
+                    .take_while(|token| !is_punct(token, ';'))
                     .count();
                 for segments in use_tree(&tokens[at..at + length]) {
-                    found.push(PathUse {
+                    paths.push(PathUse {
                         segments,
                         is_reexport,
                         depth,
@@ -201,7 +201,7 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                     at += 3;
                 }
                 if segments.len() > 1 {
-                    found.push(PathUse {
+                    paths.push(PathUse {
                         segments,
                         is_reexport: false,
                         depth,
@@ -214,18 +214,18 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
     }
 }
 
-fn is(token: &TokenTree, punctuation: char) -> bool {
+fn is_punct(token: &TokenTree, punctuation: char) -> bool {
     matches!(token, TokenTree::Punct(punct) if punct.as_char() == punctuation)
 }
 
 fn is_path_separator(tokens: &[TokenTree]) -> bool {
-    matches!(tokens, [one, two, ..] if is(one, ':') && is(two, ':'))
+    matches!(tokens, [first, second, ..] if is_punct(first, ':') && is_punct(second, ':'))
 }
 
 /// Returns true if the tokens start with `#[cfg(test)]`.
 fn is_test_only(tokens: &[TokenTree]) -> bool {
     matches!(tokens, [hash, TokenTree::Group(group), ..]
-        if is(hash, '#') && group.stream().to_string().replace(' ', "") == "cfg(test)")
+        if is_punct(hash, '#') && group.stream().to_string().replace(' ', "") == "cfg(test)")
 }
 
 /// Returns the number of tokens up to the end of an item: its semicolon or braces.
@@ -233,7 +233,7 @@ fn item_length(tokens: &[TokenTree]) -> usize {
     let ends = |token: &TokenTree| {
         let braces =
             matches!(token, TokenTree::Group(group) if group.delimiter() == Delimiter::Brace);
-        braces || is(token, ';')
+        braces || is_punct(token, ';')
     };
     tokens
         .iter()
@@ -243,7 +243,7 @@ fn item_length(tokens: &[TokenTree]) -> usize {
 
 /// Expands the tokens between `use` and its semicolon to paths.
 fn use_tree(tokens: &[TokenTree]) -> Vec<Vec<String>> {
-    let branches = tokens.split(|token| is(token, ','));
+    let branches = tokens.split(|token| is_punct(token, ','));
     branches
         .filter(|branch| !branch.is_empty())
         .flat_map(|branch| {
@@ -289,10 +289,13 @@ fn components(imports: &Imports) -> Vec<BTreeSet<Module>> {
         imports.keys().map(|from| (from, reachable(from))).collect();
     let components: BTreeSet<BTreeSet<Module>> = reached
         .iter()
-        .map(|(from, others)| {
-            let reaches_back =
-                |to: &&Module| reached.get(to).is_some_and(|others| others.contains(*from));
-            others.iter().filter(reaches_back).cloned().collect()
+        .map(|(from, targets)| {
+            let reaches_back = |to: &&Module| {
+                reached
+                    .get(to)
+                    .is_some_and(|targets| targets.contains(*from))
+            };
+            targets.iter().filter(reaches_back).cloned().collect()
         })
         .collect();
     components
