@@ -144,7 +144,9 @@ struct SpecFlags {
     /// input.
     #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS, hide_short_help = true)]
     manifest: Option<PathBuf>,
-    /// Source of the perturbations' random elements: matched, reference.
+    /// Source of the perturbations' random elements: `matched`, the same elements for an axis alone
+    /// and in combinations; or `reference`, other elements under each condition, as the released
+    /// code draws them.
     #[arg(long, default_value = "matched", hide_short_help = true)]
     realisation: Realisation,
     /// Number of runs of every rollout, each with a different policy seed.
@@ -204,7 +206,8 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
 struct StopFlags {
     /// Rule under which the campaign ends early, as soon as the rule holds at every level:
     /// `width(M) < X` or `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d
-    /// or I. The rule concerns only the configurations of this campaign: `I excludes 0` is evidence
+    /// or I, by its 95 % interval, and X is a fraction, such as 0.08 for 8 points. The rule
+    /// concerns only the configurations of this campaign: `I excludes 0` is evidence
     /// that a complete run of these configurations would have unequal numbers of emergent failures
     /// and compensated successes. It is no evidence about other tasks or directions.
     /// `M excludes X for new tasks` concerns tasks that were never run.

@@ -12,7 +12,7 @@ def command(arguments: Sequence[str] | None = None) -> list[str]:
     """Returns the arguments for `python -m rollout_libero`."""
     parser = argparse.ArgumentParser(
         prog="libero-download-assets",
-        description="Fetches LIBERO's assets: python -m rollout_libero fetch, with more options.",
+        description="Fetches LIBERO's assets; `python -m rollout_libero fetch` has more options.",
     )
     parser.add_argument(
         "--skip-existing",

@@ -48,7 +48,7 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
     let mut heading = None;
     for cell in &comparison.cells {
         if replicate.replace(cell.replicate) != Some(cell.replicate) {
-            // Nominal rollouts have a level, too, but no heading.
+            // Each replicate repeats the headings of its levels.
             heading = None;
             if has_replicates {
                 rows.push((format!("replicate {}", cell.replicate), Vec::new()));
@@ -56,6 +56,7 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
         }
         let label = cell.condition.label();
         let label = match cell.condition {
+            // Nominal rollouts have a level, too, but no heading.
             Condition::Clean => label.to_owned(),
             _ => {
                 if heading.replace(cell.level) != Some(cell.level) {

@@ -242,7 +242,11 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
         ),
         (
             "and directions",
-            "about new tasks and new directions; all tasks share the direction of configuration c",
+            "about new tasks and new directions; a configuration has one direction in all tasks",
+        ),
+        (
+            "directions alike",
+            "p of the hypothesis that simultaneous success is the same under every direction",
         ),
         (
             "sign-flip p",

@@ -158,8 +158,8 @@ fn footprint(part: &Part, prefix: &str) -> Result<Footprint, String> {
 }
 
 impl ObjectPart {
-    /// Returns the site of a region; `None` if this object does not have the site. Like the
-    /// original, visits the bodies in document order, takes the last body that contains the site,
+    /// Returns the site of a region; `None` if this object does not have the site. Like
+    /// LIBERO, visits the bodies in document order, takes the last body that contains the site,
     /// and stops at the first body without any site.
     pub(crate) fn region_site(&self, region: &str) -> Option<RegionSite> {
         let outer = self

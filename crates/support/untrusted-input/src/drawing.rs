@@ -427,8 +427,8 @@ impl Bytes<'_> {
         }
     }
 
-    /// Reads a frame size with a small area. A side has between zero and one more than the largest
-    /// allowed number of pixels.
+    /// Reads a frame size with a small area. A side has from zero to 4097 pixels, one more than the
+    /// renderer allows.
     fn frame_size(&mut self) -> [usize; 2] {
         let mut side = || usize::from(u16::from_le_bytes([self.byte(), self.byte()])) % 4098;
         let (width, height) = (side(), side());

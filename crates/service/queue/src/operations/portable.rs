@@ -146,7 +146,7 @@ impl Portable {
         View::begin(&self.store, now, Timing::default(), settled, None, filming).await
     }
 
-    /// Returns the videos, by path.
+    /// Returns the videos, by path; the database lists no other kind of artifact.
     pub async fn films(&self) -> Result<Vec<FilmFile>, StoreError> {
         let mut view = self.store.read().await?;
         let films: Vec<(String, i64)> =

@@ -132,8 +132,8 @@ impl Data {
         })
     }
 
-    /// Returns the number of times that MuJoCo found the simulation unstable: bad positions,
-    /// velocities or accelerations.
+    /// Returns the number of times that MuJoCo found the simulation unstable since this state was
+    /// created or last reset: bad positions, velocities or accelerations.
     pub fn instabilities(&self) -> i32 {
         let warnings = &self.raw().warning;
         [
