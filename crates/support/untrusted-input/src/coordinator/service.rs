@@ -56,8 +56,7 @@ impl TestCoordinator {
 
     /// Calls a method; returns `None` if the call waits for a job.
     pub(super) async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Answer> {
-        let path = format!("/rollout.coordinator.v1.{method}");
-        let answering = call(&mut self.services, &path, messages);
+        let answering = self.call_to_end(method, messages);
         if method != CLAIM {
             return Some(answering.await);
         }
@@ -66,11 +65,16 @@ impl TestCoordinator {
             // The abandoned claim may still be committed. A registration waits for that commit, so
             // that its effect is not attributed to the input's next call.
             let (method, message) = registration("next");
-            let path = format!("/rollout.coordinator.v1.{method}");
-            let after = call(&mut self.services, &path, &[&message]).await;
-            after.expect("a valid message");
+            let registered = self.call_to_end(method, &[&message]).await;
+            registered.expect("a valid message");
         }
         answer
+    }
+
+    /// Calls a method and waits for its answer, however long.
+    async fn call_to_end(&mut self, method: &str, messages: &[&[u8]]) -> Answer {
+        let path = format!("/rollout.coordinator.v1.{method}");
+        call(&mut self.services, &path, messages).await
     }
 
     pub(super) async fn close(self) {
@@ -85,8 +89,8 @@ pub(super) fn run_valid(calls: &[EncodedCall]) -> (Vec<u8>, Vec<Bytes>) {
         let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
         let mut last = Vec::new();
         for (method, message) in calls {
-            let answer = coordinator.call(method, &[message]).await;
-            last = answer.expect("an answer").expect("a valid message");
+            let answer = coordinator.call_to_end(method, &[message]).await;
+            last = answer.expect("a valid message");
         }
         coordinator.close().await;
         let database = std::fs::read(folder.path().join(DATABASE_FILE));
