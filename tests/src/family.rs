@@ -6,5 +6,5 @@ mod recording;
 mod table;
 
 pub use comparison::{Comparison, Findings, Skipped, TOLERANCE};
-pub use recording::{Family, RECORDED, Recording, recordings};
+pub use recording::{RECORDED, Recording, recordings};
 pub use table::Table;

@@ -14,7 +14,7 @@ use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Conditions, Environment, ObjectKind, ReadyScene, Reset, Start, VariantStart};
-use tests::family::{Comparison, Family, RECORDED as FOLDER, Recording, TOLERANCE, recordings};
+use tests::family::{Comparison, RECORDED as FOLDER, Recording, TOLERANCE, recordings};
 use tests::files::{folder_with_links, libero, primitives, sources};
 use tests::programs::program;
 
@@ -208,22 +208,26 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
 }
 
 /// Compares what `family/record_chosen.py` recorded. Returns the number of compared cases.
-fn compare_chosen(family: Family, test: &str, is_chosen: impl Fn(&Recording) -> bool) -> usize {
+fn compare_chosen(
+    benchmark: Benchmark,
+    test: &str,
+    is_chosen: impl Fn(&Recording) -> bool,
+) -> usize {
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
         return 0;
     };
     let mut comparison = Comparison::new(sources, pack, Path::new(FOLDER)).unwrap();
     let (mut compared, mut violations) = (0, Vec::new());
-    let mut chosen = recordings(family).unwrap();
+    let mut chosen = recordings(benchmark).unwrap();
     chosen.retain(|recording| recording.number.is_some() && is_chosen(recording));
     assert!(!chosen.is_empty());
     for recording in &chosen {
         let name = &recording.name;
-        match comparison.compare(family, recording).unwrap() {
+        match comparison.compare(benchmark, recording).unwrap() {
             Ok(findings) => {
                 println!("{name}: {findings:?}");
-                if family == Family::Para && findings.prompt.is_none() {
+                if benchmark == Benchmark::Para && findings.prompt.is_none() {
                     println!(
                         "skipped {test}: {name}: its sentence: ROLLOUT_PARA names no checkout"
                     );
@@ -242,34 +246,38 @@ fn compare_chosen(family: Family, test: &str, is_chosen: impl Fn(&Recording) -> 
 #[test]
 fn chosen_variants_of_libero_plus_equal_the_originals() {
     let test = "chosen_variants_of_libero_plus_equal_the_originals";
-    compare_chosen(Family::Plus, test, |recording| !recording.is_held_out);
+    compare_chosen(Benchmark::Plus, test, |recording| !recording.is_held_out);
 }
 
 /// Nothing was changed after these variants were first compared.
 #[test]
 fn held_out_variants_of_libero_plus_equal_the_originals() {
     let test = "held_out_variants_of_libero_plus_equal_the_originals";
-    let chosen = recordings(Family::Plus).unwrap();
+    let chosen = recordings(Benchmark::Plus).unwrap();
     let held_out = chosen.iter().filter(|recording| recording.is_held_out);
     assert_eq!(held_out.count(), 10);
-    compare_chosen(Family::Plus, test, |recording| recording.is_held_out);
+    compare_chosen(Benchmark::Plus, test, |recording| recording.is_held_out);
 }
 
 #[test]
 fn tasks_of_every_suite_of_libero_pro_equal_the_originals() {
     let test = "tasks_of_every_suite_of_libero_pro_equal_the_originals";
     let suite = |recording: &Recording| recording.name.split_once('/').unwrap().0.to_owned();
-    let all: BTreeSet<_> = recordings(Family::Pro).unwrap().iter().map(suite).collect();
+    let all: BTreeSet<_> = recordings(Benchmark::Pro)
+        .unwrap()
+        .iter()
+        .map(suite)
+        .collect();
     assert!(ProSuite::all().all(|suite| all.contains(&suite.to_string())));
-    compare_chosen(Family::Pro, test, |_| true);
+    compare_chosen(Benchmark::Pro, test, |_| true);
 }
 
 /// LIBERO-Para changes the sentence alone, so libero_goal's files serve without its checkout.
 #[test]
 fn rollouts_of_libero_para_start_as_the_originals() {
     let test = "rollouts_of_libero_para_start_as_the_originals";
-    assert_eq!(recordings(Family::Para).unwrap().len(), 20);
-    compare_chosen(Family::Para, test, |_| true);
+    assert_eq!(recordings(Benchmark::Para).unwrap().len(), 20);
+    compare_chosen(Benchmark::Para, test, |_| true);
 }
 
 /// A model in the form of LIBERO-Plus' archive, as its code reads it: without an outer body. The

@@ -7,11 +7,11 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use libero_ctrl::TaskRef;
+use libero_ctrl::{Benchmark, TaskRef};
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};
-use tests::family::{Comparison, Family, RECORDED, Table, recordings};
+use tests::family::{Comparison, RECORDED, Table, recordings};
 use tests::fidelity::{
     CLOSE_LEVELS, Findings, Limits, ReferenceTask, RendererRelation, compare, find_tasks,
 };
@@ -132,11 +132,11 @@ fn family(arguments: &Arguments, sources: Sources) -> Result<bool> {
     let pictures = pictures.unwrap_or(Path::new(RECORDED));
     let mut comparison = Comparison::new(sources, pack, pictures)?;
     let (mut table, mut agree) = (Table::default(), true);
-    for family in Family::ALL {
-        for recording in recordings(family)? {
-            match comparison.compare(family, &recording)? {
+    for benchmark in Benchmark::ALL {
+        for recording in recordings(benchmark)? {
+            match comparison.compare(benchmark, &recording)? {
                 Ok(findings) => {
-                    table.add(family, recording.is_held_out, &findings);
+                    table.add(benchmark, recording.is_held_out, &findings);
                     for violation in findings.violations() {
                         println!("{}: {violation}", recording.name);
                         agree = false;

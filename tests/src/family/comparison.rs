@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{ManifestRow, Suite, TaskRef};
+use libero_ctrl::{Benchmark, ManifestRow, Suite, TaskRef};
 use libero_family::plus::{Variant, entry};
 use libero_family::pro::ProSuite;
 use libero_family::{Case, Subject};
@@ -18,7 +18,7 @@ use sim::{
 };
 use worker::variants::Prepared;
 
-use super::recording::{Family, Recording};
+use super::recording::Recording;
 use crate::fidelity::{FrameFindings, RendererRelation};
 
 /// Largest difference of any coordinate of a state or a camera.
@@ -124,10 +124,10 @@ impl Comparison {
     /// If the recording belongs to no case, or the case cannot be run.
     pub fn compare(
         &mut self,
-        family: Family,
+        benchmark: Benchmark,
         recording: &Recording,
     ) -> Result<Result<Findings, Skipped>> {
-        let run = self.run(family, recording);
+        let run = self.run(benchmark, recording);
         let run = match run.with_context(|| recording.name.clone())? {
             Ok(run) => run,
             Err(skipped) => return Ok(Err(skipped)),
@@ -156,15 +156,15 @@ impl Comparison {
                 cached_scenes: 1,
             })
         });
-        let found = findings(family, recording, run, simulator, &self.pictures);
+        let found = findings(benchmark, recording, run, simulator, &self.pictures);
         found.map(Ok).with_context(|| recording.name.clone())
     }
 
-    fn run(&self, family: Family, recording: &Recording) -> Result<Result<Run, Skipped>> {
+    fn run(&self, benchmark: Benchmark, recording: &Recording) -> Result<Result<Run, Skipped>> {
         let name = &recording.name;
         let (suite, rest) = name.split_once('/').unwrap_or(("", name));
-        let (subject, protocol) = match family {
-            Family::Plus => {
+        let (subject, protocol) = match benchmark {
+            Benchmark::Plus => {
                 let variant: Variant = rest.parse()?;
                 // `states.txt` has further postures of the released code.
                 let Some(entry) = entry(&variant) else {
@@ -173,8 +173,8 @@ impl Comparison {
                 };
                 (Subject::Plus(entry), "plus-openpi")
             }
-            Family::Pro => (Subject::Pro(suite.parse()?), "pro-openpi"),
-            Family::Para => (Subject::Unperturbed, "plus-openpi"),
+            Benchmark::Pro => (Subject::Pro(suite.parse()?), "pro-openpi"),
+            Benchmark::Para => (Subject::Unperturbed, "plus-openpi"),
         };
         let task = match subject {
             Subject::Plus(entry) => entry.variant.task,
@@ -204,9 +204,9 @@ impl Comparison {
             Subject::Pro(_) => suite.rsplit('_').next().unwrap_or_default().to_owned(),
             _ => "sentences".to_owned(),
         };
-        let prompts = match (family, &self.para) {
-            (Family::Para, None) => None,
-            (Family::Para, Some(checkout)) => {
+        let prompts = match (benchmark, &self.para) {
+            (Benchmark::Para, None) => None,
+            (Benchmark::Para, Some(checkout)) => {
                 let folder = checkout.join("libero/libero");
                 files.bddl = folder.join(format!("bddl_files/libero_para/{name}.bddl"));
                 let number = number_of_task(name)?;
@@ -234,7 +234,7 @@ impl Comparison {
 }
 
 fn findings(
-    family: Family,
+    benchmark: Benchmark,
     recording: &Recording,
     run: Run,
     simulator: &mut Simulator,
@@ -271,7 +271,7 @@ fn findings(
         let Some(number) = recording.number else {
             continue;
         };
-        let place = format!("{}_{number:02}_{name}", family.name());
+        let place = format!("{}_{number:02}_{name}", benchmark.tag());
         let path = pictures.join(format!("{place}.png"));
         if !path.is_file() {
             continue;

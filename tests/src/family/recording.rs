@@ -1,49 +1,18 @@
 //! The committed recordings.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use libero_ctrl::Benchmark;
 
 /// Folder of the recordings and of the committed pictures.
 pub const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/family");
 
-/// A benchmark with its own Python code.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Family {
-    Plus,
-    Pro,
-    Para,
-}
-
-impl Family {
-    pub const ALL: [Self; 3] = [Self::Plus, Self::Pro, Self::Para];
-
-    /// Returns the part of the names of files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Plus => "plus",
-            Self::Pro => "pro",
-            Self::Para => "para",
-        }
-    }
-}
-
-impl fmt::Display for Family {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Plus => "LIBERO-Plus",
-            Self::Pro => "LIBERO-PRO",
-            Self::Para => "LIBERO-Para",
-        })
-    }
-}
-
-/// What the original did in one case; `record_chosen.py` describes the values. The earlier
-/// recordings `states.txt` and `pro.txt` have fewer values.
+/// Values of the original in one case, as `record_chosen.py` describes them. The earlier recordings
+/// `states.txt` and `pro.txt` have fewer values.
 #[derive(Debug, Clone, Default)]
 pub struct Recording {
     /// Suite and variant, suite and task, or the name of a BDDL file.
@@ -64,14 +33,14 @@ pub struct Recording {
 ///
 /// # Errors
 /// If a file cannot be read or is malformed.
-pub fn recordings(family: Family) -> Result<Vec<Recording>> {
+pub fn recordings(benchmark: Benchmark) -> Result<Vec<Recording>> {
     let mut found = Found::default();
-    match family {
-        Family::Plus => found.read("states.txt", Found::add_states)?,
-        Family::Pro => found.read("pro.txt", Found::add_pro)?,
-        Family::Para => {}
+    match benchmark {
+        Benchmark::Plus => found.read("states.txt", Found::add_states)?,
+        Benchmark::Pro => found.read("pro.txt", Found::add_pro)?,
+        Benchmark::Para => {}
     }
-    let file = format!("chosen_{}.txt", family.name());
+    let file = format!("chosen_{}.txt", benchmark.tag());
     found.read(&file, Found::add_chosen)?;
     Ok(found.0)
 }
@@ -96,8 +65,8 @@ impl Found {
         Ok(())
     }
 
-    fn of(&mut self, name: &str) -> &mut Recording {
-        let known = self.0.iter().position(|one| one.name == name);
+    fn recording_mut(&mut self, name: &str) -> &mut Recording {
+        let known = self.0.iter().position(|recording| recording.name == name);
         let index = known.unwrap_or_else(|| {
             let name = name.to_owned();
             self.0.push(Recording {
@@ -115,7 +84,9 @@ impl Found {
         let (kind, numbers) = rest.split_once(' ')?;
         if matches!(kind, "camera" | "reset" | "official" | "draw") {
             let numbers = decimals(numbers)?;
-            self.of(name).numbers.insert(kind.to_owned(), numbers);
+            self.recording_mut(name)
+                .numbers
+                .insert(kind.to_owned(), numbers);
         }
         Some(())
     }
@@ -129,14 +100,16 @@ impl Found {
             _ => return None,
         };
         let numbers = decimals(fields.next()?)?;
-        self.of(&name).numbers.insert(kind.to_owned(), numbers);
+        self.recording_mut(&name)
+            .numbers
+            .insert(kind.to_owned(), numbers);
         Some(())
     }
 
     fn add_chosen(&mut self, line: &str) -> Option<()> {
         let (name, rest) = line.split_once(' ')?;
         let (kind, value) = rest.split_once(' ')?;
-        let recording = self.of(name);
+        let recording = self.recording_mut(name);
         let numbers = match kind {
             "case" => {
                 let mut fields = value.split(' ');

@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use libero_ctrl::Benchmark;
+
 use super::comparison::Findings;
-use super::recording::Family;
 use crate::fidelity::FrameFindings;
 
 /// Findings by benchmark and group.
 #[derive(Default)]
 pub struct Table {
-    lines: BTreeMap<(Family, String), Line>,
+    lines: BTreeMap<(Benchmark, String), Line>,
 }
 
 #[derive(Default)]
@@ -26,8 +27,8 @@ struct Line {
 }
 
 impl Table {
-    pub fn add(&mut self, family: Family, is_held_out: bool, findings: &Findings) {
-        let line = self.lines.entry((family, findings.group.clone()));
+    pub fn add(&mut self, benchmark: Benchmark, is_held_out: bool, findings: &Findings) {
+        let line = self.lines.entry((benchmark, findings.group.clone()));
         let line = line.or_default();
         line.cases += 1;
         line.held_out += usize::from(is_held_out);
@@ -64,7 +65,7 @@ impl fmt::Display for Table {
              generator equal | with pictures | pixels equal, % | within two levels, % | largest |"
         )?;
         writeln!(f, "|{}", " --- |".repeat(12))?;
-        for ((family, group), line) in &self.lines {
+        for ((benchmark, group), line) in &self.lines {
             let camera = line.camera.map(short);
             let camera = camera.as_deref().unwrap_or("");
             let of = |[equal, compared]: [usize; 2]| format!("{equal} of {compared}");
@@ -79,7 +80,7 @@ impl fmt::Display for Table {
             };
             writeln!(
                 f,
-                "| {family} | {group} | {} | {} | {} | {camera} | {} | {} {frames}",
+                "| {benchmark} | {group} | {} | {} | {} | {camera} | {} | {} {frames}",
                 line.cases,
                 line.held_out,
                 short(line.states),
