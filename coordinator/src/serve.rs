@@ -29,8 +29,8 @@ use crate::storage::Storage;
 
 /// Time that requests in progress have to finish at shutdown.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
-/// HTTP/2 flow-control windows. With the default of 64 KiB, video uploads in chunks of a megabyte
-/// would stall 16 times per chunk.
+/// HTTP/2 flow-control windows. With the default of 64 KiB, an upload would stall 16 times per
+/// chunk of an archive (1 MiB), and four times per chunk of a video (256 KiB).
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 

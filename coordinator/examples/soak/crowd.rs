@@ -363,6 +363,7 @@ fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
     let success = succeeds(row);
     wire::CommitRequest {
         attempt_id: lease.attempt_id.clone(),
+        // 20 positions of 6 bytes, and 20 actions of 28 bytes.
         motion: Some(wire::Motion {
             path: vec![1; 6 * 20],
             actions: vec![2; if lease.keep_actions { 28 * 20 } else { 0 }],
@@ -418,6 +419,8 @@ fn realised(row: &str) -> Vec<wire::RealisedAxis> {
     }
 }
 
+/// Hashes a text and the id of this process to 64 bits, so that two runs of the test make different
+/// claim ids.
 fn hash_bits(text: &str) -> u64 {
     (hash_fraction(text) * 2_f64.powi(32)) as u64 ^ u64::from(std::process::id()) << 32
 }

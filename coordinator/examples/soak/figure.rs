@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use super::watch::Sample;
 
+/// Sizes in SVG user units: width of the figure, height of a panel, margins to the left and the
+/// right of the panels, and gap between two panels.
 const WIDTH: f64 = 860.0;
 const PANEL: f64 = 130.0;
 const LEFT: f64 = 150.0;

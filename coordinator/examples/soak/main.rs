@@ -28,7 +28,8 @@ use crowd::Crowd;
 use server::Server;
 use watch::Watch;
 
-/// Rollouts of one replicate of the whole design.
+/// Rollouts of LIBERO-CTRL v0.1. One replicate of a campaign of this test has fewer, since its
+/// nominal rollouts start from its configurations' initial states only.
 const DESIGN: u64 = 10_400;
 /// Times of the kill, the backup and its restoration, as fractions of the planned duration.
 const KILL: f64 = 0.4;
@@ -167,6 +168,7 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     };
     let measured = spec("measured", 0.55);
     let mut stops = spec("stops", 0.15);
+    // Ten further configurations in place of each replicate; a design has at most 1,000.
     let configs = (stops["replicates"].as_u64().unwrap_or(1) * 10).min(1_000);
     stops["configs"] = json!((0..configs).collect::<Vec<_>>());
     stops["replicates"] = json!(1);

@@ -274,7 +274,6 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
         let result_count = results(&part[part.len() - 1]) - results(&part[0]);
         (value(&part[part.len() - 1]) - value(&part[0])) / result_count.max(1.0)
     };
-    // Rows of name, value before, value at the end, and tolerance: a factor and an addend.
     let (memory, files) = (
         |sample: &Sample| sample.resident_mib,
         |sample: &Sample| sample.descriptors as f64,
@@ -287,6 +286,8 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
         median(before, |sample| sample.claim_p99),
         median(last, |sample| sample.claim_p99),
     );
+    // Name, value in the second third, value in the last third, and the factor and the addend that
+    // give the largest allowed value.
     let rows = [
         (
             "memory, MiB",

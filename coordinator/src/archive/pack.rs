@@ -107,8 +107,8 @@ impl Package {
         &self.contents
     }
 
-    /// Writes the archive. The output is reproducible: the same campaign in the same state gives
-    /// the same bytes.
+    /// Writes the archive to `out`; `archive` is its path in errors. The output is reproducible:
+    /// the same campaign in the same state gives the same bytes.
     ///
     /// # Errors
     /// If `out` fails, or a file has changed since it was listed.

@@ -205,12 +205,13 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
 #[command(next_help_heading = "Ending early")]
 struct StopFlags {
     /// Rule under which the campaign ends early, as soon as the rule holds at every level:
-    /// `width(M) < X` or `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d
-    /// or I, by its 95 % interval, and X is a fraction, such as 0.08 for 8 points. The rule
-    /// concerns only the configurations of this campaign: `I excludes 0` is evidence
-    /// that a complete run of these configurations would have unequal numbers of emergent failures
-    /// and compensated successes. It is no evidence about other tasks or directions.
-    /// `M excludes X for new tasks` concerns tasks that were never run.
+    /// `width(M) < X` or `M excludes X`, or several joined by ` and `. Both refer to the 95 %
+    /// interval of M: S_sim, the success under simultaneous perturbation; R_e, the share of
+    /// emergent failures; R_c, of compensated successes; R_d = R_c + R_e; or I = R_c - R_e. X is a
+    /// fraction, such as 0.08 for 8 points. The rule concerns only the configurations of this
+    /// campaign: `I excludes 0` is evidence that a complete run of these configurations would have
+    /// unequal numbers of emergent failures and compensated successes. It is no evidence about
+    /// other tasks or directions. `M excludes X for new tasks` concerns tasks that were never run.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
     /// Seed of the random order in which a campaign with --stop runs its configurations.
@@ -245,8 +246,7 @@ struct DesignFlags {
     /// Configurations: `0-9`, `0,3,5-7`. Those from 10 on are drawn from --design-seed.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
-    /// Nominal rollouts: `eval`, those from the configurations' initial states;
-    /// `all`; or `none`.
+    /// Nominal rollouts: `eval`, from the configurations' initial states; `all`, all 50; `none`.
     #[arg(long, value_parser = enum_parser::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
     /// Seed of the configurations beyond the protocol's ten.

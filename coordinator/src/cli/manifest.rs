@@ -39,7 +39,7 @@ pub(super) struct ExpandArguments {
     /// File of a campaign's specification in JSON, to expand its design; `-` reads standard input.
     #[arg(long, value_name = "FILE")]
     spec: Option<PathBuf>,
-    /// Rows to write: the nominal rows, the perturbed rows, or all.
+    /// Rows to write: `nominal`; `eval`, the perturbed rows; or `all`.
     #[arg(long, value_enum, default_value_t = Split::All)]
     split: Split,
     /// File to write; standard output if omitted.

@@ -77,8 +77,9 @@ pub(super) struct VariantFlags {
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,
-    /// Sentences of LIBERO-Para of these types, by their names in its metadata: obj, act or comp;
-    /// structural; hint; act_pragmatical_hint. `--tasks libero_goal/8` selects those of a task.
+    /// Sentences of LIBERO-Para of these types: entries of the columns `high`, `mid` and `low` of
+    /// its metadata, such as obj, structural and hint, or all three joined, such as
+    /// act_pragmatical_hint. `--tasks libero_goal/8` selects the sentences of a task.
     #[arg(
         long = "paraphrase",
         value_name = "TYPE,...",

@@ -23,8 +23,8 @@ const MAX_PROGRESS: usize = 1_024;
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest task name of a claim, bytes; longer ones are ignored.
 const MAX_TASK_BYTES: usize = 80;
-/// Most tasks accepted in a claim's `lacking_tasks`: each of LIBERO's forty tasks has four keys,
-/// and a suite file has up to 256 tasks.
+/// Most tasks accepted in a claim's `lacking_tasks`: LIBERO's forty tasks, each with its own files
+/// and those of three further benchmarks, take 160, and a suite file has up to 256 tasks.
 const MAX_TASKS: usize = 1024;
 /// Name of the only accepted artifact.
 const VIDEO: &str = "video.mp4";

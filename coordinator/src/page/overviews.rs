@@ -63,7 +63,7 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
     let main = html! {
         h1 { "Quarantine" }
         @if quarantined.is_empty() {
-            p { "Nothing is in quarantine: every rollout that failed was tried again." }
+            p { "Nothing is in quarantine." }
         } @else {
             p {
                 "These rollouts were charged with too many attempts that ended without an outcome \
@@ -191,6 +191,6 @@ fn quarantine_table(lines: &[QuarantinedLine]) -> Markup {
             }
         }
     };
-    let columns = ["rollout", ".campaign", "failures", ".last error"];
+    let columns = ["rollout", ".campaign", "charges", ".last error"];
     layout::table("Quarantined rollouts", &columns, &rows)
 }

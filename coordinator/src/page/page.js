@@ -209,6 +209,8 @@ function updateTabStops() {
   }
 }
 
+// Returns the square that is nearest to another one in the direction of an arrow key, or null. A
+// deviation from this direction counts fourfold, so that the focus stays in its row or column.
 function nearest(squares, from, [dx, dy]) {
   const at = (square) => square.getBoundingClientRect();
   const { x, y } = at(from);

@@ -8,7 +8,8 @@ use serde_json::json;
 
 use crate::harness::{Bench, Worker, small_spec, with};
 
-/// Longer than any back-off, shorter than the time for which a worker counts as alive.
+/// Time after which every back-off is over, seconds. A worker without a call for that long is not
+/// alive.
 const PAST_BACKOFF_SECS: u64 = 61;
 
 async fn create(bench: &Bench, name: &str, policy: &str) {

@@ -21,12 +21,11 @@ const DAY_MS: i64 = 24 * 3_600 * 1_000;
 const LONGEST_WAIT_MS: i64 = 60_000;
 const LEASE_MS: i64 = 30_000;
 
-/// Every column that stores an instant, and how far after the current instant it may lie once the
-/// coordinator has started. Instants may lie in the past by any amount: a clock that jumped ahead
-/// ends back-offs and pauses, makes workers silent until they call, and leaves leases their full
-/// time.
+/// Every column that stores an instant, as table and column, and how far after the current instant
+/// it may lie once the coordinator has started, milliseconds; `None` if that depends on the row.
+/// Instants may lie in the past by any amount: a clock that jumped ahead ends back-offs and pauses,
+/// makes workers silent until they call, and leaves leases their full time.
 const INSTANTS: [(&str, &str, Option<i64>); 20] = [
-    // Instants that are displayed to people, and on which the rates in estimates are based.
     ("artifact", "stored_ms", Some(0)),
     ("campaign", "created_ms", Some(0)),
     // An unsuitable result is not charged if its lease is older than this instant.
@@ -124,6 +123,7 @@ async fn a_clock_set_back_leaves_no_instant_in_the_future() {
     for (table, column, ahead) in INSTANTS {
         let latest = latest(&bench, table, column).await;
         let latest = latest.unwrap_or_else(|| panic!("no row has {table}.{column}"));
+        // No attempt of these campaigns may last an hour.
         let max_ahead = ahead.unwrap_or(3_600_000);
         assert!(
             latest <= now + max_ahead,

@@ -194,8 +194,8 @@ async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
     assert_eq!((same_seed.shared(), same_seed.unpaired.len()), (6, 0));
 }
 
-/// The harness's successes take 120 steps and hold both predicates of the goal, its failures
-/// 280 steps and one.
+/// The harness's successes take 120 steps and hold both predicates of the goal; its failures take
+/// 280 steps and hold at most one predicate at a time.
 #[tokio::test]
 async fn a_comparison_includes_progress_and_design() {
     let bench = Bench::start().await;

@@ -97,7 +97,7 @@ pub(crate) async fn assert_kills_change_nothing(
 /// needs, in consecutive runs, each of which continues where the previous run was killed. Asserts
 /// after each run that every invariant holds.
 async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Planted) {
-    for (side, step, times) in [
+    for (side, step, occurrence) in [
         (Side::Before, Step::CreateCampaign, 1),
         (Side::Before, Step::Derive, 1),
         (Side::After, Step::Derive, 1),
@@ -108,7 +108,7 @@ async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Pla
         (Side::Before, Step::Derive, 2),
         (Side::After, Step::Derive, 2),
     ] {
-        let point = format!("{side:?}:{step:?}:{times}");
+        let point = format!("{side:?}:{step:?}:{occurrence}");
         kill_at_failpoint(folder, &point, spec, planted).await;
         let violations = invariants::check(folder).await.expect("a database");
         assert_eq!(violations, [], "{point}");

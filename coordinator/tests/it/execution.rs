@@ -15,6 +15,7 @@ use tonic::{Request, Response, Status};
 
 use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 
+/// Execution model `overlap` with delays of 3 control steps (weight 812) and 4 (weight 188).
 const MODEL: &str = "overlap:3*812+4*188";
 
 fn parse_json(printed: &[u8]) -> Value {

@@ -185,7 +185,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let s_sim = report["paired"]["p"]["L2"]["s_sim"]
         .as_f64()
         .expect("a rate");
-    // All ten nominal rollouts succeed.
+    // All ten nominal rollouts succeed. Shapley values are counted in sixtieths of a rollout.
     let simultaneous = 10 + sum("subsets", "moebius");
     assert_eq!(simultaneous as f64 / 10.0, s_sim);
     assert_eq!(10 + sum("sizes", "moebius"), simultaneous);

@@ -213,12 +213,12 @@ fn copy_of(folder: &Path) -> TempDir {
 /// Runs a coordinator until it is killed at the failpoint, and then another that finishes the
 /// campaign. Returns the report.
 async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
-    let times = if step == Step::Sweep {
+    let occurrence = if step == Step::Sweep {
         EXPIRING_SWEEP
     } else {
         1
     };
-    let point = format!("{side:?}:{step:?}:{times}");
+    let point = format!("{side:?}:{step:?}:{occurrence}");
     let child = serve(folder.path(), &point);
     let mut serve = Serve::wait_until_listening(child);
     if serve.is_ready() {

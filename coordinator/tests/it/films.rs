@@ -6,7 +6,7 @@ use tonic::Code;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
-/// Time after which an assigned film counts as lost, seconds.
+/// Longer than the 15 minutes after which an assigned film counts as lost, seconds.
 const LONG_SECS: u64 = 16 * 60;
 
 /// Creates a campaign of one configuration that stores actions, with outcomes for the nominal

@@ -454,8 +454,8 @@ impl Worker {
     }
 }
 
-/// Returns a specification of four rollouts: `libero_object/0`, `camera` and `sensor`, L1,
-/// configuration 0, with its nominal rollout.
+/// Returns a specification of four rollouts: `libero_object/0` in configuration 0, nominally, and
+/// at L1 under `camera`, under `sensor` and under both simultaneously.
 pub(crate) fn small_spec(name: &str) -> Value {
     json!({
         "name": name,

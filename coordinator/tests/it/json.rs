@@ -130,7 +130,7 @@ async fn json_output_has_the_documented_keys() {
     assert_eq!(truncated.0["is_truncated"], true);
     assert_eq!(truncated.0["jobs"].as_array().map(Vec::len), Some(2));
 
-    // One job has a result, another has failures.
+    // The keys of all jobs together: no single job has both a result and failures.
     let mut shown = BTreeSet::new();
     for job in &jobs {
         let id = job["rollout_id"].as_str().expect("an id");
@@ -244,9 +244,9 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     fits_a_terminal(words);
     // With other assumed outcomes, other differences are detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
-    let earlier = Printed::run(&serve, &[&dry[..], &["--planning-from", example]].concat());
+    let from_example = Printed::run(&serve, &[&dry[..], &["--planning-from", example]].concat());
     assert_ne!(
-        detectable(&earlier.0["planning"]["levels"][0]),
+        detectable(&from_example.0["planning"]["levels"][0]),
         detectable(level)
     );
     let unknown = serve.command(&[&dry[..], &["--planning-from", "nowhere"]].concat());

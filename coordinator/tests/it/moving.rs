@@ -359,7 +359,8 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     write(&bad, &with_extra_member, true);
     refused(&["coordinator.sqlite", "its films differ"]);
 
-    // In these archives, the table of contents matches the altered members.
+    // In these archives, the table of contents matches the altered members. Member 3 is the report,
+    // member 4 the database.
     let mut report = sound.clone();
     let text = String::from_utf8(report[3].1.clone()).expect("JSON");
     report[3].1 = text

@@ -216,7 +216,6 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
 
-    // The job is quarantined again only after three more failures.
     for expected in [Released::Requeued, Released::Requeued] {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::Draining).await;
@@ -226,6 +225,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let mut fresh = bench.worker("b").await;
     let lease = fresh.claim_one().await;
     assert_eq!(lease.attempt, 6, "the attempt number keeps rising");
+    // The three charges from before the retry no longer count: a crash requeues the job.
     let released = fresh.release(&lease, Reason::SlotCrashed).await;
     assert_eq!(released.verdict(), Released::Requeued);
     bench.advance(61).await;

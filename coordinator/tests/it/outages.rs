@@ -294,6 +294,7 @@ async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
     let mut worker = bench.worker("a").await;
     for _ in 0..30 {
+        // Longer than any back-off.
         bench.advance(130).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;

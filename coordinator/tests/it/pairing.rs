@@ -105,7 +105,8 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
     assert_eq!(worker.commit_request(replicate).await.0, Verdict::Unpaired);
 }
 
-/// Returns the leases of a campaign of one configuration, in paired-unit order.
+/// Returns the leases of a campaign of one configuration: nominal, single axes, combination, and
+/// then the same rollouts of the second replicate, if there is one.
 async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
     let bench = Bench::start().await;
     let spec = with(small_spec("paired"), changes);

@@ -102,7 +102,7 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     served.spawn(coordinator.serve(listener, async {
         let _ = stopped.await;
     }));
-    // Afterwards, some sweeps wait for the writer.
+    // After this time, some sweeps wait for the locked database.
     tokio::time::sleep(Duration::from_millis(200)).await;
     let connected = tokio::time::timeout(
         Duration::from_secs(5),

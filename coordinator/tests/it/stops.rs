@@ -358,7 +358,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
         true => Outcome::from(succeeds(id)),
         false => Outcome::Missing,
     };
-    for (side, step, times) in [
+    for (side, step, occurrence) in [
         (Side::Before, Step::CreateCampaign, 1),
         (Side::After, Step::CreateCampaign, 1),
         (Side::Before, Step::Claim, 5),
@@ -368,7 +368,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
         (Side::Before, Step::Stop, 1),
         (Side::After, Step::Stop, 1),
     ] {
-        let point = format!("{side:?}:{step:?}:{times}");
+        let point = format!("{side:?}:{step:?}:{occurrence}");
         kill_at_failpoint(folder.path(), &point, &spec("early"), outcome).await;
         let violations = invariants::check(folder.path()).await.expect("a database");
         assert_eq!(violations, [], "{point}");

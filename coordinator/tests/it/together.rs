@@ -144,11 +144,11 @@ async fn batched_claims_are_served_in_order_of_arrival() {
         let warm = ["libero_object/0", ""][usize::from(number % 4 == 3)];
         requests.push(async move { worker.claim_response(warm).await.lease });
     }
-    let shares = send_in_one_batch(&bench, requests).await;
-    let mut jobs: Vec<i64> = shares.iter().flatten().map(|lease| lease.job_id).collect();
+    let granted = send_in_one_batch(&bench, requests).await;
+    let mut jobs: Vec<i64> = granted.iter().flatten().map(|lease| lease.job_id).collect();
     jobs.sort_unstable();
     let expected: Vec<i64> = leases[1..].iter().map(|lease| lease.job_id).collect();
     assert_eq!(jobs, expected, "every remaining job is leased exactly once");
-    assert!(shares.iter().flatten().all(|lease| lease.attempt == 2));
+    assert!(granted.iter().flatten().all(|lease| lease.attempt == 2));
     assert_invariants(bench).await;
 }

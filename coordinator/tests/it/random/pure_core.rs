@@ -108,7 +108,7 @@ impl Model {
         &mut self.jobs[id.0 as usize]
     }
 
-    /// Applies the claiming statement to one row.
+    /// Leases a job to a worker, if the job is due, and its policy and its campaign allow it.
     fn claim(&mut self, worker: &str, number: usize) {
         let now = self.now;
         let allowance = self.policy.allowance(now);
@@ -155,6 +155,7 @@ impl Model {
             }
             _ => return,
         }
+        // The ten settling steps need no policy.
         if steps > 10 {
             self.policy = self.policy.after_answer(granted.attempt, self.now);
         }
@@ -249,7 +250,7 @@ impl Model {
         }
     }
 
-    /// Applies a retry to a job's row.
+    /// Requeues a job, if it is in quarantine, and resets its counts.
     fn retry(&mut self, number: usize) {
         let now = self.now;
         let job = &mut self.jobs[number];
