@@ -41,6 +41,7 @@ pub fn utc_text(at: UnixMillis) -> String {
 /// Formats an instant in RFC 3339 to the millisecond: `2026-11-21T15:36:09.123Z`. Instants after
 /// the year 9999 are clamped to its last second, instants before 1970 to the first second of 1970.
 pub fn rfc3339(at: UnixMillis) -> String {
+    // 9999-12-31T23:59:59Z.
     const LAST_SECS: i64 = 253_402_300_799;
     let secs = at.0.div_euclid(1_000).clamp(0, LAST_SECS);
     let millis = at.0.rem_euclid(1_000);

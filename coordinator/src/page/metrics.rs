@@ -131,7 +131,7 @@ fn campaign_metrics(text: &mut Exposition, campaigns: &[CampaignStatus]) {
 }
 
 fn policy_metrics(text: &mut Exposition, policies: &[PolicyLine]) {
-    let help = "1 for the state that a policy is in: available, paused by an outage, probing.";
+    let help = "1 for the state that a policy is in, else 0: available, paused, probing.";
     text.family("rollout_policy_state", GAUGE, help);
     for policy in policies.iter().take(MAX_POLICIES) {
         let current = match policy.health.state {

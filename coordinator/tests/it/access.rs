@@ -431,6 +431,7 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
 /// Anyone who can reach the port can open sockets and send nothing.
 #[tokio::test(flavor = "multi_thread")]
 async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
+    /// Limit on the number of open files of the coordinator.
     const FILES: usize = 128;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let limited = Command::new("sh")

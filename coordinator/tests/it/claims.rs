@@ -276,7 +276,8 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
         ["begun", "new"],
         "then the campaigns alternate"
     );
-    // A slot that finishes a rollout continues with the same campaign, whose scene it holds.
+    // After a commit, the rollout's campaign has the fewest leases, so that the slot continues with
+    // this campaign, whose scene it holds.
     assert_eq!(worker.commit(&begun[0], true).await, Verdict::Accepted);
     assert_eq!(worker.claim_one().await.campaign, "begun");
 }

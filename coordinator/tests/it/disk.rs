@@ -91,7 +91,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");
 }
 
-/// The log is on the same disk: lines that cannot be written are lost, and nothing else.
+/// The log is on the disk of the database: lines that cannot be written are lost, and nothing else.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -115,6 +115,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
 /// video counted as complete.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
+    /// Limit on the size of each file, bytes.
     const ROOM: usize = 2_000_000;
     let (folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());

@@ -31,6 +31,7 @@ fn launch(programs: &Path, arguments: &[&str]) -> Output {
     coordinator(&[&common, arguments].concat())
 }
 
+/// Flags for a coordinator without TLS and tokens.
 const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
 
 #[test]

@@ -52,6 +52,7 @@ async fn quarantined(bench: &Bench) -> Worker {
     worker
 }
 
+/// Id of the only rollout that [`quarantined`] creates.
 const CAMERA: &str = "object/t0/camera/L1/c00";
 
 #[tokio::test]

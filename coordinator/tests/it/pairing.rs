@@ -156,6 +156,8 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
     }
 }
 
+/// In reference mode, the sensor's random values are drawn anew in every rollout; the camera has no
+/// random values.
 #[tokio::test]
 async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_may_not() {
     let verdict_of = async |axis: &'static str| {

@@ -7,6 +7,7 @@ use serde_json::json;
 
 use crate::harness::{Bench, registration, small_spec, with};
 
+/// A software renderer and an OpenGL renderer, as workers name them.
 const SOFTWARE: &str = "rollout-raster 1";
 const GL: &str = "llvmpipe";
 

@@ -169,6 +169,7 @@ pub(crate) fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("UTF-8")
 }
 
+/// Command that creates the campaign `demo`, which has 14 rollouts.
 pub(crate) const CREATE: [&str; 14] = [
     "campaign",
     "create",
@@ -388,6 +389,8 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
 /// Regression: a policy's error text, relayed by its worker, could set the operator's clipboard.
 #[tokio::test(flavor = "multi_thread")]
 async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() {
+    /// Sets the clipboard, erases the line, and contains an 8-bit control character and a
+    /// right-to-left override.
     const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
     let (folder, serve) = Serve::anew();
     let spec = folder.path().join("spec.json");

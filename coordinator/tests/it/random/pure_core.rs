@@ -18,6 +18,7 @@ use rollout_types::AttemptId;
 
 use super::{Event, JOBS, WORKERS, event};
 
+/// Durations of a lease without heartbeats, and of the longest attempt.
 const LEASE: Duration = Duration::from_secs(30);
 const CEILING: Duration = Duration::from_secs(90);
 
