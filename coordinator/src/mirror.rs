@@ -13,7 +13,8 @@ use crate::storage::{Storage, StorageError};
 
 /// Interval between two scans for films.
 const SCAN_INTERVAL: Duration = Duration::from_secs(2);
-/// Number of concurrent uploads, since the storage's latency exceeds the transfer time of a film.
+/// Number of concurrent uploads: several, since the storage's latency exceeds the transfer time of
+/// a film.
 const CONCURRENCY: usize = 8;
 /// Longest pause between retries while the storage fails.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);

@@ -176,9 +176,9 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
             setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
         }
-        // The digest leaves out the initial state's slot in the design and the paraphrase's name,
-        // which the policy never observes, and the execution model, which a report compares
-        // separately.
+        // The digest leaves out `init_slot`, the place of the initial state in the design, and the
+        // paraphrase's name, which the policy never observes, and the execution model, which a
+        // report compares separately.
         let observed = ManifestRow {
             init_slot: 0,
             variant_id: None,

@@ -126,7 +126,7 @@ fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     perturbed.filter_map(plan_level).collect()
 }
 
-/// Counts, for each level, the tasks and configurations that run under several axes at once.
+/// Counts, for each level, the tasks and configurations that run under simultaneous perturbation.
 fn configurations(campaign: &NewCampaign) -> BTreeMap<Level, Planned> {
     let mut units: BTreeMap<Level, BTreeSet<(TaskRef, u16)>> = BTreeMap::new();
     let ids = campaign.jobs.iter().filter(|job| job.replicate == 0);

@@ -1,4 +1,4 @@
-//! Page of one configuration: its nominal, simultaneous and single-axis rollouts side by side.
+//! Page of one configuration: its rollouts under all conditions side by side.
 
 use std::collections::BTreeMap;
 
@@ -131,8 +131,8 @@ fn read(line: &RolloutLine) -> Result<ManifestRow, Problem> {
     serde_json::from_str(&line.manifest_row).map_err(|error| Problem::failed(&error))
 }
 
-/// Returns the ids of the rollouts of a configuration under all conditions, `requested` included,
-/// in display order.
+/// Returns the ids of a configuration's perturbed rollouts under all conditions, `requested`
+/// included, in display order; `requested` alone if it is nominal.
 fn siblings(requested: RolloutId) -> Vec<String> {
     let Some(config) = requested.config() else {
         return vec![requested.to_string()];
@@ -150,7 +150,7 @@ fn siblings(requested: RolloutId) -> Vec<String> {
     ids.map(|id| id.to_string()).collect()
 }
 
-/// Returns the rollout ids of the same task and condition, sorted.
+/// Returns the ids of the campaign's rollouts of the task and condition of `requested`, sorted.
 async fn neighbours(
     view: &mut View,
     campaign: &Campaign,

@@ -145,7 +145,8 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                         "Its rollouts wait. " (charges(policy.health.misbehaved)) " It is tried again "
                         @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
                         @else { "by the next rollout that a worker claims" }
-                        ". Pauses since its last result: " (policy.health.outages) ". Its last error: "
+                        ". Pauses since its last result: " (policy.health.outages)
+                        ". Its last error: "
                     }
                     pre { (reason) }
                 },

@@ -29,8 +29,8 @@ pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
     lines.map(|line| line.replace(" -", " −")).collect()
 }
 
-// Parameters of each axis in the order of its keys. Parameters that act by magnitude are shown
-// without a sign.
+// Formatters of each axis's parameters, in the order of `Perturbation::values`. Parameters that act
+// by magnitude are shown without a sign.
 
 const CAMERA: [Formatter; 5] = [
     |degrees| format!("azimuth {degrees:+.1}°"),

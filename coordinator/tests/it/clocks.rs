@@ -32,12 +32,13 @@ const INSTANTS: [(&str, &str, Option<i64>); 20] = [
     ("campaign", "pinned_ms", Some(0)),
     ("campaign", "state_since_ms", Some(0)),
     ("divergence", "reported_ms", Some(0)),
-    // After this instant, a disconnected worker can no longer report a result. The interval since
-    // `leased_ms` is kept.
+    // After this instant, a disconnected worker can no longer report a result. It is moved back
+    // together with `leased_ms`.
     ("failure", "ceiling_ms", None),
     ("failure", "failed_ms", Some(0)),
     ("failure", "leased_ms", Some(0)),
-    // Longest duration of the attempt after its start, or the lease's duration if that is longer.
+    // `leased_ms` plus the longest duration of the attempt; at a start of the coordinator, at least
+    // the end of the renewed lease.
     ("job", "ceiling_ms", None),
     ("job", "lease_expires_ms", Some(LEASE_MS)),
     ("job", "leased_ms", Some(0)),
