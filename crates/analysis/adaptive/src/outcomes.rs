@@ -32,7 +32,7 @@ impl Tally {
         }
     }
 
-    /// Returns the outcome of the majority of rollouts; `None` for a tie.
+    /// Returns true if most rollouts with a result succeed; `None` for a tie or without a result.
     pub const fn majority(&self) -> Option<bool> {
         match (self.successes, self.failures) {
             (successes, failures) if successes > failures => Some(true),

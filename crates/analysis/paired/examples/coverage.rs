@@ -84,7 +84,7 @@ impl Table {
             for (measure, estimate) in estimates.iter().enumerate() {
                 self.add_each(&name(MEASURES[measure]), estimate, truths_of(measure));
             }
-            // New tasks; success rate.
+            // Target 1 is new tasks, measure 0 the success rate.
             let truth = truths[1][0][row];
             let percentiles = difference.difference_ci95;
             self.add(&name("A - B, percentiles"), 1, percentiles, truth);

@@ -17,7 +17,7 @@ const CAMPAIGNS: u64 = 100;
 /// claim what was planted and nothing else.
 fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
-        // No sentence uses the paper's intervals.
+        // No sentence uses the bootstrap intervals.
         bootstrap: Bootstrap {
             replicates: 2,
             ..Bootstrap::default()

@@ -43,7 +43,8 @@ pub struct Findings {
     pub waiting: u64,
     /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
-    /// Explanation of each configuration of which a subset was run.
+    /// Explanation of each configuration of which a subset of two or more axes, but not all, was
+    /// run.
     pub configurations: Vec<Explained>,
 }
 

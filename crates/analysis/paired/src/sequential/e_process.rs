@@ -27,6 +27,7 @@ const POOLED_DRAWS: f64 = 10.0;
 pub(crate) struct EProcess {
     /// Least and greatest value of a unit.
     range: [i64; 2],
+    /// Mean number of units of a stratum.
     mean_size: f64,
     strata: Vec<Stratum>,
     bets: Vec<Bet>,

@@ -163,7 +163,7 @@ fn every_form_has_the_dimensions_and_no_measure_of_libero_ctrl() {
     assert!(page(&document).contains("OpenVLA-OFT+") && json.contains("OpenVLA-OFT+"));
 }
 
-/// Returns the report of all sentences of LIBERO-Para and their unperturbed rollouts.
+/// Returns a campaign of all sentences of LIBERO-Para and their unperturbed rollouts.
 fn para(outcome: impl Fn(&Case) -> Outcome) -> Subject {
     let selection = Selection::Para(ParaFilters::default());
     subject_of(&selection, &Protocol::PARA_OFFICIAL, outcome)

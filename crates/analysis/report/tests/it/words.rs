@@ -113,12 +113,12 @@ fn every_symbol_of_the_table_is_explained_below_it_once() {
         !legend.iter().any(|line| line.starts_with("solvable")),
         "{legend:#?}"
     );
-    let nominal_only = {
+    let one_rollout = {
         let mut subject = example();
         subject.records.truncate(1);
         subject
     };
-    let text = document(vec![nominal_only]).text();
+    let text = document(vec![one_rollout]).text();
     assert!(!text.contains("S_indep"), "{text}");
 }
 
