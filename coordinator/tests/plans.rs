@@ -452,7 +452,8 @@ async fn no_frequent_statement_walks_all_jobs() {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
-    // Regression: finished campaigns were counted, derived and scanned again.
+    // Regression: every settled rollout caused finished campaigns to be counted, derived and
+    // scanned again.
     assert!(frequent.len() >= 15, "{frequent:#?}");
     for part in [
         "FROM derivation d JOIN",

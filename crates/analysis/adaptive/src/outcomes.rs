@@ -12,7 +12,7 @@ pub struct Tally {
     pub successes: u32,
     /// Rollouts that failed.
     pub failures: u32,
-    /// Requested rollouts without a result.
+    /// Rollouts without a result so far.
     pub pending: u32,
     /// Quarantined rollouts: without a result, and never run again.
     pub quarantined: u32,

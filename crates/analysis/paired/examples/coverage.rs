@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::Level;
 use paired::{Cell, Comparison, Estimate, Interval, Options, report};
 
-// The tests use the other functions of the module.
+// Tests use the functions of the module that this example does not.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;

@@ -14,7 +14,7 @@
 use libero_ctrl::{Level, Measure, Stop, Strata};
 use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};
 
-// The tests use the other functions of the module.
+// Tests use the functions of the module that this example does not.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;

@@ -147,7 +147,7 @@ pub struct Completeness {
     pub complete: u64,
     /// All configurations of the cell.
     pub expected: u64,
-    /// Missing outcomes of the incomplete configurations, by condition.
+    /// Numbers of missing and quarantined outcomes, for each condition that has any.
     pub gaps: BTreeMap<Condition, Gap>,
 }
 

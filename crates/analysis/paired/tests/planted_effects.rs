@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::{Bootstrap, FindingKind, Options, report};
 
-// The examples use the other functions of the module.
+// Examples and other tests use the functions of the module that this test does not.
 #[allow(dead_code)]
 mod simulated;
 

@@ -13,7 +13,7 @@ use paired::{
 use rollout_types::GoalProgress;
 use serde_json::{Value, json};
 
-// The examples use the other functions of the module.
+// Examples and other tests use the functions of the module that this test does not.
 #[allow(dead_code)]
 mod simulated;
 

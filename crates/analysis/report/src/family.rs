@@ -239,9 +239,9 @@ impl Family {
 
     const PARA_LEGEND: [&str; 2] = [
         "obj, act, comp: other words for the object, for the action, for both.",
-        "PRIDE: per cent of the successes, each weighted by the distance of its sentence from the \
-         original; α is the weight of the content words in this distance, and 1 − α that of the \
-         sentence's structure.",
+        "PRIDE: sum of the distances from the task's instruction of the sentences that succeed, \
+         per cent of the sum over all sentences; α is the weight of the content words in a \
+         distance, and 1 − α that of the sentence's structure.",
     ];
 
     /// Returns the meaning of the columns that the report has.

@@ -28,8 +28,8 @@ fn section(report: &ThresholdReport) -> Markup {
                 that was run, up to and including this one. L1, L2 and L3 are the paper's levels. \
                 A configuration fails somewhere between two radii that were run: the dashed lines \
                 are the smallest and the largest possible share. The diamond marks the radius at \
-                which half of all configurations still succeed; the whisker is the 95 % interval of \
-                this radius.",
+                which half of all configurations still succeed; the whisker is the 95 % interval \
+                of this radius.",
                 figures::of_thresholds(report)))
             (half_success(&report.curves))
             (not_monotone(&report.thresholds))

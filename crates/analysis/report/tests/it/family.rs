@@ -208,7 +208,7 @@ fn sentences_are_counted_by_type_and_paired_with_the_unperturbed_rollout() {
     let [low, high] = objects.interval.expect("ten tasks");
     assert!(low < 50.0 && 50.0 < high, "{low} to {high}");
     assert_eq!(found.unperturbed.rollouts, 10);
-    // Sentences of `comp` are far from the original, so that failing there costs more.
+    // Sentences of `comp` are far from the tasks' instructions, so that their failures cost more.
     let [usual, _, _] = found.pride.as_slice() else {
         panic!("{:?}", found.pride);
     };
