@@ -25,7 +25,7 @@ fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
     assert_eq!(l2["no_interval"], "too_few_tasks");
     let text = few.text();
     assert!(
-        text.contains("too few tasks for an interval, which needs 10"),
+        text.contains("too few tasks for an interval by resampling, which needs 10"),
         "{text}"
     );
     let paper = text
