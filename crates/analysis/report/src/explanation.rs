@@ -289,7 +289,7 @@ fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
         match minimal.is_established() {
             true => name,
             false => format!(
-                "{name} (not established: {} smaller subsets not run)",
+                "{name} (not established: {} smaller subsets not run or not decided)",
                 minimal.open.len()
             ),
         }

@@ -9,8 +9,8 @@ use crate::sequential::campaign::CampaignLook;
 use crate::sequential::measures::value;
 use crate::sequential::order::Unit;
 
-/// Number of units of a stratum, and sums of each measure over the drawn units with a known
-/// outcome.
+/// Number of units of a stratum, number of its drawn units with a known outcome, and sums of each
+/// measure over these drawn units.
 #[derive(Clone, Default)]
 struct Stratum {
     units: f64,
