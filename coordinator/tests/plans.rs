@@ -26,8 +26,9 @@ use tracing::field::{Field, Visit};
 use tracing_subscriber::layer::{Context, Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Tables of a few rows, by the names and aliases that statements give them: campaigns, their
-/// tasks, policies, workers, origins.
+/// Tables of a few rows, by the names and aliases that statements give them: `c` campaigns, `t`
+/// their tasks or tallies, `p` policies, `w` workers, `d` derivations or divergences, `s` stop
+/// rules.
 const SMALL_TABLES: [&str; 10] = [
     "c",
     "t",
@@ -432,8 +433,9 @@ async fn no_frequent_statement_walks_all_jobs() {
             .any(|statement| statement.contains("GROUP BY campaign_id")),
         "no statement compares the leases of campaigns"
     );
-    // A provenance is inserted once per kind of worker, not once per rollout, and SQLite would
-    // search the rows that refer to it only if references were broken.
+    // The plan of inserting a provenance lists a search of the results that refer to it, which
+    // SQLite executes only if a reference is broken; and a provenance is inserted once per kind of
+    // worker, not once per rollout.
     let is_inspected = |statement: &&String| {
         verbs.iter().any(|verb| statement.starts_with(verb))
             && !statement.starts_with("INSERT INTO provenance")
@@ -450,7 +452,8 @@ async fn no_frequent_statement_walks_all_jobs() {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
-    // Regression: finished campaigns were counted, derived and scanned again.
+    // Regression: every settled rollout caused finished campaigns to be counted, derived and
+    // scanned again.
     assert!(frequent.len() >= 15, "{frequent:#?}");
     for part in [
         "FROM derivation d JOIN",

@@ -56,8 +56,8 @@ async fn first_schema(folder: &Path) -> SqlitePool {
     pool
 }
 
-/// Stores a pinned campaign of four rollouts, two of them committed, each under one of these
-/// renderers. An empty renderer means that no frame was drawn.
+/// Stores a pinned campaign of four rollouts. The first two are committed, each under its entry of
+/// `renderers`, which is empty if no frame was drawn.
 async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
     let spec = small_spec(name).to_string();
     let campaign = NewCampaign::from_json(&spec).expect("a campaign");
@@ -300,7 +300,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
             before,
             "schema {version}"
         );
-        // Since schema 5, one of the campaigns explains another.
+        // In the dumps from schema 5 on, one campaign explains another.
         let derived = bench.count("SELECT count(*) FROM derivation").await;
         assert_eq!(derived, i64::from(version >= 5), "schema {version}");
         let leased = "SELECT count(*) FROM job WHERE state = 'leased'";

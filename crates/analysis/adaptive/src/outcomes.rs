@@ -12,7 +12,7 @@ pub struct Tally {
     pub successes: u32,
     /// Rollouts that failed.
     pub failures: u32,
-    /// Requested rollouts without a result.
+    /// Rollouts without a result so far.
     pub pending: u32,
     /// Quarantined rollouts: without a result, and never run again.
     pub quarantined: u32,
@@ -32,7 +32,7 @@ impl Tally {
         }
     }
 
-    /// Returns the outcome of the majority of rollouts; `None` for a tie.
+    /// Returns true if most rollouts with a result succeed; `None` for a tie or without a result.
     pub const fn majority(&self) -> Option<bool> {
         match (self.successes, self.failures) {
             (successes, failures) if successes > failures => Some(true),

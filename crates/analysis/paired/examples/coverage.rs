@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::Level;
 use paired::{Cell, Comparison, Estimate, Interval, Options, report};
 
-// The tests use the other functions of the module.
+// Tests use the functions of the module that this example does not.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
@@ -84,7 +84,7 @@ impl Table {
             for (measure, estimate) in estimates.iter().enumerate() {
                 self.add_each(&name(MEASURES[measure]), estimate, truths_of(measure));
             }
-            // New tasks; success rate.
+            // Target 1 is new tasks, measure 0 the success rate.
             let truth = truths[1][0][row];
             let percentiles = difference.difference_ci95;
             self.add(&name("A - B, percentiles"), 1, percentiles, truth);

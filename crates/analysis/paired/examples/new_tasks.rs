@@ -3,16 +3,18 @@
 //!
 //! `cargo run --release -p paired --example new_tasks [CAMPAIGNS [SEED]]`
 //!
-//! New tasks are drawn for every campaign. An early end is wrong if the mean of I over all tasks is
-//! 0 or has the sign opposite to the interval's. `I excludes 0` is a rule about the campaign's own
-//! configurations: its early ends are not savings for new tasks, but show that this rule says
-//! nothing about new tasks. The last two columns are for the t interval for new tasks, computed
-//! once after the whole campaign.
+//! New tasks are drawn for every campaign. The columns are `ends`, the share of campaigns that end
+//! early; `wrong`, the share of campaigns that end early and wrongly; and `saved`, the mean share
+//! of configurations that do not run because of an early end. An early end is wrong if the mean of
+//! I over all tasks is 0 or has the sign opposite to the interval's. `I excludes 0` is a rule about
+//! the campaign's own configurations: its early ends are not savings for new tasks, but show that
+//! this rule says nothing about new tasks. The last two columns are for the t interval for new
+//! tasks, computed once after the whole campaign: there, `ends` are the intervals that exclude 0.
 
 use libero_ctrl::{Level, Measure, Stop, Strata};
 use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};
 
-// The tests use the other functions of the module.
+// Tests use the functions of the module that this example does not.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
@@ -60,7 +62,7 @@ fn main() {
         ("I excludes 0 for new tasks", Strata::WholeTasks),
         ("I excludes 0", Strata::Suites),
     ];
-    // The bootstrap intervals are not used, so that two replicates suffice.
+    // The bootstrap intervals are not used, so that two resamplings suffice.
     let options = Options {
         bootstrap: Bootstrap {
             replicates: 2,

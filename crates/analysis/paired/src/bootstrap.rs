@@ -16,7 +16,7 @@ pub type Interval = [f64; 2];
 /// Largest number of resampling threads; further threads take longer to start than they save.
 const MAX_THREADS: usize = 8;
 
-/// Settings of the bootstrap. The default is the protocol's: 4,000 replicates
+/// Settings of the bootstrap. The default is the protocol's: 4,000 resamplings
 /// and a fixed seed, so that a report depends on its records alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bootstrap {
@@ -104,17 +104,17 @@ impl Bootstrap {
     /// Computes the statistics of a range of resamplings.
     fn resample(
         &self,
-        replicates: Range<u32>,
+        resamplings: Range<u32>,
         clusters: usize,
         count: usize,
         statistics: &(impl Fn(&[u32], &mut [f64]) + Sync),
     ) -> Vec<f64> {
         let mut rng = ChaCha12Rng::seed_from_u64(self.seed);
         let mut draws = vec![0; clusters];
-        let mut values = vec![0.0; count * replicates.len()];
+        let mut values = vec![0.0; count * resamplings.len()];
         let rows = values.chunks_exact_mut(count.max(1));
-        for (replicate, row) in replicates.zip(rows) {
-            rng.set_stream(u64::from(replicate));
+        for (resampling, row) in resamplings.zip(rows) {
+            rng.set_stream(u64::from(resampling));
             rng.set_word_pos(0);
             draws.fill(0);
             for _ in 0..clusters {

@@ -110,10 +110,10 @@ type Cell = (Vec<Pair>, Vec<ProgressPair>);
 
 impl Comparison {
     /// Compares the records of A and B. Initial states and the axes of *simultaneous* are
-    /// checked here; `obstacle` is called for every common rollout and checks properties
-    /// that are not in the records.
+    /// checked here; `obstacle` is called for every common rollout that passes these checks,
+    /// and checks properties that are not in the records.
     ///
-    /// Replicates are paired by number. If a rollout is recorded twice, only one record
+    /// Replicates are paired by number. If a rollout is recorded twice, only its last record
     /// is used; [`Records`](crate::Records) rejects such input.
     pub fn of<'a>(
         a: impl Into<Compared<'a>>,

@@ -56,7 +56,7 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
         }
         let label = cell.condition.label();
         let label = match cell.condition {
-            // Nominal rollouts have a level, too, but no heading.
+            // No heading precedes the nominal rollouts, although their level is L0.
             Condition::Clean => label.to_owned(),
             _ => {
                 if heading.replace(cell.level) != Some(cell.level) {

@@ -368,8 +368,8 @@ fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &
         .collect();
     let tasks: Vec<TaskRef> = tasks.into_iter().collect();
     let strata = strata(&tasks);
-    // If all tasks have the same number of rollouts, the pseudo-value is the task's
-    // difference minus the mean of its stratum.
+    // The pseudo-value of a task is its difference minus the mean of its stratum. It equals the
+    // jackknife's only if all tasks have the same number of rollouts.
     let pseudo = present.iter().map(|difference| {
         let by_task = &difference.profile.tasks;
         let mut values = Vec::with_capacity(tasks.len());

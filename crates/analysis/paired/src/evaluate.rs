@@ -55,15 +55,15 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         .collect();
     let cells = cells.map(|matched| {
         let replicate = matched[0].replicate;
-        let clean = nominal
+        let of_replicate = nominal
             .iter()
             .find(|nominal| nominal.replicate == replicate);
-        let clean = clean.and_then(|nominal| nominal.count.rate());
+        let nominal_rate = of_replicate.and_then(|nominal| nominal.count.rate());
         let placebo = placebos.get(&replicate).copied();
         let inference = Inference::of(matched, placebo, options.directions);
         Cell {
             inference,
-            ..cell(records, matched, clean, &options.bootstrap)
+            ..cell(records, matched, nominal_rate, &options.bootstrap)
         }
     });
     let cells = cells.collect();
@@ -137,7 +137,12 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
 }
 
 /// Computes the cell of all configurations of one level and replicate.
-fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &Bootstrap) -> Cell {
+fn cell(
+    records: &Records,
+    matched: &[Matched],
+    nominal_rate: Option<f64>,
+    bootstrap: &Bootstrap,
+) -> Cell {
     let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
     let has_latency = matched.iter().any(|matched| matched.latency.is_some());
     conditions.extend(has_latency.then_some(Condition::Latency));
@@ -162,7 +167,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
     let solvable: Vec<Configuration> = solvable.filter_map(Matched::configuration).collect();
     let alone = records.axes().map(|axis| {
         let count = counts[&Condition::Single(axis)];
-        (axis, SingleAxis::new(count, clean))
+        (axis, SingleAxis::new(count, nominal_rate))
     });
     let paired = Measures::of(&complete, bootstrap);
     let task_correlation = task_correlation(&complete);
@@ -178,7 +183,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         replicate: matched[0].replicate,
         level: matched[0].level,
         alone: alone.collect(),
-        latency: has_latency.then(|| SingleAxis::new(counts[&Condition::Latency], clean)),
+        latency: has_latency.then(|| SingleAxis::new(counts[&Condition::Latency], nominal_rate)),
         subsets: subsets(matched),
         simultaneous: counts.get(&Condition::Combination).copied(),
         completeness: Completeness {
@@ -227,10 +232,10 @@ impl Gap {
 }
 
 impl SingleAxis {
-    fn new(count: Count, clean: Option<f64>) -> Self {
+    fn new(count: Count, nominal_rate: Option<f64>) -> Self {
         let loss = |rate: f64| {
-            let clean = clean.filter(|&clean| clean > 0.0)?;
-            Some(1.0 - rate / clean)
+            let nominal_rate = nominal_rate.filter(|&nominal_rate| nominal_rate > 0.0)?;
+            Some(1.0 - rate / nominal_rate)
         };
         Self {
             count,

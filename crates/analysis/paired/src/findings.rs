@@ -13,12 +13,13 @@ use crate::inference::multiplicity::holm;
 use crate::report::{Cell, Report};
 use crate::text::{listed, percent, points};
 
-/// Significance level of sentences that claim an effect, for p-values after Holm's correction
-/// over all claims of the same kind in the report. It is stricter than the 5 % of the
-/// intervals because readers act on sentences.
+/// Significance level of sentences that claim an effect, for p-values after Holm's correction:
+/// costs are corrected over the conditions of a level, claims about simultaneity and directions
+/// together over all levels. It is stricter than the 5 % of the intervals because readers act on
+/// sentences.
 pub const FINDING_ALPHA: f64 = 0.01;
 
-/// Significance level of claims of equivalence.
+/// Significance level of claims of equivalence, whose p-values are not corrected.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
 /// Returns the findings about replicate 0: success, then for each level costs, simultaneity
@@ -156,13 +157,13 @@ fn cost(cell: &Cell) -> Option<Finding> {
             "Of the single axes at {level}, {most} costs the most: {} points{} of success, against \
              nominal rollouts of the same initial states",
             percent(Some(loss.loss.value)),
-            spread(&loss.loss)
+            interval_of_new_tasks(&loss.loss)
         ),
         false => format!(
             "No single axis is shown to cost success at {level}; the greatest loss is {} points{}, \
              under {most}",
             percent(Some(loss.loss.value)),
-            spread(&loss.loss)
+            interval_of_new_tasks(&loss.loss)
         ),
     };
     if !equivalent.is_empty() {
@@ -218,7 +219,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
                  noise floor",
                 percent(Some(measure.value)),
                 percent(Some(excess.value)),
-                spread(excess)
+                interval_of_new_tasks(excess)
             )
         })
         .collect();
@@ -228,9 +229,9 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
              emergent failures are {} points{}, compensated successes {} points{} from the \
              noise floor.",
             points(excess.excess.r_e.value),
-            spread(&excess.excess.r_e),
+            interval_of_new_tasks(&excess.excess.r_e),
             points(excess.excess.r_c.value),
-            spread(&excess.excess.r_c),
+            interval_of_new_tasks(&excess.excess.r_c),
         ),
         parts => format!("At {level}, {}.", parts.join("; ")),
     };
@@ -256,7 +257,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
              succeed only simultaneously, by {} points{}. By chance alone, without an effect of \
              any axis, this difference has the opposite sign.",
             percent(Some(-i.value)),
-            spread(&i.negated())
+            interval_of_new_tasks(&i.negated())
         ),
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
@@ -332,7 +333,7 @@ fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
 }
 
 /// Formats the interval for new tasks: ` (-14.2 to -6.0)`.
-fn spread(estimate: &Estimate) -> String {
+fn interval_of_new_tasks(estimate: &Estimate) -> String {
     estimate.new_tasks.map_or_else(String::new, |[low, high]| {
         format!(" ({:.1} to {:.1})", 100.0 * low, 100.0 * high)
     })

@@ -271,6 +271,10 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
              counts nominal failures once",
         ));
         entries.push((
+            "nominal, matched",
+            "nominal success of the complete configurations that have a nominal outcome",
+        ));
+        entries.push((
             "Holm p",
             "sign-flip test of the loss, corrected for the conditions of the level",
         ));

@@ -1,4 +1,4 @@
-//! Decides which intervals to report. The percentile bootstrap always yields two
+//! Decides which bootstrap intervals to report. The percentile bootstrap always yields two
 //! numbers, even meaningless ones; such intervals are withheld here with a reason.
 
 use std::fmt;
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
 
-/// Smallest number of tasks that gives an interval. From ten tasks on, an interval of 95 %
-/// nominal coverage has at least 90 % actual coverage if the tasks' values are normally
-/// distributed.
+/// Smallest number of tasks that gives a bootstrap interval; an interval by Student's t needs
+/// [`FEWEST_TASKS`](crate::FEWEST_TASKS). From ten tasks on, a bootstrap interval of 95 % nominal
+/// coverage has at least 90 % actual coverage if the tasks' values are normally distributed.
 ///
 /// In that case the percentile interval of G tasks is the mean ± 1.96·√((G − 1)/G)
 /// standard errors, which covers the truth with probability

@@ -120,7 +120,8 @@ pub(crate) fn interval_entries(
     )];
     if absent.contains(&NoInterval::TooFewTasks) {
         let name = NoInterval::TooFewTasks.name();
-        let meaning = format!("too few tasks for an interval, which needs {MIN_TASKS}");
+        let meaning =
+            format!("too few tasks for an interval by resampling, which needs {MIN_TASKS}");
         entries.push((name, meaning));
     }
     if absent.contains(&NoInterval::NoSpread) {

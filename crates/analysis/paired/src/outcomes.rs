@@ -114,9 +114,10 @@ pub enum Transition {
     /// Some axis alone fails, and so does the simultaneous rollout.
     StillFails,
     /// Every axis alone succeeds, the simultaneous rollout fails: counted in
-    /// `b`.
+    /// [`Measures::b`](crate::Measures::b).
     Emergent,
-    /// Some axis alone fails, the simultaneous rollout succeeds: counted in `c`.
+    /// Some axis alone fails, the simultaneous rollout succeeds: counted in
+    /// [`Measures::c`](crate::Measures::c).
     Compensated,
 }
 

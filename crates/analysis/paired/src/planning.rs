@@ -72,8 +72,8 @@ pub struct Detectable {
 }
 
 impl Assumed {
-    /// Summary of the student's published outcomes (`examples/student`): all of v0.1, and the
-    /// placebo level.
+    /// Summary, by [`Assumed::of`], of the student's published outcomes (`examples/student`): all
+    /// rollouts of LIBERO-CTRL v0.1, and the placebo level.
     pub const STUDENT: [Self; 4] = [
         Self {
             level: Level::L0,
@@ -229,9 +229,10 @@ impl Planned {
 }
 
 /// Returns the smallest detectable excess of a share over `base`. The two shares are of separate
-/// configurations: those of the level and those of the reference. Solves
-/// δ = z₀.₉₇₅·σ(pooled) + z₀.₈·σ(base + δ, base). Smaller differences are detectable if both shares
-/// are of the same, positively correlated configurations.
+/// configurations: those of the level and those of the reference. Solves δ = z₀.₉₇₅·σ(pooled,
+/// pooled) + z₀.₈·σ(base + δ, base), with σ(p, q) the standard error of the difference of shares p
+/// and q, and `pooled` the share over all of these configurations. Smaller differences are
+/// detectable if both shares are of the same, positively correlated configurations.
 ///
 /// Source: J. L. Fleiss, B. Levin, M. C. Paik, Statistical Methods for Rates and Proportions,
 /// third edition (2003), section 4.2.

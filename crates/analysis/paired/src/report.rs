@@ -126,8 +126,8 @@ pub struct Cell {
     pub task_correlation: Option<f64>,
     /// Inference about the paired measures; absent while no configuration is complete.
     pub inference: Option<Inference>,
-    /// The smallest |`i`| detectable with this many configurations, see
-    /// `minimum_detectable_effect`.
+    /// The smallest |I| detectable with the complete configurations and their `r_d`, a fraction;
+    /// see [`minimum_detectable_effect`](crate::minimum_detectable_effect).
     pub minimum_detectable_i: Option<f64>,
 }
 
@@ -147,7 +147,7 @@ pub struct Completeness {
     pub complete: u64,
     /// All configurations of the cell.
     pub expected: u64,
-    /// Missing outcomes of the incomplete configurations, by condition.
+    /// Numbers of missing and quarantined outcomes, for each condition that has any.
     pub gaps: BTreeMap<Condition, Gap>,
 }
 

@@ -3,7 +3,7 @@
 //!
 //! # Estimand
 //! The configurations of one level are a finite population of N units in strata
-//! (tasks). Units are drawn without replacement, one of every stratum in each
+//! (tasks or suites). Units are drawn without replacement, one of every stratum in each
 //! round ([`Order`]). An interval is about the value over *all* N units, drawn or
 //! not, so that it shrinks to a point when all units are drawn.
 //!
@@ -37,8 +37,8 @@
 //! Strata must be chosen before any outcome is known. With fewer strata, the minimum over their
 //! totals discards less evidence and the rounds are shorter. Strata of suites therefore give
 //! narrower intervals than strata of tasks, unless tasks of a suite differ very much, and keep the
-//! sample balanced over suites. `cargo run --release -p paired --example sequential` compares the
-//! two choices.
+//! sample balanced over suites. `cargo run --release -p paired --example sequential` compares
+//! strata of tasks, strata of suites and a single stratum.
 //!
 //! # New tasks
 //! A rule may be about new tasks instead, see the file `new_tasks`.

@@ -167,7 +167,7 @@ fn rollouts_with_the_same_id_and_another_setup_are_not_paired_but_listed() {
         record(CAMERA, 2, 9, S),
         record(Condition::Combination, 0, 7, S),
     ];
-    // B's first rollout has another initial state, and its *simultaneous* perturbs another axis.
+    // B's first rollout has another initial state, and B's *simultaneous* also perturbs the sensor.
     let b = [
         record(CAMERA, 0, 9, S),
         a[1],

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::{Bootstrap, FindingKind, Options, report};
 
-// The examples use the other functions of the module.
+// Examples and other tests use the functions of the module that this test does not.
 #[allow(dead_code)]
 mod simulated;
 
@@ -17,7 +17,7 @@ const CAMPAIGNS: u64 = 100;
 /// claim what was planted and nothing else.
 fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
-        // No sentence uses the paper's intervals.
+        // No sentence uses the bootstrap intervals.
         bootstrap: Bootstrap {
             replicates: 2,
             ..Bootstrap::default()

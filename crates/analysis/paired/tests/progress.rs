@@ -4,7 +4,7 @@ use libero_ctrl::{Condition, Directions, Level, RolloutId, TaskRef};
 use paired::{Bootstrap, Compared, Comparison, Outcome, Progress, Record, comparison_table};
 use rollout_types::GoalProgress;
 
-// The examples use the other functions of the module.
+// Examples and other tests use the functions of the module that this test does not.
 #[allow(dead_code)]
 mod simulated;
 

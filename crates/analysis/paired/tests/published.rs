@@ -1,5 +1,5 @@
 //! Comparison with the results that the authors of the protocol published. A test that needs more
-//! data than the example is skipped, with a message, if these data are missing.
+//! data than `examples/openvla_oft` is skipped, with a message, if these data are missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -64,6 +64,7 @@ fn check_cell(cell: &Cell, published: &Value, label: &str) {
 /// Returns 400 configurations with the counts of a published cell. The combinations of failures are
 /// arbitrary; every measure depends on the counts alone.
 fn records_with_counts(published: &Value, level: Level) -> Vec<Record> {
+    // Published rates are percentages of 400 configurations.
     let count = |key: &str| (published[key].as_f64().expect(key) * 4.0).round() as usize;
     let emergent = published["b"].as_u64().expect("b") as usize;
     let compensated = published["c"].as_u64().expect("c") as usize;

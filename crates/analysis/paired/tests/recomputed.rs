@@ -13,7 +13,7 @@ use paired::{
 use rollout_types::GoalProgress;
 use serde_json::{Value, json};
 
-// The examples use the other functions of the module.
+// Examples and other tests use the functions of the module that this test does not.
 #[allow(dead_code)]
 mod simulated;
 
@@ -59,7 +59,7 @@ fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
 fn campaign(name: &str, rows: &[Record]) -> Value {
     let records = Records::new(rows).expect("each rollout once");
     let options = Options {
-        // The paper's intervals are compared in tests/reference.rs.
+        // The bootstrap intervals are compared in tests/reference.rs.
         bootstrap: Bootstrap {
             replicates: 2,
             ..Bootstrap::default()
@@ -192,8 +192,8 @@ fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> 
     progress.collect()
 }
 
-/// Compares two policies of one population over the same tasks and directions; every second pair of
-/// campaigns declares that each task has directions of its own.
+/// Compares two policies of one population over the same tasks and directions. In half of the
+/// comparisons, both campaigns declare that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
     let population = Population::standard();

@@ -148,7 +148,7 @@ const PERMUTATIONS: [[usize; 3]; 6] = [
     [2, 1, 0],
 ];
 
-/// Returns all triples of transitions, in ascending order.
+/// Returns every multiset of three transitions, each as a sorted triple.
 fn triples() -> Vec<[Transition; 3]> {
     let all = || Transition::ALL.into_iter();
     let pairs = || all().flat_map(|a| all().map(move |b| (a, b)));

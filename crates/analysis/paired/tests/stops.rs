@@ -8,7 +8,7 @@ use paired::{
 };
 use serde::Deserialize;
 
-// The examples use the other functions of the module.
+// Examples and other tests use the functions of the module that this test does not.
 #[allow(dead_code)]
 mod simulated;
 

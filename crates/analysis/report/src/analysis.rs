@@ -21,7 +21,7 @@ pub struct Analysis {
     /// Subject: the outcomes and their provenance.
     pub subject: Subject,
     /// Matched outcomes. If the campaign stopped early, only the configurations from which its
-    /// confidence sequences are computed.
+    /// confidence sequences are computed. Empty for a derived campaign.
     pub records: Records,
     /// Records from which the figures are computed; `None` if these are all records of the subject.
     counted: Option<Vec<Record>>,

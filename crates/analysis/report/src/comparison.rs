@@ -29,7 +29,7 @@ pub struct Comparison {
     pub sequential: Option<SequentialComparison>,
     /// Settings of the intervals.
     pub bootstrap: Bootstrap,
-    /// Smallest number of tasks that gives an interval.
+    /// Smallest number of tasks that gives a bootstrap interval.
     pub min_tasks: usize,
 }
 
@@ -252,7 +252,8 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     })
 }
 
-/// Describes a property in which the subjects are known to differ.
+/// Describes a property of which the two subjects' results have more than one value; `None` if all
+/// results share one value, or if a subject has no known value.
 pub(crate) fn property_difference(
     (name, property): &(&str, Property),
     subjects: [&Subject; 2],

@@ -27,8 +27,8 @@ pub struct Document {
     pub warnings: Vec<String>,
     /// Analyses, one per subject, in the given order.
     pub analyses: Vec<Analysis>,
-    /// Results by dimension or suite of a campaign of LIBERO's family. Reports show them instead of
-    /// the measures of LIBERO-CTRL.
+    /// Results by dimension, suite or type of a campaign of LIBERO's family or of a suite file.
+    /// Reports show them instead of the measures of LIBERO-CTRL.
     pub family: Option<Family>,
 }
 

@@ -43,7 +43,8 @@ pub struct Findings {
     pub waiting: u64,
     /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
-    /// Explanation of each configuration of which a subset was run.
+    /// Explanation of each configuration of which a subset of two or more axes, but not all, was
+    /// run.
     pub configurations: Vec<Explained>,
 }
 
@@ -288,7 +289,7 @@ fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
         match minimal.is_established() {
             true => name,
             false => format!(
-                "{name} (not established: {} smaller subsets not run)",
+                "{name} (not established: {} smaller subsets not run or not decided)",
                 minimal.open.len()
             ),
         }

@@ -1,6 +1,6 @@
-//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension, suite or type
-//! and by difficulty, and the losses against the unperturbed rollouts of the same tasks and initial
-//! states, which suite files do not have.
+//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension, suite or
+//! type and by difficulty, and the losses against the unperturbed rollouts of the same tasks and
+//! initial states, which suite files do not have.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -37,7 +37,7 @@ pub struct Family {
     pub is_paired: bool,
     /// The unperturbed rollouts.
     pub unperturbed: Line,
-    /// The names `obj`, `act` and `comp` of LIBERO-Para's types.
+    /// LIBERO-Para's types by their first name: `obj`, `act`, `comp`; empty for another benchmark.
     pub kinds: Vec<Line>,
     /// Dimensions of LIBERO-Plus, suites of LIBERO-PRO, or the first two names of LIBERO-Para's
     /// types, in the benchmark's order, or suites of a suite file by name.
@@ -66,7 +66,7 @@ pub struct PublishedRow {
 /// A row of the tables.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Line {
-    /// Dimension, suite or difficulty.
+    /// Dimension, suite, type or difficulty; `unperturbed`, or `all`.
     pub name: String,
     /// Tasks with an outcome.
     pub tasks: u64,
@@ -239,9 +239,9 @@ impl Family {
 
     const PARA_LEGEND: [&str; 2] = [
         "obj, act, comp: other words for the object, for the action, for both.",
-        "PRIDE: per cent of the successes, each weighted by the distance of its sentence from the \
-         original; α is the weight of the content words in this distance, and 1 − α that of the \
-         sentence's structure.",
+        "PRIDE: sum of the distances from the task's instruction of the sentences that succeed, \
+         per cent of the sum over all sentences; α is the weight of the content words in a \
+         distance, and 1 − α that of the sentence's structure.",
     ];
 
     /// Returns the meaning of the columns that the report has.
@@ -398,7 +398,7 @@ impl Family {
         }))
     }
 
-    /// Writes the report for a terminal; `full` adds the difficulties within each dimension.
+    /// Writes the report for a terminal; `full` adds the lines of `cells` and the published table.
     pub fn text(&self, full: bool) -> String {
         let heading = format!("Campaign {} of policy {}", self.campaign, self.policy);
         let mut text = match self.is_paired {
@@ -550,7 +550,7 @@ fn published(protocol: &Protocol) -> Vec<PublishedRow> {
     rows.collect()
 }
 
-/// Returns the group of a variant, and its place in the benchmark's order.
+/// Returns the place of a variant's group in the benchmark's order, and the group's name.
 pub(crate) fn group(case: &Case) -> (usize, String) {
     let place = match case.subject {
         CaseSubject::Unperturbed | CaseSubject::Own(_) => None,

@@ -94,6 +94,8 @@ impl FamilyComparison {
             ));
         }
         let (outcomes_a, outcomes_b) = (outcomes(a), outcomes(b));
+        // A's success takes the place of the unperturbed rollout's: `broken` then counts the pairs
+        // in which only A succeeds, `gained` those in which only B does.
         let counted: Vec<Counted> = outcomes_a
             .iter()
             .filter_map(|(id, a_success)| {
@@ -197,7 +199,8 @@ impl FamilyComparison {
 }
 
 impl PairedLine {
-    /// Converts a line whose `broken` are the pairs in which only A succeeds.
+    /// Converts a line whose `broken` are the pairs in which only A succeeds, and whose `gained`
+    /// are those in which only B does.
     fn new(line: Line) -> Self {
         Self {
             a_successes: line.successes + line.broken - line.gained,

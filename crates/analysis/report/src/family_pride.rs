@@ -15,7 +15,8 @@ const ALPHAS: [f64; 3] = [0.5, 0.0, 1.0];
 pub struct Pride {
     /// Weight of the content words; 1 less that of the structure.
     pub alpha: f64,
-    /// Successes, each weighted by the distance of its sentence from the original, per cent.
+    /// Successes, each weighted by the distance of its sentence from the task's instruction, per
+    /// cent of the sum of all distances.
     pub percent: Option<f64>,
     /// 95 % interval of `percent`, by a bootstrap over tasks.
     pub interval: Option<Interval>,

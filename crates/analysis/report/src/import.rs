@@ -223,7 +223,8 @@ struct Reading {
     /// Line number of each rollout and replicate, to report duplicates.
     lines: HashMap<(RolloutId, u32), usize>,
     policy: Option<String>,
-    /// Execution model of the first row.
+    /// Execution model of the rows outside the latency axis: that of the first row, or `Wait` if
+    /// the first row is of the latency axis, which campaigns run only together with `Wait`.
     execution: Option<Execution>,
     /// Protocol of the first row, if it is of LIBERO's family.
     protocol: Option<String>,

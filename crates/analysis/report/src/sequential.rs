@@ -31,6 +31,7 @@ pub struct Sequential {
     /// Number of configurations from which the intervals are computed: the first in the drawn
     /// order.
     pub used: usize,
+    /// Planned rollouts of the campaign.
     pub rollouts: usize,
     /// Rollouts that were not run because the campaign stopped early.
     pub saved: usize,
@@ -239,8 +240,8 @@ impl Sequential {
         format!(
             "confidence sequences: at each level, they hold together at all looks with a \
              probability of 95 %, whichever rule ends the campaign. They concern {about}, and are \
-             computed from the first {} in the order of seed {} (rounds of {}). The estimates \
-             beside them weight suites or tasks as in that population{}",
+             computed from the first {} configurations in the order of seed {} (rounds of {}). The \
+             estimates beside them weight suites or tasks as in that population{}",
             self.used,
             self.seed,
             self.strata.name().replace('_', " "),

@@ -32,7 +32,7 @@ pub struct SequentialCell {
     /// Configurations of the campaigns: the population of the interval.
     pub configurations: usize,
     /// Number of configurations from which the interval is computed: the first in the drawn
-    /// order that both campaigns have.
+    /// order, up to the first that is not complete in both campaigns.
     pub used: usize,
     /// Interval of the difference, fractions.
     pub difference: [f64; 2],
@@ -116,8 +116,8 @@ impl SequentialComparison {
     pub(crate) fn explanation(&self) -> String {
         format!(
             "each interval holds at all looks with a probability of 95 %; it is about all \
-             configurations, and is computed from the first that both campaigns have in the order \
-             of seed {} (rounds of {})",
+             configurations, and is computed from the first configurations, complete in both \
+             campaigns, in the order of seed {} (rounds of {})",
             self.seed,
             self.strata.name()
         )

@@ -60,7 +60,8 @@ pub struct Subject {
     /// Purpose and source of the campaign, if it is derived from another.
     #[serde(default)]
     pub derived: Option<Derived>,
-    /// Protocol of a campaign of LIBERO's family; `None` for any other campaign.
+    /// Protocol of a campaign of LIBERO's family, or `NAME@DIGEST` of a suite file; `None` for any
+    /// other campaign.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub protocol: Option<String>,
     /// Early-stop rule of the campaign and its state; `None` if the campaign has no such rule.

@@ -1,7 +1,8 @@
 //! Tables for further analysis, with the same columns as CSV and as Parquet. A row is a
 //! configuration with all its outcomes; a minimal subset, if the campaigns explain other
-//! campaigns; or a threshold, if the campaigns measure thresholds. No column holds a time, so
-//! that the same outcomes give the same bytes.
+//! campaigns; or a threshold, if the campaigns measure thresholds. No column of these tables holds
+//! a time, so that the same outcomes give the same bytes. A further table, of results, has a row
+//! per committed rollout, with its duration.
 
 mod configurations;
 mod explanations;

@@ -158,7 +158,8 @@ pub(crate) fn pack(p: &Provenance) -> String {
     )
 }
 
-/// Returns the renderer, which is empty in results of older workers that rendered no frame.
+/// Returns the renderer, which is empty in results of workers of earlier releases that rendered no
+/// frame.
 pub(crate) fn renderer(p: &Provenance) -> String {
     p.pin.renderer.clone()
 }

@@ -1,7 +1,7 @@
 //! Survival curves: the share of configurations that still succeed at a radius.
 //!
-//! A configuration *survives* up to a radius if it succeeds nominally and at every
-//! smaller radius that was run. The curve starts at the nominal success rate over all
+//! A configuration *survives* up to a radius if it succeeds nominally and at every radius that was
+//! run, up to and including this one. The curve starts at the nominal success rate over all
 //! configurations; those that fail nominally survive to no radius. The curve is therefore
 //! comparable with a report's rates, and equal to them at the levels of the grid if no
 //! configuration recovers from a failure.
@@ -53,7 +53,7 @@ pub struct Curve {
     /// Number of tasks of these configurations.
     pub tasks: usize,
     /// Number of excluded configurations: outcomes of the grid are missing, or the nominal
-    /// rollout is quarantined.
+    /// rollout has no outcome.
     pub left_out: u64,
     /// Configurations that fail nominally.
     pub nominal_fails: u64,

@@ -81,15 +81,15 @@ impl Measurement {
         }
     }
 
-    /// Returns the measured rays with the outcomes along them, by condition, task and
-    /// configuration.
+    /// Returns the rays of the sampled configurations with the outcomes along them, in the order
+    /// of condition, task and configuration.
     pub fn rays(&self) -> impl Iterator<Item = (Ray, &Outcomes<Level>)> {
         let rays = self.rays.iter();
         let measured = rays.filter(|(ray, _)| self.sample.contains(&(ray.task, ray.config)));
         measured.map(|(&ray, outcomes)| (ray, outcomes))
     }
 
-    /// Returns the number of rays, measured or not.
+    /// Returns the number of rays, whether or not their configurations are sampled.
     pub fn ray_count(&self) -> usize {
         self.rays.len()
     }

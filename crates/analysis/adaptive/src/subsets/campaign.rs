@@ -15,7 +15,7 @@ use crate::source::decisive;
 
 /// Returns the lattice of each configuration of the explained campaign, by the configuration's
 /// simultaneous rollout. `explained` are the records of the explained campaign, `explaining` those
-/// of the explaining one. A rollout that is recorded twice counts as unknown.
+/// of the explaining one. The result is empty if `explained` has a rollout and replicate twice.
 ///
 /// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
 /// sample, all replicates of the explained campaign select configurations, and only the replicates

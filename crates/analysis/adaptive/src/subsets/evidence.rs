@@ -57,9 +57,10 @@ pub enum Evidence {
 pub enum Role {
     /// One axis alone, or all axes: the subset is part of the transition.
     Transition,
-    /// Any of `subsets` further subsets, from which minimal ones are found.
+    /// Two or more axes, but not all: any of the `subsets` subsets that the search for minimal
+    /// subsets may run.
     Further {
-        /// Number of the lattice's further subsets.
+        /// Number of subsets with this role in the lattice.
         subsets: u32,
     },
 }
@@ -124,8 +125,8 @@ pub struct Looks {
 
 impl Default for Repeats {
     /// An axis alone is decided by eight equal outcomes, by 16 with a minority of at most three, or
-    /// by 24 with a minority of at most six. A further subset of six axes is decided by 13 equal
-    /// outcomes, or by 24 with a minority of at most three.
+    /// by 24 with a minority of at most six. A further subset in a lattice of six axes is decided
+    /// by 13 equal outcomes, or by 24 with a minority of at most three.
     fn default() -> Self {
         Self {
             batch: 8,
@@ -398,7 +399,7 @@ mod tests {
 
     #[test]
     fn the_fewest_repeats_are_the_shortest_series_of_equal_outcomes_that_decides() {
-        // 2⁻¹¹ ≤ 0.05 / 56 < 2⁻¹⁰, and 2⁻⁵ ≤ 0.05 < 2⁻⁴.
+        // The p-value of n equal outcomes is 2¹⁻ⁿ. 2⁻¹¹ ≤ 0.05 / 56 < 2⁻¹⁰, and 2⁻⁵ ≤ 0.05 < 2⁻⁴.
         assert_eq!((Repeats::fewest(6), Repeats::fewest(2)), (12, 6));
     }
 }

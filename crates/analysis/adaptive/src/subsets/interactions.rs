@@ -186,7 +186,8 @@ impl Interactions {
 }
 
 /// Returns the deviation of each task's contribution from its expectation, a row per estimate:
-/// (N − θ·m) / mean m, with N the task's numerator and m its denominator. Rows sum to 0.
+/// (N − θ·m) / mean m, with θ the estimate, N the task's numerator divided by the factor of
+/// [`Numerators::with_factors`], and m the task's number of configurations. Rows sum to 0.
 fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -> Vec<Vec<f64>> {
     let tasks = clusters.len() as f64;
     let mean = clusters.iter().map(|task| task.n).sum::<i64>() as f64 / tasks;

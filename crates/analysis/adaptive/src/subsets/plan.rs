@@ -13,7 +13,7 @@ use crate::source::rank;
 /// Settings of the random sample of transitions that a budget explains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sample {
-    /// Total number of rollouts to spend beyond those of the campaign.
+    /// Total number of rollouts to spend beyond those of the explained campaign.
     pub budget: u32,
     /// Seed of the random order in which configurations are started.
     pub seed: u64,
@@ -165,7 +165,8 @@ mod tests {
 
     #[test]
     fn started_configurations_are_finished_within_the_budget() {
-        // One explanation takes 17 rollouts.
+        // One explanation takes 17 rollouts: 15 pairs, and the two largest subsets that do not
+        // contain the failing pair.
         for budget in [0, 1, 16, 17, 40, 100, 300, 1000] {
             let mut lattices = transitions(30);
             let widest = spend(&mut lattices, &sample(budget, 7));

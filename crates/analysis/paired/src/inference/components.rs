@@ -41,9 +41,10 @@ impl Components {
     /// task with two configurations.
     ///
     /// Nested analysis of variance: σ²_e = MS_e, σ²_c = (MS_c − MS_e)/k and
-    /// σ²_t = (MS_t − MS_c)/(k·m), clamped at 0, for k replicates of on average m
-    /// configurations per task. The variance of the rate is
-    /// σ²_t/T + σ²_c/(T·m) + σ²_e/(T·m·k).
+    /// σ²_t = (MS_t − MS_c)/(k·m), clamped at 0, for T tasks, on average m configurations per
+    /// task and k replicates, with MS_t, MS_c and MS_e the mean squares between tasks, between
+    /// configurations of a task and between replicates of a configuration. The variance of the
+    /// rate is σ²_t/T + σ²_c/(T·m) + σ²_e/(T·m·k).
     ///
     /// Source: S. R. Searle, G. Casella and C. E. McCulloch, Variance Components (1992),
     /// section 3.5.

@@ -1,5 +1,6 @@
-//! Test of whether success depends on the direction. All tasks share the direction of configuration
-//! c, so that a campaign samples only ten directions, not four hundred.
+//! Test of whether success depends on the direction. Configurations with the same number have the
+//! same direction in all tasks, unless the campaign gives every task directions of its own: 40
+//! tasks of ten configurations sample only ten directions, not four hundred.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +18,8 @@ const PERMUTATIONS: u32 = 1999;
 /// Simultaneous success by direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DirectionTest {
-    /// Simultaneous success under each direction, over all tasks.
+    /// Simultaneous success under each direction, over all tasks, by the number of its
+    /// configurations.
     pub rates: BTreeMap<u16, f64>,
     /// p-value of the hypothesis that success is the same under all directions: the share of
     /// permutations of outcomes within tasks under which the directions' rates spread at least as
@@ -26,10 +28,10 @@ pub struct DirectionTest {
 }
 
 impl DirectionTest {
-    /// Runs the permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)², and
-    /// outcomes are permuted within each task, which preserves each task's difficulty. The
-    /// seed is fixed. `None` with fewer than two directions or tasks, or if directions are
-    /// not shared.
+    /// Runs the permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)² over the
+    /// directions c, with n_c outcomes and the success rate s̄_c. Outcomes are permuted within each
+    /// task, which preserves each task's difficulty. The seed is fixed. `None` with fewer than two
+    /// directions or tasks, or if directions are not shared.
     ///
     /// Source: W. G. Cochran, The comparison of percentages in matched samples, Biometrika
     /// 37 (1950), 256–266.
@@ -78,6 +80,7 @@ impl DirectionTest {
             let squares = rare.iter().zip(&sizes);
             squares.map(|(sum, n)| sum * sum / n).sum()
         };
+        // A permutation with an equal spread counts despite rounding errors.
         let observed = spread(&rare) - 1e-9;
         let rates = rare.iter().zip(&sizes).map(|(sum, n)| match rarer {
             true => sum / n,

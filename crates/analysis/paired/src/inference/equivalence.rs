@@ -10,7 +10,8 @@ pub const EQUIVALENCE_MARGIN: f64 = 0.05;
 
 /// Returns the p-value of the two one-sided tests (TOST) that a difference lies beyond
 /// ±[`EQUIVALENCE_MARGIN`], for new tasks: the greater of P(T > (Δ + v)/s) and
-/// P(T > (Δ − v)/s). `None` without a standard error.
+/// P(T > (Δ − v)/s), with Δ the margin, v the difference, s its standard error and T of Student's
+/// t distribution. `None` without a standard error.
 ///
 /// Source: D. J. Schuirmann, A comparison of the two one-sided tests procedure and the
 /// power approach for assessing the equivalence of average bioavailability, Journal of

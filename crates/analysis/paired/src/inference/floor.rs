@@ -161,6 +161,7 @@ mod tests {
     fn the_average_over_choices_of_the_simultaneous_rollout_has_the_expectation_of_the_measure() {
         let p: f64 = 0.9;
         let (mut emergent, mut compensated) = (0.0, 0.0);
+        // Outcomes under six axes alone and simultaneously, as the bits of a number.
         for outcomes in 0..1_u32 << 7 {
             let successes = outcomes.count_ones();
             let weight = p.powi(successes as i32) * (1.0 - p).powi(7 - successes as i32);

@@ -49,7 +49,8 @@ const NOMINAL: usize = 1;
 const SUCCESS: usize = 2;
 
 impl Loss {
-    /// Computes the loss under every condition that has a configuration with both outcomes.
+    /// Computes the loss under each axis alone and under simultaneous perturbation, as far as a
+    /// configuration has both outcomes.
     pub(crate) fn of_each(matched: &[Matched], directions: Directions) -> Losses {
         let axes = matched.iter().flat_map(|matched| matched.alone.keys());
         let conditions = axes.map(|&axis| Condition::Single(axis));

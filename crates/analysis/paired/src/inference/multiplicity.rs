@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn holm_agrees_with_the_published_example() {
+    fn holm_multiplies_the_smallest_p_value_by_the_number_of_hypotheses() {
         let adjusted = holm(&[0.01, 0.04, 0.03, 0.005]);
         for (p, expected) in adjusted.iter().zip([0.03, 0.06, 0.06, 0.02]) {
             assert!((p - expected).abs() < 1e-12, "{adjusted:?}");

@@ -149,8 +149,9 @@ impl Sample {
         }
     }
 
-    /// Returns Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)² for G_h groups in stratum h, with
-    /// Σ_h (G_h − 1) degrees of freedom. `None` if a stratum has fewer than two groups.
+    /// Returns Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)² for G_h groups in stratum h, with θ_(hi)
+    /// the statistic without group i of stratum h, and Σ_h (G_h − 1) degrees of freedom. `None` if
+    /// a stratum has fewer than two groups.
     fn jackknife(&self, statistic: &dyn Fn(&[f64]) -> f64, strata: &[Stratum]) -> Option<Variance> {
         let (mut value, mut df) = (0.0, 0.0);
         for stratum in strata {

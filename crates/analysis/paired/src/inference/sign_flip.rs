@@ -1,8 +1,8 @@
 //! Exact sign-flip test of clustered differences.
 
-/// Returns the two-sided exact p-value of the tasks' net changes under the hypothesis that
-/// both signs of each task's change are equally likely: the share of the 2^G assignments of
-/// signs whose sum is at least as far from 0 as the observed sum. Unlike McNemar's test, this
+/// Returns the two-sided exact p-value of the tasks' net changes under the hypothesis that both
+/// signs of each task's change are equally likely: the share of the 2^G assignments of signs to the
+/// G tasks whose sum is at least as far from 0 as the observed sum. Unlike McNemar's test, this
 /// test accounts for the correlation of rollouts of a task.
 ///
 /// The distribution of the sum is computed by convolution, one task after the other, without

@@ -18,8 +18,8 @@ pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 /// configurations: the drawn order up to the first incomplete one.
 ///
 /// A configuration is complete when all its rollouts have ended, at all levels and under
-/// all conditions, including its nominal rollout if the campaign runs one. Rollouts that
-/// the intervals do not use still count in other figures.
+/// all conditions, including its nominal rollout if the campaign runs one. Rollouts that no
+/// interval uses, such as those under latency, must have ended because other figures use them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CampaignLook {
     /// Configurations that the look rests on, in the drawn order.

@@ -29,7 +29,8 @@ pub struct ComparedLook {
 pub struct NotInOneOrder;
 
 /// Returns the looks at the difference under every condition at every perturbed level, in
-/// the first replicate; `order` is the drawn order of both campaigns. A condition is skipped
+/// the first replicate. The seed and strata of `order` define the drawn order of both campaigns;
+/// its rule is not used. `rule` is the rule of [`ComparedLook::met_after`]. A condition is skipped
 /// if either campaign lacks it in any configuration or if any of its rollouts is `unpaired`.
 ///
 /// # Errors

@@ -11,7 +11,7 @@ use crate::sequential::prefix::NotInOrder;
 use crate::sequential::simultaneous::SimultaneousSequences;
 
 /// The confidence sequence of success rate A − success rate B over the same
-/// rollouts: those of one condition at one level, in strata of tasks.
+/// rollouts: those of one condition at one level, in the strata of the drawn order.
 ///
 /// Rollouts may complete in any order and are used in the drawn order, like the
 /// configurations of [`SequentialMeasures`](crate::SequentialMeasures).

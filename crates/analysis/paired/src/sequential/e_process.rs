@@ -1,10 +1,10 @@
 //! E-process: evidence of the draws so far against each candidate for the population's
 //! total. The proof is in `sequential`.
 
-/// Sizes of the bets in both directions, relative to the values' unit; they grow
-/// as a stratum runs out ([`Stratum::stake`]). Each is nearly optimal for one
-/// width of the interval, from the width after a fifth of the population to that after
-/// nine tenths; the average over all sizes is never far from the best.
+/// Sizes of the bets, each made on large and on small values. A size is the stake on the first
+/// draw from a stratum of mean size; stakes grow as a stratum runs out ([`Stratum::stake`]). Each
+/// size is nearly optimal for one width of the interval, from the width after a fifth of the
+/// population to that after nine tenths; the average over all sizes is never far from the best.
 const SIZES: [f64; 4] = [0.15, 0.25, 0.4, 0.7];
 
 /// Largest share of the capital that a bet may lose on one draw.
@@ -27,6 +27,7 @@ const POOLED_DRAWS: f64 = 10.0;
 pub(crate) struct EProcess {
     /// Least and greatest value of a unit.
     range: [i64; 2],
+    /// Mean number of units of a stratum.
     mean_size: f64,
     strata: Vec<Stratum>,
     bets: Vec<Bet>,

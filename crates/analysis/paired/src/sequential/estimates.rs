@@ -9,8 +9,8 @@ use crate::sequential::campaign::CampaignLook;
 use crate::sequential::measures::value;
 use crate::sequential::order::Unit;
 
-/// Number of units of a stratum, and sums of each measure over the drawn units with a known
-/// outcome.
+/// Number of units of a stratum, number of its drawn units with a known outcome, and sums of each
+/// measure over these drawn units.
 #[derive(Clone, Default)]
 struct Stratum {
     units: f64,
@@ -56,6 +56,7 @@ impl CampaignLook {
         let is_known =
             |strata: &BTreeMap<_, Stratum>| strata.values().all(|stratum| stratum.known > 0.0);
         levels.retain(|_, strata| is_known(strata));
+        // An interval about new tasks is about the average over suites of any size.
         let has_equal_weights = stop.rule.is_about_new_tasks();
         let level_estimates = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
             let weight = |stratum: &Stratum| {

@@ -5,16 +5,16 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Clause, Measure, StopRule};
 use serde::{Deserialize, Serialize};
 
-/// An interval of a rate or a difference of rates over a finite population. Its ends are
-/// whole numbers of units and therefore exact; for new tasks they are rounded outwards to a
-/// multiple of 1/2000.
+/// An interval of a rate or a difference of rates over a finite population, or for new tasks. Its
+/// ends are whole numbers of units and therefore exact; for new tasks they are rounded outwards to
+/// a multiple of 1/2000.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RateInterval {
     /// Least total over the population that is not ruled out.
     pub least: i64,
     /// Greatest total over the population that is not ruled out.
     pub greatest: i64,
-    /// Units of the population.
+    /// Units of the population; 2,000 for new tasks, whose population is not finite.
     pub units: u64,
 }
 

@@ -81,7 +81,7 @@ struct Mean {
     /// Sum of the midpoints of all earlier means, and their number.
     earlier: [f64; 2],
     bets: [Bet; 2],
-    /// Least and greatest candidate that is not ruled out.
+    /// Least and greatest candidate that is not ruled out, in units of 1/[`CANDIDATES`].
     kept: [i64; 2],
 }
 

@@ -12,6 +12,7 @@ pub(crate) struct ConfidenceSequence {
     totals: [i64; 2],
     /// Least and greatest total that the drawn values allow.
     possible: [i64; 2],
+    /// Least and greatest value of a unit.
     range: [i64; 2],
     /// Draws of the current, incomplete round.
     round: Vec<(usize, [i64; 2])>,

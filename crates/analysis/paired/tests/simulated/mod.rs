@@ -67,7 +67,7 @@ pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
 struct Probabilities {
     nominal: f64,
     /// Probabilities for the placebo's seven rollouts: that all six single axes succeed and the
-    /// simultaneous one fails, and that a single axis fails and the simultaneous one succeeds.
+    /// simultaneous one fails, and that some single axis fails and the simultaneous one succeeds.
     floor: [f64; 2],
     /// Success probability under each axis alone at L2, then under simultaneous perturbation.
     perturbed: [f64; CONDITIONS],
@@ -127,7 +127,7 @@ pub(crate) struct Population {
     deviations: [f64; 3],
 }
 
-/// Random effects of tasks, or of directions, by condition.
+/// Random effects of tasks, or of directions, by condition; the last is on nominal rollouts.
 type Effects = Vec<[f64; CONDITIONS + 1]>;
 
 impl Population {
@@ -328,7 +328,7 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
     .into()
 }
 
-/// Returns task number `at` of a campaign over the first `suites` suites.
+/// Returns task number `task_index` of a campaign over the first `suites` suites.
 pub(crate) fn task(task_index: usize, suites: usize) -> TaskRef {
     let suite = Suite::ALL[task_index % suites];
     let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);
@@ -447,8 +447,9 @@ pub(crate) struct NetEffect {
 }
 
 impl NetEffect {
-    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance; every
-    /// other configuration changes with the probability given by the effect of its task.
+    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance. A
+    /// further share of configurations, the size of the effect of their task, changes in the
+    /// direction of this effect.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
         for task_index in 0..40 {

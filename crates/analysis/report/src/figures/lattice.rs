@@ -140,8 +140,8 @@ fn name(set: AxisSet, full: AxisSet) -> &'static str {
     }
 }
 
-/// Returns the label below a node: the names of the axes, or their first letters if the
-/// row is too crowded.
+/// Returns the label below a node: `nominal`, `simultaneous`, the single axis, `all but` the absent
+/// axis, or two letters for each axis.
 fn label(set: AxisSet, full: AxisSet) -> String {
     match set.len() {
         1 => name(set, full).to_owned(),

@@ -1,4 +1,4 @@
-//! The outcome matrix of a cell: forty tasks × their configurations, each marked with the
+//! The outcome matrix of a cell: its tasks × their configurations, each marked with the
 //! transition that simultaneous perturbation caused.
 
 use std::collections::BTreeMap;

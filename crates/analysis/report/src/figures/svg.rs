@@ -64,7 +64,8 @@ impl Scale {
     }
 }
 
-/// Returns ticks at every multiple of `step`, a fraction, with labels in percent.
+/// Returns ticks at every multiple of `step`, a fraction, with labels in percent: with a sign if
+/// `signed`, otherwise of the absolute value.
 pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64, signed: bool) -> Vec<(f64, String)> {
     let first = (from / step - 1e-9).ceil() as i64;
     let last = (to / step + 1e-9).floor() as i64;

@@ -166,8 +166,10 @@ fn profiles(comparison: &Comparison) -> Markup {
 
 /// Renders A − B of each task, nominally and under all axes.
 fn tasks(comparison: &Comparison) -> Markup {
-    let is_whole = |condition| matches!(condition, Condition::Clean | Condition::Combination);
-    let columns = compared(comparison).filter(|(cell, _)| is_whole(cell.condition));
+    let is_nominal_or_simultaneous =
+        |condition| matches!(condition, Condition::Clean | Condition::Combination);
+    let columns =
+        compared(comparison).filter(|(cell, _)| is_nominal_or_simultaneous(cell.condition));
     let columns: Vec<(String, &Profile)> = columns
         .map(|(cell, delta)| (cell.name(), &delta.profile))
         .collect();

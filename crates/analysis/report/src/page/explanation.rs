@@ -190,7 +190,8 @@ fn minimal(answer: &Answer) -> Markup {
                 (subset(answer.start, minimal.set))
                 @if !minimal.is_established() {
                     span.muted {
-                        " (not established: " (minimal.open.len()) " smaller subsets not run)"
+                        " (not established: " (minimal.open.len())
+                        " smaller subsets not run or not decided)"
                     }
                 }
             }

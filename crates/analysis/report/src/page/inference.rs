@@ -92,7 +92,8 @@ fn targets(cells: &Cells<'_>) -> Markup {
             "95 % intervals, each of which covers the variation of its target. These tasks and \
             directions: other initial states, and chance. New tasks: other tasks of the same \
             suites, under the same directions. New tasks and directions: other directions too; a \
-            configuration has one direction in all tasks. Relative \
+            configuration has one direction in all tasks. Nominal, matched: nominal success of the \
+            complete configurations that have a nominal outcome. Relative \
             independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
             nominal failures once."
         }

@@ -30,10 +30,11 @@ pub(super) fn methods(document: &Document) -> Markup {
                     the axes' success rates, S_conj the share of configurations that succeed under \
                     every axis alone, S_sim the success rate under simultaneous perturbation; \
                     D = S_conj − S_indep, I = S_sim − S_conj. McNemar's exact test takes rollouts \
-                    as independent; sign-flip tests take tasks as independent, and the findings \
-                    rest on sign-flip tests, at 1 % after Holm's correction. Intervals for each \
-                    target are jackknives over tasks, directions and configurations with \
-                    Student's t. "
+                    as independent; sign-flip tests take tasks as independent. The findings rest \
+                    on sign-flip tests of costs and of I, t tests of the excess over the noise \
+                    floor, and permutation tests of directions, at 1 % after Holm's correction. \
+                    Intervals for each target are jackknives over tasks, directions and \
+                    configurations with Student's t. "
                 } @else {
                     "This campaign runs further rollouts of another campaign's configurations: the \
                     same initial states, and perturbations drawn from the same seeds. "

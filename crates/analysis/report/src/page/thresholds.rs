@@ -24,11 +24,12 @@ fn section(report: &ThresholdReport) -> Markup {
             h2 { "Thresholds" }
             p { code { (report.measured_by) } " " (report.describe_progress()) "." }
             (figure("Share of configurations that still succeed, by radius of the perturbation: a \
-                configuration counts up to a radius if it succeeds nominally and at every smaller \
-                radius that was run. L1, L2 and L3 are the paper's levels. A configuration fails \
-                somewhere between two radii that were run: the dashed lines are the smallest and \
-                the largest possible share. The diamond marks the radius at which half of all \
-                configurations still succeed; the whisker is the 95 % interval of this radius.",
+                configuration counts up to a radius if it succeeds nominally and at every radius \
+                that was run, up to and including this one. L1, L2 and L3 are the paper's levels. \
+                A configuration fails somewhere between two radii that were run: the dashed lines \
+                are the smallest and the largest possible share. The diamond marks the radius at \
+                which half of all configurations still succeed; the whisker is the 95 % interval \
+                of this radius.",
                 figures::of_thresholds(report)))
             (half_success(&report.curves))
             (not_monotone(&report.thresholds))

@@ -1,8 +1,9 @@
 //! A row per policy, replicate, level, task and configuration, with all its outcomes.
 //!
-//! An outcome is true, false or empty; the column `unresolved` says for each empty outcome whether
-//! the rollout is missing or quarantined. For each outcome, `…_goal` is the largest share of the
-//! goal's predicates that held together, and `…_steps` the number of control steps of the rollout.
+//! An outcome is true, false or empty. For each empty outcome of a perturbed condition that the
+//! campaign runs, the column `unresolved` says whether the rollout is missing or quarantined. For
+//! each outcome, `…_goal` is the largest share of the goal's predicates that held together, and
+//! `…_steps` the number of control steps of the rollout.
 
 use libero_ctrl::{Axis, Condition};
 use paired::{Matched, Outcome, Progress};
@@ -124,7 +125,7 @@ fn steps((analysis, matched): &Row<'_>, condition: Condition) -> Value {
     Value::Integer(progress.and_then(|progress| progress.steps).map(i64::from))
 }
 
-/// Lists the conditions of the campaign under which the configuration has no outcome.
+/// Lists the campaign's perturbed conditions under which the configuration has no outcome.
 fn unresolved(matched: &Matched) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
     let unresolved = alone

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::form::{Column, Kind, Table, TableError, Value, text};
 
-/// A result row; fields that the JSON lacks are absent.
+/// A result row; optional fields that the JSON lacks are null.
 #[derive(Debug, Deserialize)]
 pub struct ResultRow {
     rollout_id: String,

@@ -1,5 +1,7 @@
-"""Prints the pandas dtype of each column of a Parquet file, and the Python types of its
-values, as JSON: {"camera": ["boolean", ["bool"]], ...}.
+"""Prints a description of a Parquet file, as pandas reads it, as a JSON object: `columns`, the
+dtype of each column and the Python types of its values ({"camera": ["boolean", ["bool"]], ...});
+`gaps`, the number of absent values of each column; `objects`, the columns of dtype object;
+`camera`, the number of successes under camera.
 
     python3 columns.py table.parquet
 """

@@ -163,7 +163,7 @@ fn every_form_has_the_dimensions_and_no_measure_of_libero_ctrl() {
     assert!(page(&document).contains("OpenVLA-OFT+") && json.contains("OpenVLA-OFT+"));
 }
 
-/// Returns the report of all sentences of LIBERO-Para and their unperturbed rollouts.
+/// Returns a campaign of all sentences of LIBERO-Para and their unperturbed rollouts.
 fn para(outcome: impl Fn(&Case) -> Outcome) -> Subject {
     let selection = Selection::Para(ParaFilters::default());
     subject_of(&selection, &Protocol::PARA_OFFICIAL, outcome)
@@ -208,7 +208,7 @@ fn sentences_are_counted_by_type_and_paired_with_the_unperturbed_rollout() {
     let [low, high] = objects.interval.expect("ten tasks");
     assert!(low < 50.0 && 50.0 < high, "{low} to {high}");
     assert_eq!(found.unperturbed.rollouts, 10);
-    // Sentences of `comp` are far from the original, so that failing there costs more.
+    // Sentences of `comp` are far from the tasks' instructions, so that their failures cost more.
     let [usual, _, _] = found.pride.as_slice() else {
         panic!("{:?}", found.pride);
     };

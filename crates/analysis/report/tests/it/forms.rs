@@ -127,7 +127,7 @@ fn the_page_of_a_campaign_without_results_warns_of_missing_results() {
 }
 
 #[test]
-fn figures_are_well_formed_files_with_units_and_counts() {
+fn figures_are_well_formed_files_with_counts() {
     // A label that differs from that of `broken` but maps to the same file name.
     let twin = Subject {
         policy: "servo {b}".to_owned(),

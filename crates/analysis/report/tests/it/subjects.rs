@@ -37,7 +37,8 @@ pub(crate) fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
     }
 }
 
-/// Returns the example with some outcomes quarantined and some missing.
+/// Returns the example as a faulty campaign: some outcomes are quarantined or missing, results have
+/// several simulators, batch modes and fingerprints, and the reproduction gate fails.
 pub(crate) fn broken() -> Subject {
     let mut subject = example();
     for (index, record) in subject.records.iter_mut().enumerate() {

@@ -25,7 +25,7 @@ fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
     assert_eq!(l2["no_interval"], "too_few_tasks");
     let text = few.text();
     assert!(
-        text.contains("too few tasks for an interval, which needs 10"),
+        text.contains("too few tasks for an interval by resampling, which needs 10"),
         "{text}"
     );
     let paper = text
@@ -113,12 +113,12 @@ fn every_symbol_of_the_table_is_explained_below_it_once() {
         !legend.iter().any(|line| line.starts_with("solvable")),
         "{legend:#?}"
     );
-    let nominal_only = {
+    let one_rollout = {
         let mut subject = example();
         subject.records.truncate(1);
         subject
     };
-    let text = document(vec![nominal_only]).text();
+    let text = document(vec![one_rollout]).text();
     assert!(!text.contains("S_indep"), "{text}");
 }
 

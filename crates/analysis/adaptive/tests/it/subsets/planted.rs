@@ -63,7 +63,7 @@ impl Kind {
     ];
 }
 
-/// The outcome under each of the 64 subsets.
+/// Success, true or false, under each of the 64 subsets.
 #[derive(Clone, Debug)]
 pub(crate) struct Rule(BTreeMap<AxisSet, bool>);
 

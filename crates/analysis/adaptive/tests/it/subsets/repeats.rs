@@ -1,5 +1,6 @@
 //! Error rate of repeats for policies whose outcomes are coin flips: at most 5 % of lattices lead
-//! to any false claim, although a lattice has 63 subsets and was selected by its outcomes.
+//! to any false claim, although a lattice has 63 non-empty subsets and was selected by its
+//! outcomes.
 
 use adaptive::subsets::{Evidence, Lattice, Repeats, Strategy, explain, selected};
 use libero_ctrl::AxisSet;
