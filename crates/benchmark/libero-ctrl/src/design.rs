@@ -130,10 +130,10 @@ pub enum DesignError {
         /// The level.
         level: Level,
     },
-    /// The design has more than [`MAX_ROWS`] rows.
+    /// An upper bound of the design's number of rows exceeds [`MAX_ROWS`].
     #[error("the design has {rows} rollouts, at most {MAX_ROWS} are possible: divide the design")]
     TooLarge {
-        /// Number of rows.
+        /// The bound: it counts all initial states of each task as nominal rollouts.
         rows: usize,
     },
 }
@@ -359,7 +359,8 @@ impl Design {
         (draws_configs || self.directions == Directions::Own).then_some(self.seed)
     }
 
-    /// Returns an upper bound of the number of rows.
+    /// Returns an upper bound of the number of rows: perturbed rollouts, and nominal rollouts from
+    /// all initial states of each task.
     fn max_rows(&self) -> usize {
         let configs_at = |level: &Level| {
             let configs = self.configs.iter();

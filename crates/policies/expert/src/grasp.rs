@@ -113,8 +113,8 @@ pub(crate) struct Grasp {
 }
 
 impl Grasp {
-    /// Returns true if the two grasps differ so little that they are the same grasp, of an object
-    /// that has hardly moved meanwhile.
+    /// Returns true if the two grasps differ so little that they count as one grasp, chosen twice
+    /// for an object that may have moved a little in between.
     fn is_like(&self, other: &Self) -> bool {
         let turned = half_turn(self.closing - other.closing).abs();
         (self.offset - other.offset).norm() <= ALIKE_M && turned <= ALIKE_RAD

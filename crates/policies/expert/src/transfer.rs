@@ -49,7 +49,7 @@ const TRAVEL_STEPS: u32 = 120;
 const BLOCKED_STEPS: (u32, u32) = (2, 10);
 /// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
 const ALMOST_M: f64 = 0.03;
-/// Share of full speed near obstacles.
+/// Share of full vertical speed near obstacles.
 const GENTLE: f64 = 0.4;
 
 /// State of a transfer in progress.
@@ -318,6 +318,7 @@ impl Transfer {
 
     fn descend(&self, world: &World, object: &Entity, grip: Grip, motion: &Motion) -> Next {
         let hand = grip.hand(object);
+        // In the first steps of a phase the hand has not yet set off.
         let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
         if (hand.pos - world.grip).norm() < DEEP_M || has_stopped || self.is_overdue() {
             return Next::Go(Phase::Close(HandPose {

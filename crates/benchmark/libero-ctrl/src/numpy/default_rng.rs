@@ -68,7 +68,8 @@ fn join(high: u64, low: u64) -> u128 {
     u128::from(high) << 64 | u128::from(low)
 }
 
-/// Hash of `SeedSequence`, whose constant changes with every word.
+/// Hash of `SeedSequence`, whose constant changes with every word. The initial constants and the
+/// multipliers are NumPy's.
 struct WordHash {
     constant: u32,
     multiplier: u32,

@@ -3,7 +3,7 @@
 
 use super::picture::{CHANNELS, Picture};
 
-/// End and step of the factors, by severity. As in `numpy.arange`, rounding decides whether
+/// End and step of the factors, which begin at 1, by severity. As in `numpy.arange`, rounding decides whether
 /// the end is included.
 const SEVERITIES: [(f64, f64); 10] = [
     (1.11, 0.01),

@@ -98,7 +98,8 @@ impl Problem {
     const fn words(self) -> &'static str {
         match self {
             Self::Repeated => {
-                "a mark occurs twice in it, which the name of a folder must not contain either"
+                "_view_, _initstate_ or _noise_ occurs twice in it; folders must not have these \
+                 words in their names"
             }
             Self::View => {
                 "its view is not five numbers, four angles of 0 to 359 degrees and, in third \
