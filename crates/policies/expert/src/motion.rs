@@ -336,8 +336,8 @@ impl Motion {
         is_partly_open(world) && self.finger_still_steps >= AT_REST_STEPS
     }
 
-    /// Returns true if partly open fingers, see [`is_partly_open`], hold a mechanism, also while the
-    /// mechanism moves.
+    /// Returns true if partly open fingers, see [`is_partly_open`], hold a mechanism, also while
+    /// the mechanism moves.
     pub(crate) fn holds_mechanism(&self) -> bool {
         self.opening_change.abs() < HOLDING_M
     }

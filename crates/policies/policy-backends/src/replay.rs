@@ -248,6 +248,6 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             sent.field().as_str_name(),
             sent.values
         ),
-        None => "the simulator's states or the numbers of readings differ".to_owned(),
+        None => "the simulator's states or the counts of readings differ".to_owned(),
     }
 }

@@ -23,7 +23,7 @@ const SEEDS_PER_MEAN: usize = 8;
 const STANDARD_ERRORS: f64 = 2.5;
 /// Largest share of a difference that an explanation by frame size may leave unexplained.
 const MAX_UNEXPLAINED_BY_SIZE: f64 = 0.4;
-/// Share of the answers' variation below which differences count as rounding.
+/// Share of the answers' standard deviation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
 /// Seeds that servers commonly have as a default.
 const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];

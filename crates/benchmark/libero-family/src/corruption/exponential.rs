@@ -1,6 +1,6 @@
 //! Correctly rounded eˣ, for filters whose output depends on the last bit. The libraries that
-//! LIBERO-Plus' code calls round these values correctly; libm's `exp` is wrong by one unit in the last place
-//! for some.
+//! LIBERO-Plus' code calls round these values correctly; libm's `exp` is wrong by one unit in the
+//! last place for some.
 
 /// Number of halvings of the argument, which are exact; the result is squared as many times.
 const HALVINGS: i32 = 10;

@@ -101,8 +101,8 @@ pub fn entry(variant: &Variant) -> Option<&'static Entry> {
     indices.get(variant).map(|index| &inventory()[*index])
 }
 
-/// Returns the problem class with the given name. Parsers of BDDL turn the name to lower case, which
-/// loses the spelling of the file names in it; the returned class has the spelling of the
+/// Returns the problem class with the given name. Parsers of BDDL turn the name to lower case,
+/// which loses the spelling of the file names in it; the returned class has the spelling of the
 /// benchmark's variants.
 ///
 /// # Errors

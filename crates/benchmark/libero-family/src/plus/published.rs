@@ -11,7 +11,8 @@ pub const SOURCE: &str = "README of LIBERO-plus, git 4b0a529";
 pub struct Published {
     /// The policy's published name.
     pub policy: &'static str,
-    /// Success rate over the variants of each dimension, per cent, in the order of `Dimension::ALL`.
+    /// Success rate over the variants of each dimension, per cent, in the order of
+    /// `Dimension::ALL`.
     pub percent: [f64; 7],
 }
 
