@@ -42,7 +42,7 @@ pub struct Design {
     pub seed: u64,
     /// Source of the directions of the configurations.
     pub directions: Directions,
-    /// Form of the placebo level, if it is among `levels`.
+    /// Settings of the placebo level; the defaults if L0 is not among `levels`.
     pub placebo: Placebo,
 }
 

@@ -28,7 +28,7 @@ pub enum Lack {
         /// Digest of the files.
         found: String,
     },
-    /// The file of initial states has too few.
+    /// The file of initial states has fewer states than the suite file's `trials`.
     States {
         /// Path of the file.
         path: String,
