@@ -214,6 +214,7 @@ impl Design {
             });
         }
         self.check_placebo()?;
+        // At L0 the instruction stays canonical.
         let has_paraphrases = |level: &Level| level.is_named() || *level == Level::L0;
         let unparaphrased = self.levels.iter().find(|level| !has_paraphrases(level));
         if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unparaphrased) {

@@ -48,6 +48,8 @@ const TILT_WEIGHT: f64 = 150.0;
 const AWAY_WEIGHT: f64 = 6.0;
 /// Distance of the hand from a grasp beyond which the penalty does not increase, m.
 const AWAY_M: f64 = 0.15;
+/// Penalty on the inset of a rim grasp beyond the smallest inset, rad per m.
+const INSET_WEIGHT: f64 = 10.0;
 /// Penalty on a change of grasp, rad.
 const CHANGE_COST: f64 = 0.5;
 /// Penalty on a grasp that the hand could not reach, rad: as for three parts in collision.
@@ -217,6 +219,7 @@ fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     let across = PINCH_POSITIONS.map(|share| Grasp {
         offset: (along * share).at_height(height),
         closing: shape.narrow_angle,
+        // Up to 0.5 rad, at the outermost positions.
         strain: share.abs(),
     });
     let mut all = across.to_vec();
@@ -242,7 +245,7 @@ fn rims(object: &Entity, shape: Footprint) -> Vec<Grasp> {
         RIM_INSETS_M.map(|inset| Grasp {
             offset: (Vec3::heading(angle) * (shape.narrow - inset)).at_height(height),
             closing: angle,
-            strain: 10.0 * (inset - RIM_INSETS_M[0]),
+            strain: INSET_WEIGHT * (inset - RIM_INSETS_M[0]),
         })
     };
     angles.into_iter().flat_map(at).collect()
@@ -256,6 +259,7 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 
 /// Cost of a grasp, in equivalent radians of hand rotation.
 fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> f64 {
+    // The hand at rest closes along the world's y.
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
     let askew = match purpose.requirement {
         GraspRequirement::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),

@@ -8,13 +8,13 @@ use std::f64::consts::FRAC_PI_2;
 use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
-    self, Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M as OPEN_FINGERS_M,
-    detour, pointing_down, tilted,
+    self, Command, FINGERS_OPEN_M, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, detour,
+    pointing_down, tilted,
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
 /// Joint position below which a drawer counts as open, m; drawers open towards negative positions.
-pub(crate) const OPEN_M: f64 = -0.14;
+pub(crate) const DRAWER_COUNTS_AS_OPEN_M: f64 = -0.14;
 /// Joint positions at which a drawer is released, m; it then coasts a little. The first satisfies
 /// the predicate `open`. The second, less far open, is for a drawer that receives an object.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
@@ -192,7 +192,7 @@ impl RoutineTask {
         let distance = (to.pos - world.grip).norm();
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
-                let is_open = world.opening > OPEN_FINGERS_M;
+                let is_open = world.opening > FINGERS_OPEN_M;
                 if distance < HELD_M && motion::is_partly_open(world) && !is_open {
                     // The opening varies while the mechanism moves.
                     if motion.holds_mechanism() { 3 } else { 2 }
