@@ -261,6 +261,8 @@ struct FlatRow {
     perturb: Map<String, Value>,
 }
 
+/// Returns the reference's name of the part of the benchmark: `clean` for nominal rollouts, `eval`
+/// for all others.
 fn split(condition: Condition) -> &'static str {
     match condition {
         Condition::Clean => "clean",

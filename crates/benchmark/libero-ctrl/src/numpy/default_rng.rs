@@ -4,7 +4,9 @@
 use super::unit_from_bits;
 use super::ziggurat::standard_normal;
 
+/// Multiplier of PCG64's 128-bit state.
 const PCG_MULTIPLIER: u128 = 0x2360_ed05_1fc6_5da4_4385_df64_9fcc_f645;
+/// 32-bit words of the pool of `SeedSequence`.
 const POOL_WORDS: usize = 4;
 
 /// NumPy's current generator. The same seed and sequence of calls give the same values as
