@@ -269,6 +269,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
     let at_object = object.centre + grasp.offset;
     let at_destination = (purpose.destination + at_object - object.pos)
         .at_height(purpose.destination.z + at_object.z - object.bottom());
+    // A solid around the object's centre is its container, whose walls `into_wall` checks.
     let is_neighbour = |solid: &Solid| solid.owner != object.name && solid.gap(object.centre) > 0.0;
     let is_in_the_way = |solid: &Solid| solid.owner != object.name && solid.owner != purpose.owner;
     let collisions = COLLISION_WEIGHT
@@ -282,8 +283,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
 }
 
 /// Returns the number of collisions between parts of the open hand and the solids selected by
-/// `among`, with the grip point at `grip`. The container of the object does not count, because
-/// [`into_wall`] checks its walls.
+/// `among`, with the grip point at `grip`.
 fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {
     let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
     let hits = |part: &Part, solid: &Solid| {
