@@ -230,7 +230,7 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             );
             return format!(
                 "{differing} of {} numbers of {:?} differ, first at column {column} of row {row} \
-                 ({} was recorded, {} was sent)",
+                 (row 0 is at the bottom; {} was recorded, {} was sent)",
                 sent.rgb.len(),
                 sent.camera,
                 recorded.rgb[index],

@@ -176,8 +176,8 @@ async fn compare_paired(
         }
         SearchResult::Unexplained(_) if pair.differ_by_rounding() => {
             let note = format!(
-                "{}; they differ by up to {}, less than {ROUNDING} of their own variation, as \
-                 after rounding (bfloat16), through JPEG or on another processor",
+                "{}; they differ by up to {}, less than {ROUNDING} of their own standard \
+                 deviation, as after rounding (bfloat16), through JPEG or on another processor",
                 comparison_note(servers, &pair.a, "with the same seed"),
                 size(largest.value)
             );

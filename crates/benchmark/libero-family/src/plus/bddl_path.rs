@@ -78,7 +78,8 @@ fn parts<'a>(text: &'a str, mark: &str) -> Option<(&'a str, &'a str)> {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read the changes in the path {path}: {}; the path ends in \
-     _view_H_V_S_R_T_initstate_N.bddl or _view_H_V_S_R_T_initstate_N_noise_K.bddl",
+     _view_H_V_S_R_T_initstate_N.bddl or _view_H_V_S_R_T_initstate_N_noise_K.bddl, with five \
+     numbers for the view, the number N of the posture and the number K of the corruption",
     problem.words()
 )]
 pub struct InvalidBddlPath {
