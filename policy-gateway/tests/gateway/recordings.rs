@@ -88,8 +88,8 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
         .await
         .expect_err("another observation");
     assert_eq!(refused.code(), Code::Internal);
-    let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (0 was \
-                 recorded, 9 was sent)";
+    let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (row 0 is at \
+                 the bottom; 0 was recorded, 9 was sent)";
     assert!(refused.message().contains(named), "{refused}");
 
     let third_query = send_query(&mut client, 2, observation(2)).await;

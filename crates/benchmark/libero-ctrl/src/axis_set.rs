@@ -7,10 +7,10 @@ use std::sync::LazyLock;
 use crate::axis::Axis;
 use crate::names::{UnknownName, serde_as_text};
 
-/// A set of axes, written in the protocol's order: `camera+robot`. The empty set
+/// A set of axes, written in the order of [`Axis::ALL`]: `camera+robot`. The empty set
 /// is written `none`.
 ///
-/// Sets are ordered by size, then by their axes in the protocol's order, so that
+/// Sets are ordered by size, then by their axes in the order of [`Axis::ALL`], so that
 /// every set follows its subsets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct AxisSet(u8);
@@ -66,14 +66,14 @@ impl AxisSet {
         &NAMES[usize::from(self.0)]
     }
 
-    /// Returns the axes in the protocol's order.
+    /// Returns the axes in the order of [`Axis::ALL`].
     pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
         Axis::ALL
             .into_iter()
             .filter(move |&axis| self.contains(axis))
     }
 
-    /// Returns all subsets in order, from the empty set to this set.
+    /// Returns all subsets, sorted, from the empty set to this set.
     pub fn subsets(self) -> Vec<Self> {
         let mut subsets: Vec<Self> = (0..=Self::ALL.0)
             .map(Self)

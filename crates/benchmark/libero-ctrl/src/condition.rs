@@ -115,8 +115,8 @@ serde_as_text!(Condition);
 /// Source of the random elements of a perturbation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Realisation {
-    /// A stream keyed by configuration and axis, so that an axis has the same random elements
-    /// alone and in a combination.
+    /// A stream keyed by task, level, configuration and axis, so that an axis has the same random
+    /// elements alone and in a combination.
     #[default]
     Matched,
     /// NumPy's streams seeded by the rollout id, as in the reference implementation.

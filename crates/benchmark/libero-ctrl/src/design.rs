@@ -42,7 +42,7 @@ pub struct Design {
     pub seed: u64,
     /// Source of the directions of the configurations.
     pub directions: Directions,
-    /// Form of the placebo level, if it is among `levels`.
+    /// Settings of the placebo level; the defaults if L0 is not among `levels`.
     pub placebo: Placebo,
 }
 
@@ -130,10 +130,10 @@ pub enum DesignError {
         /// The level.
         level: Level,
     },
-    /// The design has more than [`MAX_ROWS`] rows.
+    /// An upper bound of the design's number of rows exceeds [`MAX_ROWS`].
     #[error("the design has {rows} rollouts, at most {MAX_ROWS} are possible: divide the design")]
     TooLarge {
-        /// Number of rows.
+        /// The bound: it counts all initial states of each task as nominal rollouts.
         rows: usize,
     },
 }
@@ -214,6 +214,7 @@ impl Design {
             });
         }
         self.check_placebo()?;
+        // At L0 the instruction stays canonical.
         let has_paraphrases = |level: &Level| level.is_named() || *level == Level::L0;
         let unparaphrased = self.levels.iter().find(|level| !has_paraphrases(level));
         if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unparaphrased) {
@@ -359,7 +360,8 @@ impl Design {
         (draws_configs || self.directions == Directions::Own).then_some(self.seed)
     }
 
-    /// Returns an upper bound of the number of rows.
+    /// Returns an upper bound of the number of rows: perturbed rollouts, and nominal rollouts from
+    /// all initial states of each task.
     fn max_rows(&self) -> usize {
         let configs_at = |level: &Level| {
             let configs = self.configs.iter();

@@ -25,7 +25,8 @@ pub enum Directions {
     Own,
 }
 
-/// Part of the key of every random stream; it must change whenever the drawn values change.
+/// Part of the key of every random stream of this module; it must change whenever the drawn values
+/// change.
 const VERSION: &str = "libero-ctrl/configurations/1";
 
 /// Returns the direction of a configuration in the normalised coordinates of an axis: a

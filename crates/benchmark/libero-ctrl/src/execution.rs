@@ -56,7 +56,7 @@ pub struct Delays {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read execution model: {problem}; write wait, hold:N, overlap:N or overlap:N,rtc with N \
-     control steps from 0 to {MAX_DELAY}, or a distribution such as 3*812+4*188"
+     control steps from 0 to {MAX_DELAY}, or a distribution of steps*weight such as 3*812+4*188"
 )]
 pub struct ExecutionError {
     /// Clause that names the invalid part of the text.

@@ -20,8 +20,9 @@ use crate::spec_error::SpecError;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
-    /// Returns the rows of the campaign's design or manifest under its execution model, in the
-    /// order of [`Design::expand`].
+    /// Returns the rows of the campaign's design, manifest or suite file under its execution
+    /// model; no rows for other specifications. The rows of a design or manifest are in the order
+    /// of [`Design::expand`].
     ///
     /// # Errors
     /// If the specification is invalid.
@@ -349,6 +350,7 @@ mod tests {
         for row in &placebo {
             let id = row.id;
             let condition = id.condition();
+            // The radius of L2, 4, is 200 times the placebo's, 0.02.
             let far = design.row_at(id.task(), condition, Level::L2, 4);
             let far = far.expect("a row");
             assert_eq!((row.init_id, row.axes()), (far.init_id, far.axes()), "{id}");

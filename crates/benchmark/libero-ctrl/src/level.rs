@@ -104,9 +104,10 @@ const VALID: [&str; 5] = ["L0", "L1", "L2", "L3", "or a radius from r0.001 to r1
 const MICROS: u32 = 1_000_000;
 /// Largest number of decimals of a radius.
 const DECIMALS: usize = 6;
-/// Smallest radius, micros; below it, parameters would be rounded to zero.
+/// Smallest radius, micros; below it, some parameters would be rounded to zero.
 const MIN_MICROS: u32 = MICROS / 1_000;
-/// Largest radius, micros; above it, a light's brightness would overflow single precision.
+/// Largest radius, micros: well below the radius, about 500, at which a light's brightness
+/// overflows single precision.
 const MAX_MICROS: u32 = 100 * MICROS;
 
 /// Parses a decimal number into micros; `None` if the text is not a valid number.

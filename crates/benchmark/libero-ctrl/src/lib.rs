@@ -2,6 +2,10 @@
 //! rollout ids, seeds and the streams from which perturbations are drawn.
 //!
 //! The crate opens no file, reads no clock and does not depend on a simulator.
+//!
+//! In this crate, *the protocol* is LIBERO-CTRL v0.1 as published (arXiv 2609.15940), and *the
+//! reference* or *reference implementation* is the protocol's released code, whose manifests, ids
+//! and seeds are reproduced here.
 
 #![forbid(unsafe_code)]
 

@@ -34,9 +34,9 @@ const ROUNDING: f64 = 0.5e-6;
 /// Parses a manifest. Empty lines are skipped.
 ///
 /// # Errors
-/// If the manifest has no rows, or a line is not a row, contradicts itself or its
-/// configuration's other rows, has parameters of a different level, or repeats an id. The
-/// error lists the lines.
+/// If the manifest has no rows or more than [`MAX_ROWS`], or a line is not a row, contradicts
+/// itself or its configuration's other rows, has parameters of a different level, has another
+/// execution model than the first row, or repeats an id. The error lists the lines.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();
@@ -222,7 +222,7 @@ pub enum LineProblem {
 }
 
 impl ManifestErrors {
-    /// Returns the first errors, by line.
+    /// Returns the first 20 errors, or all if there are fewer.
     pub fn listed(&self) -> &[LineError] {
         &self.listed
     }
@@ -270,7 +270,7 @@ struct Checker {
     errors: ManifestErrors,
 }
 
-/// Initial state and axis parameters that all rows of a configuration share, each
+/// Initial state and axis parameters that all rows of a configuration at one level share, each
 /// with the line it was read from.
 struct Configuration {
     init_id: (usize, u16),

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// State of the environment at the start of a rollout, before the waiting steps.
+/// State of the environment at the start of a rollout, before the settling steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Beginning {
@@ -27,7 +27,7 @@ impl Beginning {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// Camera pose as LIBERO-Plus' five numbers: horizontal and vertical angle, distance in per
-    /// cent, pan and tilt; angles in degrees. `None` for LIBERO's pose.
+    /// cent of LIBERO's, pan and tilt; angles in degrees. `None` for LIBERO's pose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub view: Option<[u16; 5]>,
     /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.

@@ -120,10 +120,10 @@ parameters! {
         bias_frac,
         /// Rotation of the command frame, degrees.
         misalign_deg,
-        /// Time constant of the first-order lag, control steps.
+        /// Time constant of the first-order lag, control steps; only the magnitude counts.
         lag_tau,
         /// Standard deviation of the noise, fraction of the demonstrations'
-        /// action size.
+        /// action size; only the magnitude counts.
         noise_frac,
     }
 }

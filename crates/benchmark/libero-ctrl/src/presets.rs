@@ -87,8 +87,9 @@ pub(crate) fn preset_direction(axis: Axis, config: u16) -> &'static [f64] {
     presets.map_or(&[], |presets| &presets.directions[usize::from(config)])
 }
 
-/// Returns the indices of the components of an axis's directions that are restricted to one
-/// sign, such as the camera's distance, the hand's height, lag and noise.
+/// Returns the indices of the components of an axis that are at least 0 in drawn directions: the
+/// camera's distance, the hand's height, lag and noise of the actions. Presets may have negative
+/// lag and noise, of which the simulator uses the magnitude.
 pub(crate) fn half_space(axis: Axis) -> &'static [usize] {
     let presets = presets().axes.get(axis.name());
     presets.map_or(&[], |presets| &presets.half_space)

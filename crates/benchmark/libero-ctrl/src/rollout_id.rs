@@ -10,9 +10,11 @@ use crate::names::{UnknownName, serde_as_text};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 use crate::variant_name::VariantName;
 
-const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 or \
-                       spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state \
-                       NN, or SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00";
+const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for example \
+                       spatial/t0/camera/L2/c00 or spatial/t0/simultaneous/L2/c00, or \
+                       SUITE/tN/nominal/iNN for initial state NN, or \
+                       SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00, or \
+                       own/tN/own:SUITE/iNN for a suite file";
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///

@@ -105,10 +105,10 @@ impl ManifestRow {
     }
 
     /// Returns the row of the same configuration restricted to some of its axes, each
-    /// perturbed as in this row.
+    /// perturbed as in this row, which must perturb all of `axes`.
     ///
     /// # Errors
-    /// If `axes` is empty or the row is not perturbed.
+    /// If `axes` is empty.
     pub fn only(&self, axes: AxisSet) -> Result<Self, UnknownName> {
         let id = self.id;
         let config = id.number();
@@ -261,6 +261,8 @@ struct FlatRow {
     perturb: Map<String, Value>,
 }
 
+/// Returns the reference's name of the part of the benchmark: `clean` for nominal rollouts, `eval`
+/// for all others.
 fn split(condition: Condition) -> &'static str {
     match condition {
         Condition::Clean => "clean",

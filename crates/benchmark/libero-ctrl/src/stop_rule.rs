@@ -13,10 +13,12 @@ const AND: &str = " and ";
 /// Suffix of a clause about new tasks.
 const FOR_NEW_TASKS: &str = " for new tasks";
 
-const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
-                     M excludes X for new tasks, or several of them with ` and ` between";
+const VALID: &str = "width(M) < X with X above 0 and up to 2 (0.08 is 8 percentage points), M \
+                     excludes X with X from -1 to 1, M excludes X for new tasks, or several of \
+                     them with ` and ` between";
 
-/// Quantity that an interval estimates.
+/// Quantity that an interval estimates. N is the number of configurations that the interval rests
+/// on: complete configurations, in the drawn order up to the first incomplete one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "&'static str", try_from = "String")]
 pub enum Measure {

@@ -1,8 +1,8 @@
 //! Random streams of a perturbation: the blur's angle, the bias direction, the
 //! misalignment axis, the noise of each step.
 //!
-//! In the `matched` realisation the key of a stream consists of the configuration and
-//! the axis, without the condition and the replicate: an axis alone and the same axis
+//! In the `matched` realisation the key of a stream consists of task, level, configuration and
+//! axis, without the condition and the replicate: an axis alone and the same axis
 //! in a combination realise the same perturbation, step for step, and replicates
 //! differ only in the policy's seed. The simulator defines which values are drawn from the
 //! streams.
@@ -28,7 +28,7 @@ const STREAM_VERSION: &str = "libero-ctrl/v0.1/matched/1";
 /// The source of one axis's random elements in one rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Randomness {
-    /// A stream keyed by configuration and axis.
+    /// A stream keyed by task, level, configuration and axis.
     Matched(MatchedStream),
     /// NumPy's generators: `default_rng(seed)` for elements that are fixed for the rollout,
     /// `default_rng(seed + 1)` for the noise of each step.
@@ -59,7 +59,7 @@ pub struct MatchedStream {
 }
 
 impl MatchedStream {
-    /// Creates the stream of one axis of one configuration.
+    /// Creates the stream of one axis of one configuration at one level.
     pub fn new(task: TaskRef, level: Level, config: u16, axis: Axis) -> Self {
         Self::named(&format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}"))
     }

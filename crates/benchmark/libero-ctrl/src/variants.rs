@@ -35,7 +35,8 @@ pub struct Variants {
     /// Tasks of LIBERO-Para, such as `libero_goal/8`; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tasks: Vec<String>,
-    /// Trials of each task of LIBERO-PRO.
+    /// Number of trials of each task of LIBERO-PRO, from the first initial states; `None` for all
+    /// fifty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trials: Option<u16>,
     /// True if variants that no worker can run are left out.

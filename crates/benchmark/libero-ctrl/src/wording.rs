@@ -7,7 +7,8 @@ use std::fmt;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JsonError {
     problem: String,
-    /// Line and column, from 1; `None` if the error concerns the whole text.
+    /// Line, from 1, and column, from 1 or, before the first character, 0; `None` if the error
+    /// concerns the whole text.
     place: Option<(usize, usize)>,
 }
 
@@ -17,7 +18,8 @@ impl JsonError {
         &self.problem
     }
 
-    /// Returns the line and column, from 1; `None` if the error concerns the whole text.
+    /// Returns the line, from 1, and the column, from 1 or, before the first character, 0; `None`
+    /// if the error concerns the whole text.
     pub fn place(&self) -> Option<(usize, usize)> {
         self.place
     }

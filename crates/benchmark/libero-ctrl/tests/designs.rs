@@ -10,7 +10,8 @@ use libero_ctrl::{
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
-/// Components restricted to one sign: distance, height, lag and noise.
+/// Components that are at least 0 in drawn directions: the camera's distance, the hand's height,
+/// lag and noise of the actions.
 const HALF_SPACES: [(Axis, usize); 4] = [
     (Axis::Camera, 2),
     (Axis::Robot, 2),
@@ -103,6 +104,7 @@ proptest! {
 
         let far = normalised(axis, &single(axis, Level::L3, config, seed));
         for (near, far) in given.iter().zip(far) {
+            // 8 is the radius of L3.
             let scaled = far * radius / 8.0;
             let tolerance = rounding * (1.0 + radius / 8.0);
             prop_assert!((near - scaled).abs() <= tolerance, "{near} is not {scaled}");
@@ -175,12 +177,13 @@ fn drawn_directions_are_uniform_on_the_sphere() {
             let mean = values.clone().sum::<f64>() / directions.len() as f64;
             let square = values.map(|x| x * x).sum::<f64>() / directions.len() as f64;
             let dimension = unit(axis).len() as f64;
-            // Five standard errors of the mean of 990 values.
+            // Five standard errors of the mean of 990 values, whose variance is 1 / dimension.
             let tolerance = 5.0 / (dimension * directions.len() as f64).sqrt();
             assert!(
                 mean.abs() < tolerance || is_half_space(component),
                 "{axis}: {mean}"
             );
+            // The standard error of the scaled mean square is below 0.04.
             assert!((square * dimension - 1.0).abs() < 0.2, "{axis}: {square}");
         }
     }

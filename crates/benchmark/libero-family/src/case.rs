@@ -30,7 +30,7 @@ pub enum Subject {
 pub struct Case {
     /// Origin of the task.
     pub subject: Subject,
-    /// LIBERO's task.
+    /// LIBERO's task, or the position of a suite file's task in the file.
     pub task: TaskRef,
     /// Number of the trial, from 0, which is also the index of the initial state.
     pub trial: u16,
@@ -113,7 +113,8 @@ impl Case {
         }
     }
 
-    /// Returns the rollout's id, in a benchmark if it is not of a suite file.
+    /// Returns the rollout's id. `benchmark` is that of the id; a rollout of a suite file has none
+    /// and ignores it.
     pub fn id(&self, benchmark: Benchmark) -> RolloutId {
         let change = match self.subject {
             Subject::Plus(entry) => entry.variant.change.label(),
@@ -169,7 +170,7 @@ impl Case {
     }
 
     /// Returns the manifest row of the rollout, with the trial's initial state and the protocol's
-    /// waiting steps and step budget. The instruction is empty if only the BDDL file has it.
+    /// settling steps and step budget. The instruction is empty if only the BDDL file has it.
     pub fn row(&self, protocol: &Protocol) -> ManifestRow {
         let id = self.id(protocol.benchmark);
         let row = ManifestRow::new(id, self.trial, self.trial, Perturbation::default());

@@ -28,7 +28,7 @@ pub enum Lack {
         /// Digest of the files.
         found: String,
     },
-    /// The file of initial states has too few.
+    /// The file of initial states has fewer states than the suite file's `trials`.
     States {
         /// Path of the file.
         path: String,
@@ -112,7 +112,7 @@ impl Lacking {
 }
 
 impl fmt::Display for Lacking {
-    /// Lists the missing files, one line per kind, with the rollouts that need them.
+    /// Lists the reasons, one line each: number of rollouts, reason, names of rollouts.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (index, (lack, cases)) in self.0.iter().enumerate() {
             let named: Vec<String> = cases.iter().take(MAX_NAMED).map(Case::name).collect();

@@ -46,7 +46,7 @@ pub struct ProFilters {
     pub trials: u16,
 }
 
-/// Filters of LIBERO-Para's sentences. A sentence must match both that are not empty.
+/// Filters of LIBERO-Para's sentences. A sentence must match all filters that are not empty.
 #[derive(Clone, Debug, Default)]
 pub struct ParaFilters {
     /// Types, or sentences by name.
@@ -59,9 +59,10 @@ impl Selection {
     /// Returns the selection of a specification.
     ///
     /// # Errors
-    /// If a name is unknown, a number is out of range, or only another benchmark has a filter.
+    /// If a name is unknown, a number is out of range, or a filter is given that only another
+    /// benchmark has.
     pub fn of_spec(spec: &Variants) -> Result<Self, SelectionError> {
-        let filter = |filter, is_given: bool| match is_given {
+        let refuse = |filter, is_given: bool| match is_given {
             true => Err(SelectionError::Filter {
                 benchmark: spec.benchmark.name(),
                 filter,
@@ -70,9 +71,9 @@ impl Selection {
         };
         match spec.benchmark {
             Benchmark::Plus => {
-                filter("trials", spec.trials.is_some())?;
-                filter("paraphrases", !spec.paraphrases.is_empty())?;
-                filter("tasks", !spec.tasks.is_empty())?;
+                refuse("trials", spec.trials.is_some())?;
+                refuse("paraphrases", !spec.paraphrases.is_empty())?;
+                refuse("tasks", !spec.tasks.is_empty())?;
                 if let Some(&given) = spec.difficulties.iter().find(|difficulty| **difficulty > 5) {
                     let (field, given) = ("difficulties", given.into());
                     let valid = [0, 5];
@@ -91,11 +92,11 @@ impl Selection {
                 }))
             }
             Benchmark::Pro => {
-                filter("variants", !spec.variants.is_empty())?;
-                filter("dimensions", !spec.dimensions.is_empty())?;
-                filter("difficulties", !spec.difficulties.is_empty())?;
-                filter("paraphrases", !spec.paraphrases.is_empty())?;
-                filter("tasks", !spec.tasks.is_empty())?;
+                refuse("variants", !spec.variants.is_empty())?;
+                refuse("dimensions", !spec.dimensions.is_empty())?;
+                refuse("difficulties", !spec.difficulties.is_empty())?;
+                refuse("paraphrases", !spec.paraphrases.is_empty())?;
+                refuse("tasks", !spec.tasks.is_empty())?;
                 let trials = spec.trials.unwrap_or(STATES);
                 if !(1..=STATES).contains(&trials) {
                     let (field, given, valid) = ("trials", trials, [1, STATES]);
@@ -115,11 +116,11 @@ impl Selection {
                 }))
             }
             Benchmark::Para => {
-                filter("trials", spec.trials.is_some())?;
-                filter("variants", !spec.variants.is_empty())?;
-                filter("suites", !spec.suites.is_empty())?;
-                filter("dimensions", !spec.dimensions.is_empty())?;
-                filter("difficulties", !spec.difficulties.is_empty())?;
+                refuse("trials", spec.trials.is_some())?;
+                refuse("variants", !spec.variants.is_empty())?;
+                refuse("suites", !spec.suites.is_empty())?;
+                refuse("dimensions", !spec.dimensions.is_empty())?;
+                refuse("difficulties", !spec.difficulties.is_empty())?;
                 let tasks: Vec<Vec<TaskRef>> = spec
                     .tasks
                     .iter()

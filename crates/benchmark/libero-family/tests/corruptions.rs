@@ -69,6 +69,7 @@ fn check(kind: Kind) {
         );
         checked += 1;
     }
+    // Ten severities at two sizes.
     assert_eq!(checked, 20);
 }
 

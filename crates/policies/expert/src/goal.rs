@@ -6,7 +6,7 @@ use libero_ctrl::Predicate;
 
 use crate::error::ExpertError;
 use crate::geometry::Vec3;
-use crate::motion::{Command, Fingers, HandPose, Motion, OPEN_M};
+use crate::motion::{Command, FINGERS_OPEN_M, Fingers, HandPose, Motion};
 use crate::place::{Place, Relation};
 use crate::routine::{self, Routine, RoutineTask};
 use crate::transfer::Transfer;
@@ -65,7 +65,7 @@ const BETWEEN_M: f64 = 0.005;
 /// hand is free.
 fn let_go(world: &World) -> Option<Command> {
     let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
-    let is_open = world.opening > OPEN_M;
+    let is_open = world.opening > FINGERS_OPEN_M;
     let has_object_at_grip = world.objects_at_grip(BETWEEN_M).next().is_some();
     let way_out = match (is_open, handle) {
         (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
@@ -188,7 +188,7 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertErr
         region: region.to_owned(),
         to,
     };
-    let is_open = position < to.max(routine::OPEN_M);
+    let is_open = position < to.max(routine::DRAWER_COUNTS_AS_OPEN_M);
     Ok((!is_open).then(|| Skill::Routine(Routine::new(pull))))
 }
 

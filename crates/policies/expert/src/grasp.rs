@@ -48,6 +48,8 @@ const TILT_WEIGHT: f64 = 150.0;
 const AWAY_WEIGHT: f64 = 6.0;
 /// Distance of the hand from a grasp beyond which the penalty does not increase, m.
 const AWAY_M: f64 = 0.15;
+/// Penalty on the inset of a rim grasp beyond the smallest inset, rad per m.
+const INSET_WEIGHT: f64 = 10.0;
 /// Penalty on a change of grasp, rad.
 const CHANGE_COST: f64 = 0.5;
 /// Penalty on a grasp that the hand could not reach, rad: as for three parts in collision.
@@ -113,8 +115,8 @@ pub(crate) struct Grasp {
 }
 
 impl Grasp {
-    /// Returns true if the two grasps differ so little that they are the same grasp, of an object
-    /// that has hardly moved meanwhile.
+    /// Returns true if the two grasps differ so little that they count as one grasp, chosen twice
+    /// for an object that may have moved a little in between.
     fn is_like(&self, other: &Self) -> bool {
         let turned = half_turn(self.closing - other.closing).abs();
         (self.offset - other.offset).norm() <= ALIKE_M && turned <= ALIKE_RAD
@@ -217,6 +219,7 @@ fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     let across = PINCH_POSITIONS.map(|share| Grasp {
         offset: (along * share).at_height(height),
         closing: shape.narrow_angle,
+        // Up to 0.5 rad, at the outermost positions.
         strain: share.abs(),
     });
     let mut all = across.to_vec();
@@ -242,7 +245,7 @@ fn rims(object: &Entity, shape: Footprint) -> Vec<Grasp> {
         RIM_INSETS_M.map(|inset| Grasp {
             offset: (Vec3::heading(angle) * (shape.narrow - inset)).at_height(height),
             closing: angle,
-            strain: 10.0 * (inset - RIM_INSETS_M[0]),
+            strain: INSET_WEIGHT * (inset - RIM_INSETS_M[0]),
         })
     };
     angles.into_iter().flat_map(at).collect()
@@ -256,6 +259,7 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 
 /// Cost of a grasp, in equivalent radians of hand rotation.
 fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> f64 {
+    // The hand at rest closes along the world's y.
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
     let askew = match purpose.requirement {
         GraspRequirement::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
@@ -265,6 +269,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
     let at_object = object.centre + grasp.offset;
     let at_destination = (purpose.destination + at_object - object.pos)
         .at_height(purpose.destination.z + at_object.z - object.bottom());
+    // A solid around the object's centre is its container, whose walls `into_wall` checks.
     let is_neighbour = |solid: &Solid| solid.owner != object.name && solid.gap(object.centre) > 0.0;
     let is_in_the_way = |solid: &Solid| solid.owner != object.name && solid.owner != purpose.owner;
     let collisions = COLLISION_WEIGHT
@@ -278,8 +283,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
 }
 
 /// Returns the number of collisions between parts of the open hand and the solids selected by
-/// `among`, with the grip point at `grip`. The container of the object does not count, because
-/// [`into_wall`] checks its walls.
+/// `among`, with the grip point at `grip`.
 fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {
     let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
     let hits = |part: &Part, solid: &Solid| {

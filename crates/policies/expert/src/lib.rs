@@ -88,6 +88,7 @@ impl Expert {
     /// limit, which bounding boxes do not show. A stuck hand moves up and back to its rest
     /// position for a number of steps.
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
+        // Commands at a lower pace move the hand near obstacles, where contact may stop it.
         let travels = command.pace >= 1.0;
         let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
         self.far_steps = if travels && is_far {
@@ -192,7 +193,7 @@ mod tests {
             }
             scene.apply(replacement.unwrap_or(action));
             let world = scene.world();
-            goal::plan(&world).expect("a plan").is_empty() && world.opening > motion::OPEN_M
+            goal::plan(&world).expect("a plan").is_empty() && world.opening > motion::FINGERS_OPEN_M
         })
     }
 

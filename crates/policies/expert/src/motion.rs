@@ -47,7 +47,7 @@ const ALIGNED_RAD: f64 = 0.25;
 /// [`pointing_down_like`] returns the half turn, rad.
 const SYMMETRIC_RAD: f64 = 0.3;
 /// Opening beyond which the fingers count as open, m; the hand opens to 0.08 m.
-pub(crate) const OPEN_M: f64 = 0.065;
+pub(crate) const FINGERS_OPEN_M: f64 = 0.065;
 /// Range of the opening, m, in which fingers at rest hold an object.
 const GRASPED_M: (f64, f64) = (0.0015, 0.0765);
 /// A hand counts as stuck if it stays within this distance, m, for [`TRAIL_STEPS`].
@@ -336,8 +336,8 @@ impl Motion {
         is_partly_open(world) && self.finger_still_steps >= AT_REST_STEPS
     }
 
-    /// Returns true if fingers that are neither open nor shut hold a mechanism, also while it
-    /// moves.
+    /// Returns true if partly open fingers, see [`is_partly_open`], hold a mechanism, also while
+    /// the mechanism moves.
     pub(crate) fn holds_mechanism(&self) -> bool {
         self.opening_change.abs() < HOLDING_M
     }
@@ -352,7 +352,7 @@ impl Motion {
     pub(crate) fn may_close(&self, world: &World) -> bool {
         let has_just_stopped =
             self.opening_change < STILL_M && self.finger_still_steps < AT_REST_STEPS;
-        world.opening > OPEN_M || has_just_stopped
+        world.opening > FINGERS_OPEN_M || has_just_stopped
     }
 
     /// Number of steps for which the opening of the fingers has not changed.

@@ -57,7 +57,10 @@ pub(crate) struct Spot {
     /// End of the approach.
     pub(crate) rest: Vec3,
     entry: Entry,
+    /// Height of the bottom of the target, m; above it by [`COVERED_FLOOR_GAP_M`] in a covered
+    /// region.
     floor: f64,
+    /// Height of the top of the target, m.
     brim: f64,
 }
 
@@ -92,6 +95,7 @@ impl Place {
             },
         };
         let (approach_start, rest) = match entry {
+            // The object descends towards the bottom of the target until contact stops it.
             Entry::Onto => (centre.at_height(brim + CARRY_M), centre.at_height(floor)),
             Entry::Into => {
                 if let Some(out) = world.front_of_drawer(target) {

@@ -8,16 +8,15 @@ use std::f64::consts::FRAC_PI_2;
 use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
-    self, Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M as OPEN_FINGERS_M,
-    detour, pointing_down, tilted,
+    self, Command, FINGERS_OPEN_M, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, detour,
+    pointing_down, tilted,
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
-/// Joint position beyond which a drawer counts as open, m.
-pub(crate) const OPEN_M: f64 = -0.14;
+/// Joint position below which a drawer counts as open, m; drawers open towards negative positions.
+pub(crate) const DRAWER_COUNTS_AS_OPEN_M: f64 = -0.14;
 /// Joint positions at which a drawer is released, m; it then coasts a little. The first satisfies
-/// the predicate `open`. The second is for a drawer that receives an object: it is less far open,
-/// so that the hand has room beneath.
+/// the predicate `open`. The second, less far open, is for a drawer that receives an object.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
 /// Joint position at which a drawer is safely closed, m; a drawer counts as closed above 0.
@@ -170,6 +169,7 @@ impl Routine {
 
     fn is_complete(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
         let is_near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
+        // In the first steps of a stage the hand has not yet set off.
         let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
         let is_complete = match stage.until {
             Until::AtPoseAfterDetour => is_near,
@@ -192,7 +192,7 @@ impl RoutineTask {
         let distance = (to.pos - world.grip).norm();
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
-                let is_open = world.opening > OPEN_FINGERS_M;
+                let is_open = world.opening > FINGERS_OPEN_M;
                 if distance < HELD_M && motion::is_partly_open(world) && !is_open {
                     // The opening varies while the mechanism moves.
                     if motion.holds_mechanism() { 3 } else { 2 }
@@ -467,7 +467,8 @@ pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertErro
     world.joint(name)
 }
 
-/// Returns true if `object` is too flat and too wide for the hand to lift.
+/// Returns true if `object` is too flat and too wide for the hand to lift: wider than the hand
+/// opens, 0.08 m, and less than a quarter as high as wide.
 pub(crate) fn must_be_dragged(object: &Entity) -> bool {
     let narrower = object.half.x.min(object.half.y);
     narrower > 0.04 && object.half.z < 0.25 * narrower

@@ -5,8 +5,8 @@ use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
-    Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M, detour, pointing_down,
-    pointing_down_like,
+    Command, FINGERS_OPEN_M, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, detour,
+    pointing_down, pointing_down_like,
 };
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
@@ -49,7 +49,7 @@ const TRAVEL_STEPS: u32 = 120;
 const BLOCKED_STEPS: (u32, u32) = (2, 10);
 /// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
 const ALMOST_M: f64 = 0.03;
-/// Share of full speed near obstacles.
+/// Share of full vertical speed near obstacles.
 const GENTLE: f64 = 0.4;
 
 /// State of a transfer in progress.
@@ -156,7 +156,7 @@ impl Transfer {
         let is_blocked = spot.can_release_blocked(to_rest)
             && (motion.still_steps() >= BLOCKED_STEPS.0 || motion.opens());
         // Fingers that have begun to open continue until they are clear of the object.
-        let may_open = world.opening < OPEN_M || motion.opens();
+        let may_open = world.opening < FINGERS_OPEN_M || motion.opens();
         let is_released = (is_at_rest || is_blocked) && may_open;
         let phase = if world.gap_to(object) < BESIDE_M && is_released {
             let hand = upright_hand(world);
@@ -318,6 +318,7 @@ impl Transfer {
 
     fn descend(&self, world: &World, object: &Entity, grip: Grip, motion: &Motion) -> Next {
         let hand = grip.hand(object);
+        // In the first steps of a phase the hand has not yet set off.
         let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
         if (hand.pos - world.grip).norm() < DEEP_M || has_stopped || self.is_overdue() {
             return Next::Go(Phase::Close(HandPose {
@@ -448,13 +449,13 @@ fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) 
             ..hand
         });
     }
-    let is_closing = world.opening < OPEN_M && motion.may_close(world);
+    let is_closing = world.opening < FINGERS_OPEN_M && motion.may_close(world);
     let is_at_object = world.gap_to(object) < BESIDE_M && aside < ALMOST_M && above < STOPPED_M;
     if is_closing && is_at_object && hand.turn_from(world) < CLOSING_RAD {
         return Phase::Close(upright_hand(world));
     }
     let is_above_grasp = aside < 2.0 * NEAR_M && above < HOVER_M + 2.0 * NEAR_M;
-    match is_turned && is_above_grasp && world.opening > OPEN_M {
+    match is_turned && is_above_grasp && world.opening > FINGERS_OPEN_M {
         true => Phase::Descend(grip),
         false => Phase::Approach(grip),
     }

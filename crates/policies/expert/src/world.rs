@@ -202,6 +202,7 @@ impl World {
             let beside = (from - out * along - Vec3::UP * from.z).norm();
             let (across, reach) = HANDLE_HALF_M;
             let is_at_handle = along.abs() < away && from.z.abs() < 2.0 * across && beside < reach;
+            // The fingers point within about 45° of the direction into the cabinet.
             (is_at_handle && pointing.dot(out) < -0.7).then_some(out)
         })
     }

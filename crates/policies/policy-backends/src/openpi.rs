@@ -107,7 +107,8 @@ impl OpenpiBackend {
         let idle = self.idle().pop();
         if let Some(mut connection) = idle {
             match exchange(&mut connection, message.clone()).await {
-                // The server restarted meanwhile; it keeps no state that could be lost.
+                // The server has restarted since the connection's last use; it keeps no state that
+                // could be lost.
                 Err(BackendError::Unreachable { .. }) => self.idle().clear(),
                 answer => return self.keep(connection, answer),
             }

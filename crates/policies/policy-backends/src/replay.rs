@@ -230,7 +230,7 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             );
             return format!(
                 "{differing} of {} numbers of {:?} differ, first at column {column} of row {row} \
-                 ({} was recorded, {} was sent)",
+                 (row 0 is at the bottom; {} was recorded, {} was sent)",
                 sent.rgb.len(),
                 sent.camera,
                 recorded.rgb[index],
@@ -248,6 +248,6 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             sent.field().as_str_name(),
             sent.values
         ),
-        None => "the simulator's states or the numbers of readings differ".to_owned(),
+        None => "the simulator's states or the counts of readings differ".to_owned(),
     }
 }

@@ -59,7 +59,7 @@ impl Answers {
     }
 
     /// Returns the number of components of all actions.
-    pub(crate) fn numbers(&self) -> usize {
+    pub(crate) fn component_count(&self) -> usize {
         self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
     }
 }
@@ -77,7 +77,7 @@ mod tests {
         let answers = Answers::averaged(given);
         assert_eq!(answers.chunks, [[[2.0; 7]], [[1.0; 7]]]);
         assert_eq!(answers.spread, [2.0_f64.sqrt(); 7]);
-        assert_eq!(answers.numbers(), 14);
+        assert_eq!(answers.component_count(), 14);
     }
 
     #[test]

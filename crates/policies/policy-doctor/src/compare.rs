@@ -23,7 +23,7 @@ const SEEDS_PER_MEAN: usize = 8;
 const STANDARD_ERRORS: f64 = 2.5;
 /// Largest share of a difference that an explanation by frame size may leave unexplained.
 const MAX_UNEXPLAINED_BY_SIZE: f64 = 0.4;
-/// Share of the answers' variation below which differences count as rounding.
+/// Share of the answers' standard deviation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
 /// Seeds that servers commonly have as a default.
 const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
@@ -35,7 +35,7 @@ pub struct Comparison {
     pub descriptions: Vec<DescriptionDifference>,
     /// Differences between the answers; empty if they are the same.
     pub differences: Vec<Difference>,
-    /// Method of the comparison, and its certainty.
+    /// Method of the comparison, and the sizes of the differences.
     pub note: String,
 }
 
@@ -50,7 +50,7 @@ impl AnswerPair {
         servers: &ServerPair,
         seeds: &(dyn Fn(usize) -> Vec<u64> + Sync),
     ) -> Result<Self, ExaminationError> {
-        let all = servers.situations();
+        let all = servers.situation_count();
         Ok(Self {
             a: servers.query(Side::A, &[], all, seeds).await?,
             b: servers.query(Side::B, &[], all, seeds).await?,
@@ -176,8 +176,8 @@ async fn compare_paired(
         }
         SearchResult::Unexplained(_) if pair.differ_by_rounding() => {
             let note = format!(
-                "{}; they differ by up to {}, less than {ROUNDING} of their own variation, as \
-                 after rounding (bfloat16), through JPEG or on another processor",
+                "{}; they differ by up to {}, less than {ROUNDING} of their own standard \
+                 deviation, as after rounding (bfloat16), through JPEG or on another processor",
                 comparison_note(servers, &pair.a, "with the same seed"),
                 size(largest.value)
             );
@@ -197,7 +197,7 @@ async fn find_other_seed(
     servers: &ServerPair,
     pair: &AnswerPair,
 ) -> Result<Option<Difference>, ExaminationError> {
-    let all = servers.situations();
+    let all = servers.situation_count();
     let near = [("one more than", SEED + 1), ("one less than", SEED - 1)];
     let common = COMMON_SEEDS.map(|seed| ("", seed));
     for (relation, seed) in near.into_iter().chain(common) {
@@ -365,7 +365,7 @@ fn standard_deviations(answers: &Answers) -> Limit {
 fn comparison_note(servers: &ServerPair, answers: &Answers, method: &str) -> String {
     format!(
         "compared {} numbers of the answers to {} observations, {method}",
-        answers.numbers(),
-        servers.situations(),
+        answers.component_count(),
+        servers.situation_count(),
     )
 }

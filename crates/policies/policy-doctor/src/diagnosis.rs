@@ -149,7 +149,11 @@ async fn verdict_on(
         _ if verdicts::is_constant(actions) => skip("all of its actions are the same"),
         Point::Observations => {
             let largest = answered.between_situations;
-            verdicts::observations(Change { largest, noise }, diagnosed.situations(), described)
+            verdicts::observations(
+                Change { largest, noise },
+                diagnosed.situation_count(),
+                described,
+            )
         }
         Point::Frames if described.cameras.is_empty() => skip("it requests no frames"),
         Point::Frames => {

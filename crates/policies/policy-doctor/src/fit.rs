@@ -25,8 +25,7 @@ pub(crate) enum Map {
     },
 }
 
-/// Convention of the second server's gripper, as a function of the first server's, which is −1
-/// (open) to 1 (closed) or the reverse.
+/// Convention of the second server's gripper, as a function of the first server's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Convention {
     /// The sign is inverted.

@@ -209,7 +209,7 @@ impl SearchSetup<'_> {
         if variants.is_empty() {
             return Ok(None);
         }
-        let all = self.servers.situations();
+        let all = self.servers.situation_count();
         let answers = self.servers.query(side, &variants, all, self.seeds).await?;
         Ok(Some(answers))
     }

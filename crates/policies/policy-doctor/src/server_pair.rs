@@ -86,7 +86,7 @@ impl ServerPair {
     }
 
     /// Returns the number of situations.
-    pub(crate) fn situations(&self) -> usize {
+    pub(crate) fn situation_count(&self) -> usize {
         self.situations.len()
     }
 

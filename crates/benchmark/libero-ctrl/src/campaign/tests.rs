@@ -323,9 +323,10 @@ fn imported_rows_are_checked_like_those_of_a_file() {
         &[rows[0].clone(), rows[0].clone()],
         "line 2: spatial/t0/clean/i43 is already",
     );
-    let mut weaker = rows[1].clone();
-    weaker.perturbation = rows[8].perturbation;
-    check(&[weaker], "have radius");
+    // The row of camera L1 with the parameters of camera L2.
+    let mut too_strong = rows[1].clone();
+    too_strong.perturbation = rows[8].perturbation;
+    check(&[too_strong], "have radius");
 }
 
 #[test]

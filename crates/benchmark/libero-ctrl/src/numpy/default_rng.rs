@@ -4,7 +4,9 @@
 use super::unit_from_bits;
 use super::ziggurat::standard_normal;
 
+/// Multiplier of PCG64's 128-bit state.
 const PCG_MULTIPLIER: u128 = 0x2360_ed05_1fc6_5da4_4385_df64_9fcc_f645;
+/// 32-bit words of the pool of `SeedSequence`.
 const POOL_WORDS: usize = 4;
 
 /// NumPy's current generator. The same seed and sequence of calls give the same values as
@@ -68,7 +70,8 @@ fn join(high: u64, low: u64) -> u128 {
     u128::from(high) << 64 | u128::from(low)
 }
 
-/// Hash of `SeedSequence`, whose constant changes with every word.
+/// Hash of `SeedSequence`, whose constant changes with every word. The initial constants and the
+/// multipliers are NumPy's.
 struct WordHash {
     constant: u32,
     multiplier: u32,

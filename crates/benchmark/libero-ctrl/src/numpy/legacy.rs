@@ -3,6 +3,7 @@
 
 /// Words of the Mersenne Twister's state.
 pub const STATE_WORDS: usize = 624;
+/// Offset of the word that a new word is combined with: `m` of MT19937.
 const SHIFT_WORDS: usize = 397;
 
 /// NumPy's legacy generator. The same seed and sequence of calls give the same values as
@@ -135,7 +136,7 @@ mod tests {
     use super::*;
 
     /// Values of NumPy 2.4.6's `RandomState(20260904)`: `randn(7)`, then
-    /// `uniform(-0.01, 0.01)`, `randint(3)`, `randint(1)`,
+    /// `uniform(-0.01, 0.01, 4)`, `randint(3, size=6)`, `randint(1)`,
     /// `uniform(0.4, -0.2)` and `random_sample(3)`.
     #[test]
     fn a_sequence_of_mixed_calls_equals_numpys() {
@@ -221,8 +222,8 @@ mod tests {
         assert_eq!(summary(&rng), (words, sum, 624, false, 0.0));
     }
 
-    /// Values of NumPy 2.4.6 after `set_state`. As in NumPy, a consumed normal stays in the
-    /// state until the next pair.
+    /// Values of NumPy 2.4.6 after `set_state`. As in NumPy, `gauss` keeps the given value while
+    /// `has_gauss` is false, until `randn` draws a pair, and is 0 after `randn` has returned it.
     #[test]
     fn a_generator_continues_from_a_given_state() {
         let mut rng = LegacyRng::from_state(synthetic_state(623, false, 1.25)).unwrap();

@@ -72,6 +72,7 @@ pub(super) struct Construction {
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub(super) enum Entries {
+    /// One entry for all variants.
     Same(String),
     ByVariant(Box<[String; VARIANTS]>),
 }

@@ -1,10 +1,10 @@
-//! Correctly rounded eˣ, for filters whose output depends on the last bit. The libraries that the
-//! original calls round these values correctly; libm's `exp` is wrong by one unit in the last place
-//! for some.
+//! Correctly rounded eˣ, for filters whose output depends on the last bit. The libraries that
+//! LIBERO-Plus' code calls round these values correctly; libm's `exp` is wrong by one unit in the
+//! last place for some.
 
 /// Number of halvings of the argument, which are exact; the result is squared as many times.
 const HALVINGS: i32 = 10;
-/// Number of terms of the Taylor series of the reduced argument.
+/// Number of terms of the Taylor series of the reduced argument, whose magnitude is below 0.02.
 const TERMS: u32 = 9;
 
 /// Double-double number: the sum of two numbers, of which the second is at most half a unit in the

@@ -3,8 +3,8 @@
 
 use super::picture::{CHANNELS, Picture};
 
-/// End and step of the factors, by severity. As in `numpy.arange`, rounding decides whether
-/// the end is included.
+/// End and step of the factors, which begin at 1, by severity. As in `numpy.arange`, rounding
+/// decides whether the end is included.
 const SEVERITIES: [(f64, f64); 10] = [
     (1.11, 0.01),
     (1.16, 0.01),

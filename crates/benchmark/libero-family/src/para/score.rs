@@ -1,18 +1,18 @@
 //! LIBERO-Para's score PRIDE, which weights each success by the distance of the sentence from the
-//! original.
+//! task's canonical instruction.
 
 /// Outcome of a rollout with a paraphrase.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Paraphrased {
     /// True if the rollout succeeded.
     pub success: bool,
-    /// Similarity of content words, 0 to 1: `keyword_similarity` of the released table.
+    /// Similarity of content words, about 0 to 1: `keyword_similarity` of the metadata.
     pub keywords: f64,
-    /// Similarity of structure, 0 to 1: `structural_similarity` of the released table.
+    /// Similarity of structure, 0 to 1: `structural_similarity` of the metadata.
     pub structure: f64,
 }
 
-/// Sums of the distances of sentences from the original.
+/// Sums of the distances of sentences from the canonical instructions.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Distances {
     /// Sum over the successes.

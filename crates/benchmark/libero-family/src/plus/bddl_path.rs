@@ -78,7 +78,8 @@ fn parts<'a>(text: &'a str, mark: &str) -> Option<(&'a str, &'a str)> {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read the changes in the path {path}: {}; the path ends in \
-     _view_H_V_S_R_T_initstate_N.bddl or _view_H_V_S_R_T_initstate_N_noise_K.bddl",
+     _view_H_V_S_R_T_initstate_N.bddl or _view_H_V_S_R_T_initstate_N_noise_K.bddl, with five \
+     numbers for the view, the number N of the posture and the number K of the corruption",
     problem.words()
 )]
 pub struct InvalidBddlPath {
@@ -98,7 +99,8 @@ impl Problem {
     const fn words(self) -> &'static str {
         match self {
             Self::Repeated => {
-                "a mark occurs twice in it, which the name of a folder must not contain either"
+                "_view_, _initstate_ or _noise_ occurs twice in it; folders must not have these \
+                 words in their names"
             }
             Self::View => {
                 "its view is not five numbers, four angles of 0 to 359 degrees and, in third \

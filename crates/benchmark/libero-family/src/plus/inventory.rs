@@ -101,8 +101,9 @@ pub fn entry(variant: &Variant) -> Option<&'static Entry> {
     indices.get(variant).map(|index| &inventory()[*index])
 }
 
-/// Returns the problem class of a BDDL file. Parsers of BDDL turn its name to lower case, which
-/// loses the spelling of the files that the name encodes; it is that of the benchmark's variants.
+/// Returns the problem class with the given name. Parsers of BDDL turn the name to lower case,
+/// which loses the spelling of the file names in it; the returned class has the spelling of the
+/// benchmark's variants.
 ///
 /// # Errors
 /// If neither LIBERO nor LIBERO-Plus has the class.

@@ -33,7 +33,8 @@ impl Prompt {
         }
     }
 
-    /// Returns a variant's prompt; `sentence` is that of its BDDL file, in lower case.
+    /// Returns a variant's prompt, which is always `sentence` for a language variant. `sentence` is
+    /// that of the variant's BDDL file, in lower case.
     pub fn of(self, variant: &Variant, sentence: &str) -> String {
         if self == Self::Bddl || matches!(variant.change, Change::Language(_)) {
             return sentence.to_owned();

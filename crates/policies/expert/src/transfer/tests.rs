@@ -27,7 +27,7 @@ fn can_into_basket() -> Transfer {
 }
 
 /// Runs the skill to its end and returns the names of the phases in the order in which
-/// they were entered. `disturb` is called with the phase before each step.
+/// they were entered. `disturb` is called after each step, with the step's phase.
 fn run(
     scene: &mut KinematicScene,
     mut disturb: impl FnMut(&mut KinematicScene, Phase),

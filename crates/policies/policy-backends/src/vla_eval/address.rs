@@ -28,7 +28,7 @@ pub struct VlaEvalAddress {
     pub execute: u32,
     /// `image_format=png|raw|jpeg`: encoding of frames.
     pub image_format: ImageFormat,
-    /// Parameters of vla-eval's LIBERO benchmark, by their original names.
+    /// Parameters of vla-eval's LIBERO benchmark, under vla-eval's names.
     pub parameters: Parameters,
 }
 

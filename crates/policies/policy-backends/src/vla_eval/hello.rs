@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn null_parameters_count_as_absent() {
+    fn null_or_empty_parameters_count_as_absent() {
         for absent in [Value::Nil, Value::Map(vec![]), "".into()] {
             let terms = terms_for(absent).expect("valid terms");
             assert!(!terms.sends_wrist && !terms.sends_state && terms.flips_quaternion);

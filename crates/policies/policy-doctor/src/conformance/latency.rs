@@ -69,7 +69,8 @@ pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
 }
 
 impl Latency {
-    /// Computes the figures from at least one latency; leaves the names empty.
+    /// Computes the figures from at least one latency; leaves the names empty and
+    /// `real_time_chunking` false.
     fn from_latencies(mut latencies: Vec<Duration>) -> Self {
         latencies.sort();
         let percentile = |hundredths: usize| {

@@ -67,7 +67,7 @@ impl<'a> DiagnosedServer<'a> {
     }
 
     /// Returns the number of situations.
-    pub(super) fn situations(&self) -> usize {
+    pub(super) fn situation_count(&self) -> usize {
         self.situations.len()
     }
 

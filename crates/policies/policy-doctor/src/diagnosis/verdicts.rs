@@ -33,7 +33,8 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// Returns true if the change affects answers; `None` if noise hides the effect.
+    /// Returns true if the change affects answers, by more than three times the noise; `None` if
+    /// noise hides the effect.
     fn has_effect(self) -> Option<bool> {
         let has_effect = self.largest > SAME.max(3.0 * self.noise);
         (has_effect || self.noise <= REPEATABLE).then_some(has_effect)
@@ -242,8 +243,8 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
             false => "Serve it from a faster device",
         };
         fail(format!(
-            "{figures}. A gateway treats a server that needs more than {limit} s as out. {advice}, \
-             or raise answer_within_secs."
+            "{figures}. A gateway treats a server that needs more than {limit} s as out of \
+             service. {advice}, or raise answer_within_secs."
         ))
     } else if p99 > answer_within / 2 {
         pass(format!("{figures}; a gateway waits {limit} s"))
