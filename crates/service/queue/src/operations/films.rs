@@ -23,7 +23,7 @@ pub use crate::store::films::Film;
 
 impl Queue {
     /// Returns a rollout to film with this asset pack and simulator, and the number of such
-    /// rollouts; `None` if none is left.
+    /// rollouts without a video, including those being filmed; `None` if none is left to assign.
     ///
     /// # Errors
     /// If the database fails.

@@ -131,9 +131,9 @@ pub enum FailureReason {
     LeaseLost,
     /// The attempt reached its ceiling.
     Overdue,
-    /// The result disagreed with its configuration's siblings.
+    /// The result disagreed with its configuration's siblings, its campaign or its manifest row.
     Unpaired,
-    /// The policy cannot be reached or is overloaded.
+    /// The policy cannot be reached or is overloaded, or another policy answers in its place.
     PolicyUnavailable,
     Draining,
     Cancelled,
@@ -479,7 +479,8 @@ mod tests {
         let at = |millis| Some(UnixMillis(millis));
         check(late(false), at(59), FailureReason::NeverAcknowledged, false);
         check(late(false), None, FailureReason::NeverAcknowledged, false);
-        // The last heartbeat renewed the lease, or an older heartbeat arrived after that one.
+        // A heartbeat at 20 renewed the lease until 60. A worker whose last heartbeat was sent in
+        // the first half of that time is silent; a later heartbeat has omitted the lease.
         check(late(true), at(20), FailureReason::WorkerSilent, false);
         check(late(true), at(40), FailureReason::WorkerSilent, false);
         check(late(true), at(41), FailureReason::LeaseLost, true);
