@@ -28,8 +28,8 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// Name of the renderer. Empty in a campaign that database schema 1 pinned, until the next
-    /// lease sets it.
+    /// Name of the renderer. Empty in a campaign that database schema 1 pinned, until its next
+    /// result sets it.
     #[serde(alias = "gl_renderer")]
     pub renderer: String,
 }
