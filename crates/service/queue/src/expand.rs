@@ -41,7 +41,7 @@ pub struct NewCampaign {
     /// Number of configurations in a campaign that may stop early, whose jobs follow a random order
     /// of the configurations; `None` in other campaigns.
     pub stoppable_configurations: Option<usize>,
-    /// Jobs in the order in which they are to run; empty at first in a derived campaign.
+    /// Jobs in the campaign's order; empty at first in a derived campaign.
     pub jobs: Vec<NewJob>,
     /// Sum of the control steps of all rollouts if none reaches its goal.
     pub step_budget: u64,
@@ -58,7 +58,7 @@ pub struct NewJob {
     pub task: String,
     /// Id of the initial state.
     pub init_id: u16,
-    /// Place in the campaign's order of jobs, from 0.
+    /// Place in the campaign's order of jobs, from 0; see [`NewCampaign::from_spec`].
     pub unit_order: i64,
     /// The manifest row, JSON.
     pub manifest_row: String,

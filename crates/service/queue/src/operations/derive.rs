@@ -233,6 +233,7 @@ async fn radii(
         let plan = Measurement::of(&source, &own_records, &thresholds).plan();
         let rollout = |(ray, level): (Ray, Level)| {
             let row = design.row_at(ray.task, ray.condition, level, ray.config);
+            // Only replicate 0 decides whether a configuration succeeds at a radius.
             row.map(|row| (row, 0))
         };
         plan.into_iter().map(rollout).collect::<Result<_, _>>()

@@ -70,7 +70,6 @@ pub enum JobState {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
     pub attempt: AttemptId,
-    /// Worker that holds the lease.
     pub owner: WorkerId,
     pub granted: UnixMillis,
     /// Instant of expiry unless a heartbeat renews the lease.
@@ -135,7 +134,10 @@ pub enum FailureReason {
     Unpaired,
     /// The policy cannot be reached or is overloaded, or another policy answers in its place.
     PolicyUnavailable,
+    /// The worker did not run the job, because it was shutting down, its slot was not usable, or it
+    /// lacked files; or the campaign was copied while the attempt ran.
     Draining,
+    /// The campaign was cancelled, was given another policy, or stopped early.
     Cancelled,
     /// Another worker's result pinned the campaign to another asset pack, simulator or renderer, or
     /// the stored results of the siblings cannot be read.
@@ -151,13 +153,13 @@ pub enum FailureReason {
     TakesPolicyDown,
     /// Last of too many attempts that were cut off with their worker.
     TakesWorkerDown,
+    /// An operator skipped the rollout.
     Skipped,
 }
 
 /// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
-    /// Requeue the job.
     Requeue {
         /// End of the job's back-off, the earliest instant of the next lease.
         not_before: UnixMillis,
