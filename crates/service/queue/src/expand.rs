@@ -1,7 +1,7 @@
 //! Expansion of a campaign's specification into the rows of the job table, and the digest of the
 //! specification. The crates `libero-ctrl` and `libero-family` define the contents of manifest rows
-//! and their order: paired units, that is, a configuration's nominal rollout and then its perturbed
-//! ones.
+//! and their order: in a design paired units, that is, a configuration's nominal rollout and then
+//! its perturbed ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -27,11 +27,11 @@ pub struct NewCampaign {
     /// Name of the policy at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Realisation: "matched" or "reference".
+    /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
-    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed, as [`Record`] names them.
     pub record: &'static str,
     /// Requirements on the workers.
     pub wanted: Wanted,

@@ -52,7 +52,8 @@ fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
 pub(super) struct Ended {
     /// Next step of the attempt's job.
     pub(super) next_step: AfterFailure,
-    /// Time until the policy may be tried again; zero unless the attempt failed to reach it.
+    /// Time until the policy may be tried again; zero unless the attempt could not reach the
+    /// policy, or lost it.
     pub(super) policy_wait: Duration,
 }
 

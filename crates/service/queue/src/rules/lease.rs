@@ -33,7 +33,7 @@ pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
 /// same number.
 pub const LOSSES_UNTIL_ALONE: u32 = 4;
 /// Attempts of one job that lost their policy after which the job is quarantined, since it crashes
-/// its policy: in the last of these attempts, the job was the policy's single lease.
+/// its policy: in the last two of these attempts, the job was the policy's single lease.
 pub const MAX_LOSSES: u32 = 6;
 
 /// Lease state of a job: one rollout × replicate.

@@ -31,11 +31,11 @@ pub struct Campaign {
     pub endpoint: String,
     #[sqlx(json)]
     pub health: PolicyHealth,
-    /// Source of random values in perturbations: "matched" or "reference".
+    /// Source of random values in perturbations, as [`Realisation`] names it.
     pub realisation: String,
     /// Execution model as text: what the robot does while the policy computes an answer.
     pub execution: String,
-    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed, as [`libero_ctrl::Record`] names them.
     pub record: String,
     #[sqlx(json)]
     pub state: CampaignState,

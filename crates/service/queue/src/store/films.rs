@@ -18,7 +18,7 @@ pub struct Film {
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Realisation: "matched" or "reference".
+    /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
     /// The actions of every control step, as [`rollout_types::Motion`] packs them.
     pub actions: Vec<u8>,

@@ -29,7 +29,7 @@ pub(super) enum Fault {
     None,
     /// Pages are HTML only, as on simple mirrors.
     HtmlPages,
-    /// Every answer of more than 100,000 bytes of a wheel ends half-way.
+    /// Every answer with more than 100,000 bytes of a wheel ends half-way.
     CutsMidway,
     /// A range request gets the whole wheel.
     NoRanges,
