@@ -1,4 +1,5 @@
-//! Computes a digest of this crate's sources, which determine how models are prepared.
+//! Computes a digest of this crate's sources: a serialised model is valid only for the sources that
+//! wrote it.
 
 use std::path::Path;
 use std::{env, fs, io};

@@ -63,7 +63,7 @@ pub enum WeightsError {
     },
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a number above \
-         0 is expected: export a standard deviation of at least a rounding error for constants"
+         0 is expected: export a small positive standard deviation for a reading that never changes"
     )]
     NotPositive {
         tensor: String,

@@ -23,7 +23,8 @@
 //!   upwards with fused multiply-adds; then the run's sum is added to `C`.
 //!   The order depends on nothing but the inner dimension.
 //! - A convolution is such a product, whose inner dimension is channels by positions in
-//!   the window. It processes 16 channels at a time, so that its runs have length 144.
+//!   the window. The stem and the blocks process 16 channels at a time, so that a run has
+//!   length 144 for a window of 3 x 3 and 16 for 1 x 1; the three colours give 27.
 //! - Other sums are taken in 16 lanes (lane `j` sums indices `j`, `j + 16`, …),
 //!   which are then added by halving, or sequentially if there are few addends.
 //! - Exponentials are those of the crate `libm`, which is pure Rust and does not

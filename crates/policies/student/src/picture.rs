@@ -17,7 +17,8 @@ const VALUES: [f32; 256] = {
 };
 
 /// Converts `rgb` (256 x 256 pixels, row 0 at the bottom) to red, green and blue planes of
-/// 128 x 128 numbers, row 0 at the top. Each number is the rounded mean of four bytes.
+/// 128 x 128 numbers, row 0 at the top. Each number is the rounded mean of four bytes, mapped from
+/// 0..=255 to -1..=1.
 pub(crate) fn planes(rgb: &[u8], planes: &mut Vec<f32>) {
     const WIDTH: usize = PICTURE_SIDE * 3;
     planes.resize(3 * SIDE * SIDE, 0.0);

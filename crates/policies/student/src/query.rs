@@ -6,6 +6,7 @@ use crate::error::QueryError;
 pub const PICTURE_SIDE: usize = 256;
 /// Size of a picture, bytes: red, green and blue of each pixel.
 pub const PICTURE_BYTES: usize = PICTURE_SIDE * PICTURE_SIDE * 3;
+/// Number of actions in a chunk.
 pub const ACTIONS: usize = 8;
 /// Number of action components for the arm.
 pub(crate) const ARM: usize = 6;
@@ -19,14 +20,14 @@ pub type Chunk = [[f32; ARM + 1]; ACTIONS];
 /// Observation of one control step, for which the network returns a [`Chunk`].
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
-    /// Picture of the scene's camera: [`PICTURE_BYTES`] bytes, RGB, row after row, row 0
-    /// at the bottom of the picture.
+    /// Picture of the camera `agentview`, which faces the table: [`PICTURE_BYTES`] bytes, RGB,
+    /// row after row, row 0 at the bottom of the picture.
     pub agentview: &'a [u8],
     /// Picture of the hand's camera, in the same layout.
     pub wrist: &'a [u8],
-    /// Position of the hand, metres, world frame.
+    /// Position of the site between the fingertips, metres, world frame.
     pub eef_pos: [f64; 3],
-    /// Orientation of the hand body, row-major rotation matrix.
+    /// Orientation of the hand body in the world frame, row-major rotation matrix.
     pub eef_rotation: [f64; 9],
     /// Positions of the two finger joints, metres.
     pub gripper_pos: [f64; 2],

@@ -2,6 +2,7 @@
 
 /// Number of rows of the table.
 pub(crate) const BUCKETS: usize = 4096;
+/// Length of a row.
 pub(crate) const WIDTH: usize = 48;
 
 /// Sums the table's rows of all words and bigrams of `instruction` in the order of the text:

@@ -6,7 +6,8 @@ use std::path::Path;
 use safetensors::{Dtype, SafeTensors};
 use student::{Network, PICTURE_BYTES, PICTURE_SIDE, Query};
 
-/// Tolerance of numbers up to 1, and relative tolerance of larger numbers.
+/// Largest absolute deviation of numbers of magnitude up to 1, and largest relative deviation of
+/// larger numbers.
 const TOLERANCE: f32 = 1e-4;
 
 #[test]

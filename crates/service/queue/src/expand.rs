@@ -1,6 +1,7 @@
 //! Expansion of a campaign's specification into the rows of the job table, and the digest of the
-//! specification. The contents of manifest rows and their paired-unit order are defined by the
-//! protocol crate.
+//! specification. The crates `libero-ctrl` and `libero-family` define the contents of manifest rows
+//! and their order: in a design paired units, that is, a configuration's nominal rollout and then
+//! its perturbed ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -26,11 +27,11 @@ pub struct NewCampaign {
     /// Name of the policy at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Realisation: "matched" or "reference".
+    /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
-    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed, as [`Record`] names them.
     pub record: &'static str,
     /// Requirements on the workers.
     pub wanted: Wanted,
@@ -40,7 +41,7 @@ pub struct NewCampaign {
     /// Number of configurations in a campaign that may stop early, whose jobs follow a random order
     /// of the configurations; `None` in other campaigns.
     pub stoppable_configurations: Option<usize>,
-    /// Jobs in paired-unit order; empty at first in a derived campaign.
+    /// Jobs in the campaign's order; empty at first in a derived campaign.
     pub jobs: Vec<NewJob>,
     /// Sum of the control steps of all rollouts if none reaches its goal.
     pub step_budget: u64,
@@ -57,7 +58,7 @@ pub struct NewJob {
     pub task: String,
     /// Id of the initial state.
     pub init_id: u16,
-    /// Place in paired-unit order.
+    /// Place in the campaign's order of jobs, from 0; see [`NewCampaign::from_spec`].
     pub unit_order: i64,
     /// The manifest row, JSON.
     pub manifest_row: String,
@@ -71,7 +72,7 @@ impl NewJob {
             .is_ok_and(|id| id.is_placebo())
     }
 
-    /// Creates the job of a manifest row, at a place in paired-unit order.
+    /// Creates the job of a manifest row.
     ///
     /// # Errors
     /// If the row cannot be written as JSON.
@@ -113,8 +114,9 @@ impl NewCampaign {
         NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
     }
 
-    /// Expands a specification into its rows in paired-unit order, once per replicate. All rows of
-    /// a replicate come before those of the next.
+    /// Expands a specification into its rows, once per replicate: in the order of the module's
+    /// documentation, or in a random order if the campaign may stop early. All rows of a replicate
+    /// come before those of the next.
     ///
     /// # Errors
     /// If the specification is invalid; the message names the fault and its remedy.

@@ -1,6 +1,6 @@
 //! Named invariants of a database. Each is one query whose rows describe the violations.
 //! `coordinator check` runs them on a database at rest; tests run them after every injected fault.
-//! Neither policies nor files beside the database are checked.
+//! They cover neither policy servers nor files beside the database.
 
 use std::path::{Path, PathBuf};
 
@@ -74,7 +74,7 @@ pub const INVARIANTS: [Invariant; 20] = [
         query: "SELECT format('row %s of %s refers to no row of %s', rowid, \"table\", parent)
          FROM pragma_foreign_key_check",
     },
-    // A campaign has all the jobs that it was expanded into, each place in paired-unit order once,
+    // A campaign has all the jobs that it was expanded into, each place in its order of jobs once,
     // unless the campaign is being created or deleted.
     Invariant {
         name: "expansion_is_whole",
@@ -128,7 +128,8 @@ pub const INVARIANTS: [Invariant; 20] = [
          WHERE (j.state = 'committed' AND r.attempt IS NOT j.attempt)
              OR (j.state <> 'committed' AND r.job_id IS NOT NULL)",
     },
-    // A quarantined job's last failure is one that quarantines, and its reason is stored.
+    // A quarantined job's last failure is one that quarantines, and the job's error is that
+    // failure's.
     Invariant {
         name: "quarantine_has_its_failure",
         query: "SELECT format('job %d is quarantined and its attempt %d ended with %s', j.id,
@@ -165,7 +166,7 @@ pub const INVARIANTS: [Invariant; 20] = [
              WHERE f.job_id = j.id AND f.reason IN ('policy_lost', 'takes_policy_down')
                  AND f.attempt > j.forgiven_attempt)",
     },
-    // Results, failures and reports belong to attempts that were granted.
+    // Results, failures and divergences belong to attempts that were granted.
     Invariant {
         name: "attempts_only_rise",
         query: "SELECT format('job %d is at attempt %d and has a %s of attempt %d', j.id,
@@ -214,9 +215,8 @@ pub const INVARIANTS: [Invariant; 20] = [
     // its results, which have no fingerprint, may come from any renderer.
     Invariant {
         name: "results_are_of_the_pin",
-        query:
-            "SELECT format('the result of job %d is not of the assets, simulator, renderer, mode '
-             || 'or job of campaign %s', r.job_id, c.name)
+        query: "SELECT format('the result of job %d is not of the assets, simulator, renderer, '
+             || 'realisation or job of campaign %s', r.job_id, c.name)
          FROM result r JOIN campaign c ON c.id = r.campaign_id
          JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
          WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest

@@ -42,8 +42,8 @@ pub struct Queue {
     tasks: tokio::sync::Mutex<Tasks>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) filming: Filming,
-    /// Held while a campaign is created or deleted, so that deleting one does not remove the files
-    /// of a new one of the same name. Never held across a network call.
+    /// Held while a campaign is created, imported, altered or deleted, so that deleting one does
+    /// not remove the files of a new one of the same name. Never held across a network call.
     pub(crate) campaigns: tokio::sync::Mutex<()>,
     /// Held while files of deleted campaigns are removed, locally and remotely.
     pub(crate) removing: tokio::sync::Mutex<()>,

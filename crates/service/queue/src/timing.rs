@@ -7,6 +7,7 @@ use std::time::Duration;
 pub struct Timing {
     /// Duration of a lease from its grant or its last heartbeat.
     pub lease: Duration,
+    /// Interval between the heartbeats of a worker.
     pub heartbeat: Duration,
     /// Time without progress after which a worker kills a rollout.
     pub progress_timeout: Duration,

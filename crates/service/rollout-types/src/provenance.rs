@@ -28,8 +28,8 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// Name of the renderer. Empty in a campaign that database schema 1 pinned, until the next
-    /// lease sets it.
+    /// Name of the renderer. Empty in a campaign that database schema 1 pinned, until its next
+    /// result sets it.
     #[serde(alias = "gl_renderer")]
     pub renderer: String,
 }
@@ -46,7 +46,7 @@ pub struct Provenance {
     /// render with equal bits. Empty in results of database schema 1.
     #[serde(default)]
     pub fingerprint: String,
-    /// Realisation mode: "matched" or "reference".
+    /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
     /// Name that the policy reports.
     pub policy_name: String,
@@ -64,7 +64,9 @@ pub struct Provenance {
     /// schema 3 and earlier.
     #[serde(default)]
     pub policy_settings: BTreeMap<String, String>,
-    /// Batch mode in which a gateway queried the policy.
+    /// Batch mode in which a gateway queried the policy: "single", "deterministic" (single, with
+    /// all queries of a seed at one replica) or "up to N" queries, with the suffix ", unseeded" if
+    /// the server takes no seed. "single" without a gateway.
     pub batch_mode: String,
     /// Version of the worker's program.
     pub program_version: String,

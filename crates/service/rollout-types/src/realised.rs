@@ -45,7 +45,7 @@ impl Realised {
         self.0.insert(axis, values);
     }
 
-    /// Returns the perturbed axes with their realisations, in the protocol's order.
+    /// Returns the perturbed axes with their realisations, in the order of [`Axis`].
     pub fn axes(&self) -> impl Iterator<Item = (Axis, &RealisedAxis)> {
         self.0.iter().map(|(axis, realised)| (*axis, realised))
     }

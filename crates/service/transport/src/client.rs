@@ -185,8 +185,8 @@ impl Access {
     /// over it.
     ///
     /// # Errors
-    /// If the token would be sent unencrypted to another user of this machine; the error is the
-    /// finding.
+    /// If the token would be sent unencrypted to another user of this machine, or to a user that
+    /// the kernel does not report.
     pub async fn check_connection(
         &self,
         uri: &Uri,

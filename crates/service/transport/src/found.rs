@@ -96,7 +96,7 @@ pub enum CertificateFault {
     ),
 }
 
-/// Result of probing an address at which a call failed.
+/// Finding at an address at which a call failed: the kind of server there, or the fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ProbeResult {
     /// The host name does not resolve.

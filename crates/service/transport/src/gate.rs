@@ -65,8 +65,8 @@ pub struct Gated<S> {
 
 #[derive(Debug)]
 struct Shared {
-    /// Accepted tokens; `None` accepts every caller, because only this machine can connect or
-    /// because the operator chose `--insecure`.
+    /// Accepted tokens; `None` requires no token, because only this machine can connect or because
+    /// the operator chose `--insecure`.
     tokens: Option<Tokens>,
     users: Users,
     resource: fn(&str) -> Resource,

@@ -231,6 +231,7 @@ async fn request_http1(mut stream: TcpStream) -> Result<HttpVersion, ProbeResult
 fn classify(bytes: &[u8]) -> Reply {
     match bytes {
         [] => Reply::Silence,
+        // A TLS record of the type alert or handshake, and the major version of SSL 3.0 and TLS.
         [0x15 | 0x16, 0x03, ..] => Reply::Tls,
         [b'S', b'S', b'H', b'-', ..] => Reply::Ssh,
         [b'H', b'T', b'T', b'P', b'/', ..] | [b'<', ..] => Reply::Http1(first_line(bytes)),

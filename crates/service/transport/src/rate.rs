@@ -11,7 +11,8 @@ use tokio::time::Instant;
 pub const MAX_REQUESTS_PER_SEC: f64 = 10_000.0;
 /// Requests that one connection may send at once after a pause.
 pub const BURST_REQUESTS: f64 = 20_000.0;
-/// Maximum number of buckets. Full buckets are dropped first, since a new bucket is full, too.
+/// Maximum number of buckets. At this number full buckets are dropped, since a new bucket is full,
+/// too; if no bucket is full, the requests of further connections are refused.
 const MAX_BUCKETS: usize = 8_192;
 
 /// The buckets of all connections.

@@ -159,7 +159,8 @@ impl Security {
     }
 
     /// Logs in a browser that sends the token of one of these roles. Returns the `Set-Cookie`
-    /// value, or `None` if the token is unknown or of another role.
+    /// value, or `None` if the token is unknown or of another role, or the system provides no
+    /// randomness.
     pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
         roles
@@ -172,7 +173,8 @@ impl Security {
         self.browser_sessions.log_out(headers)
     }
 
-    /// Returns the gate for a server with this table of resources.
+    /// Returns the gate for a server with this table of resources and, if it has pages, this path
+    /// of its log-in page.
     pub fn gate(&self, resource: fn(&str) -> Resource, log_in: Option<&'static str>) -> Gate {
         let (tokens, browser_sessions) = (self.tokens.clone(), self.browser_sessions.clone());
         Gate::new(tokens, self.users, resource, log_in, browser_sessions)

@@ -144,6 +144,8 @@ fn rows() -> io::Result<Vec<Row>> {
     Ok(all)
 }
 
+/// Parses a line of a table. Its fields are: number, local address, remote address, state, queues,
+/// timer, retransmissions, user, timeout, inode.
 fn row(line: &str) -> Option<Row> {
     let mut fields = line.split_ascii_whitespace().skip(1);
     let mut text = || fields.next().map(str::to_owned);
@@ -158,8 +160,8 @@ fn row(line: &str) -> Option<Row> {
     })
 }
 
-/// Returns true if a field of the table is this address. An IPv4 address may appear as an
-/// IPv4-mapped IPv6 address.
+/// Returns true if a field of the table is this address: words of four bytes in the machine's byte
+/// order, a colon and the port, in hex. An IPv4 address may appear as an IPv4-mapped IPv6 address.
 fn is_address(field: &str, address: SocketAddr) -> bool {
     let words = |bytes: &[u8]| -> String {
         let (words, _) = bytes.as_chunks::<4>();

@@ -47,7 +47,8 @@ pub struct Fetched {
     pub fetched: usize,
     /// Downloaded files that replaced altered files.
     pub replaced: usize,
-    /// Bytes received over the network.
+    /// Size of the downloaded files in the form in which the origin stores them, bytes. Includes
+    /// parts that an earlier fetch had received.
     pub bytes: u64,
 }
 

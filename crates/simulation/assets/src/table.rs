@@ -70,6 +70,7 @@ const LIBERO_FAMILY: Text = Text {
 impl FileFacts {
     /// Returns true if the file is a whole wheel rather than a member of a wheel.
     pub(crate) fn is_a_wheel(&self) -> bool {
+        // A member is deflated, which changes its size.
         self.stored == self.bytes
     }
 

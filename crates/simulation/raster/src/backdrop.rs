@@ -20,7 +20,7 @@ const REST_BEFORE_REDRAW: u16 = 8;
 /// Way to begin the drawing of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Start {
-    /// Draw everything: no geom is known to be at rest.
+    /// Draw everything and cache nothing: no geom is known to be at rest, or a light casts shadows.
     Redraw,
     /// Draw the geoms at rest and cache their picture.
     Cache,

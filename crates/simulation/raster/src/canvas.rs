@@ -297,7 +297,7 @@ fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
     rounded.to_array().map(|part| part as u8)
 }
 
-/// Checks the frame size, the camera, and the references of geoms and sky.
+/// Checks the frame size, the camera, the references of geoms and sky, and the size of shadow maps.
 pub(crate) fn check(
     model: &Model,
     scene: &Scene,

@@ -90,6 +90,8 @@ struct Corner<V> {
 
 /// Number of clip planes: the six of the view frustum, and a mirror's plane.
 const SIDES: usize = 7;
+/// Planes of the view frustum: right, left, upper, lower, and both ends of the depth. A corner is
+/// inside if its scalar product with the plane is not negative.
 const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [-1.0, 0.0, 0.0, 1.0],
     [1.0, 0.0, 0.0, 1.0],

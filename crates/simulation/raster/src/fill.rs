@@ -226,8 +226,9 @@ impl LongEdge {
         }
     }
 
-    fn value_at(&self, [right, down]: [i64; 2]) -> i64 {
-        self.value + right * self.along[0] + down * self.along[1]
+    /// Returns the value at a block's corner, given the block's column and row.
+    fn value_at(&self, [column, row]: [i64; 2]) -> i64 {
+        self.value + column * self.along[0] + row * self.along[1]
     }
 
     /// Returns true if a block lies entirely outside the edge.

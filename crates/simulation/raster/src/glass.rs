@@ -233,6 +233,7 @@ fn blended(under: u32, over: u32) -> u32 {
     let opacity = over[3];
     let times = |value: u8, share: u8| {
         let product = u32::from(value) * u32::from(share);
+        // llvmpipe's division by 255.
         (product + (product >> 8) + 128) >> 8
     };
     u32::from_le_bytes(std::array::from_fn(|at| {

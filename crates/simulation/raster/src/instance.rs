@@ -193,7 +193,8 @@ pub(crate) fn add(
         parts += 1;
         instance.rgba = geom.rgba;
         if shows_back {
-            // The product is in double precision, like C's product with a `double` constant.
+            // MuJoCo shows the back of a plane with 0.3 of the plane's opacity. The product is in
+            // double precision, like C's product with a `double` constant.
             instance.rgba[3] = (f64::from(instance.rgba[3]) * 0.3) as f32;
         }
         instance.emission = geom.emission;

@@ -22,7 +22,7 @@ const FACING_WEIGHT: f32 = 0.35;
 pub struct Corner {
     /// Position, mesh frame.
     pub pos: [f32; 3],
-    /// Direction of the face's normal, of any length.
+    /// Normal for lighting, mesh frame, of any length.
     pub normal: [f32; 3],
     /// Texture coordinates.
     pub st: [f32; 2],
@@ -117,8 +117,8 @@ impl MeshBuilder {
         self.triangle([b, c, d]);
     }
 
-    /// Prepares the mesh. Triangles with a NaN position or with two corners at the same position
-    /// are invisible and left out.
+    /// Prepares the mesh. Triangles with a position that is not finite, or with two corners at the
+    /// same position, are invisible and left out.
     pub fn build(self) -> Mesh {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
         let is_visible = |corners: &[Corner; 3]| {

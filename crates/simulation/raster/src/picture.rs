@@ -54,7 +54,7 @@ const SAMPLE_MASKS: [[u32; SAMPLES]; 1 << SAMPLES] = {
 };
 
 impl Picture {
-    /// Clears a window.
+    /// Removes all instances, gives the picture a size, pixels, and clears a window of it.
     pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
         self.instances.clear();
         self.visible.clear(size, window);

@@ -44,6 +44,7 @@ pub(crate) fn transform(
             if let Some(plane) = drawing.plane {
                 let [a, b, c, d] = plane.map(F::splat);
                 let distance = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
+                // The bit of the last clip plane, a mirror's.
                 beyond |= distance.lt(F::splat(0.0)).ints() & I::splat(64);
             }
             any |= beyond;

@@ -83,6 +83,8 @@ impl Levels {
     #[inline(always)]
     fn choose(texels: Texels<'_>, square: F) -> Self {
         let int = |value: i32| I::splat(value);
+        // Half the binary logarithm of the square, which is approximated by the exponent plus the
+        // mantissa − 1.
         let bits = square.to_signed_bits();
         let exponent = ((bits >> 23i32) & int(255)) - int(128);
         let mantissa = F::from_signed_bits((bits & int(0x007f_ffff)) | int(0x3f80_0000));

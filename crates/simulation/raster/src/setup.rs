@@ -73,6 +73,7 @@ impl Setup {
         let (x, y) = corners.snapped();
         let (extent_x, extent_y) = (extent(&x), extent(&y));
         let splat = |value: i32| I::splat(value);
+        // The outermost samples of a pixel lie 32 of its 256 units inside its sides.
         let pixels = |[least, most]: [I; 2], window: [i32; 2]| {
             let from = ((least + splat(31)) >> 8i32).max(splat(window[0]));
             [from, ((most - splat(32)) >> 8i32).min(splat(window[1]))]
@@ -86,6 +87,7 @@ impl Setup {
             let next = (edge + 1) % 3;
             let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
             let value = dx * (x[edge] - origin_x) - dy * (y[edge] - origin_y);
+            // Divided by the 32 units between lattice points; rounding down preserves the sign.
             let value = (value - owns_samples(dx, dy).ints() - splat(1)) >> 5i32;
             value.store(&mut self.edge[edge]);
             (-dx).store(&mut self.along_x[edge]);

@@ -17,7 +17,7 @@ use crate::store::{campaigns, derivations, policies};
 pub struct Alteration {
     /// One of [`PRIORITIES`](crate::rules::campaign::PRIORITIES).
     pub priority: Option<i32>,
-    /// New URL of the policy. Leases are revoked without a charge.
+    /// New URL of the policy. A change of URL or policy revokes leases without a charge.
     pub endpoint: Option<String>,
     /// New name of the policy at its endpoint; allowed only while the campaign has no results.
     pub policy: Option<String>,
@@ -34,8 +34,9 @@ impl Queue {
     /// altered specification is accepted and with the original one refused.
     ///
     /// # Errors
-    /// If there is no such campaign, the campaign has ended, the new name is taken, the campaign
-    /// has results of another policy, the endpoint is not a URL, or the database fails.
+    /// If there is no such campaign, the policy or endpoint of an ended campaign would change, the
+    /// new name is taken, the campaign has results of another policy, the endpoint is not a URL, or
+    /// the database fails.
     pub async fn alter_campaign(
         &self,
         name: &CampaignName,

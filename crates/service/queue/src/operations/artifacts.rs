@@ -168,8 +168,8 @@ pub fn remove_partial_files(data: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Returns a path such as `artifacts/FOLDER/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. Rollout ids
-/// hold only letters, digits, underscores and slashes; a campaign's folder name holds no slash.
+/// Returns a path such as `artifacts/FOLDER/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. The slashes
+/// of a rollout id become underscores; a campaign's folder name holds no slash.
 fn relative_path(owner: &ArtifactOwner, attempt: AttemptId) -> String {
     format!(
         "{}/{}.r{}.{attempt}.mp4",

@@ -96,7 +96,8 @@ pub(crate) async fn interrupted(
     hidden::all(&mut view).await
 }
 
-/// Deletes incomplete campaigns of the previous run, then never returns.
+/// Deletes incomplete campaigns of the previous run. Then never returns, since the end of a task
+/// means that it panicked.
 pub(crate) async fn run(shared: Arc<Shared>, interrupted: Vec<(CampaignId, PolicyId)>) {
     for (id, policy) in interrupted {
         match remove(&shared, id, policy).await {
@@ -161,8 +162,8 @@ pub(super) mod tests {
             .expect("a count")
     }
 
-    /// Regression (finding B7): creating or deleting a campaign was one transaction of the only
-    /// writer, which made every worker wait.
+    /// Regression: creating or deleting a campaign was one transaction of the only writer, which
+    /// made every worker wait.
     #[tokio::test(flavor = "multi_thread")]
     async fn a_large_campaign_is_inserted_and_deleted_in_hidden_batches() {
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -163,7 +163,8 @@ impl Cache {
         })
     }
 
-    /// Caches the origin of a campaign's result in a suite.
+    /// Caches the origin of a campaign's result in a suite, unless one is cached or the origin does
+    /// not report the policy's settings, by which policies are compared.
     pub(super) fn add_measured(
         &mut self,
         campaign: CampaignId,

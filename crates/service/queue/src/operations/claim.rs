@@ -49,11 +49,11 @@ pub struct Assigned {
     /// The policy's name at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Realisation: "matched" or "reference".
+    /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
-    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed, as [`libero_ctrl::Record`] names them.
     pub record: String,
 }
 

@@ -37,7 +37,8 @@ pub enum CommitVerdict {
     /// A different outcome of the attempt is already stored; this one is recorded separately.
     Divergent,
     /// Refused, because the result is inconsistent with its siblings or with its campaign. The
-    /// attempt is charged, unless the campaign was pinned only after the lease was granted.
+    /// attempt is charged, unless the worker is not to blame: the campaign was pinned only after
+    /// the lease was granted, another policy answered, or the siblings cannot be read.
     Unpaired,
 }
 

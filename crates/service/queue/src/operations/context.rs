@@ -52,7 +52,8 @@ fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
 pub(super) struct Ended {
     /// Next step of the attempt's job.
     pub(super) next_step: AfterFailure,
-    /// Time until the policy may be tried again.
+    /// Time until the policy may be tried again; zero unless the attempt could not reach the
+    /// policy, or lost it.
     pub(super) policy_wait: Duration,
 }
 
@@ -249,7 +250,7 @@ impl<'a> Context<'a> {
 mod tests {
     use super::*;
 
-    /// Regression (finding F14): "policy `bad` is paused: policy `bad` at … refused …".
+    /// Regression: a message read "policy `bad` is paused: policy `bad` at … refused …".
     #[test]
     fn a_reason_after_the_policys_name_does_not_repeat_the_name() {
         for (error, expected) in [

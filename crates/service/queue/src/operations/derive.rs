@@ -170,7 +170,7 @@ async fn derived_jobs(
 
 pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     let spec = CampaignSpec::from_json(text).map_err(undecodable);
-    spec.doing("read the specification of a derived campaign")
+    spec.doing("read a campaign's specification")
 }
 
 /// Computes the subsets of axes to run in order to explain a transition.
@@ -233,6 +233,7 @@ async fn radii(
         let plan = Measurement::of(&source, &own_records, &thresholds).plan();
         let rollout = |(ray, level): (Ray, Level)| {
             let row = design.row_at(ray.task, ray.condition, level, ray.config);
+            // Only replicate 0 decides whether a configuration succeeds at a radius.
             row.map(|row| (row, 0))
         };
         plan.into_iter().map(rollout).collect::<Result<_, _>>()
@@ -286,7 +287,7 @@ pub(super) async fn records(
     let parse = move || rows.iter().map(OutcomeRow::record).collect();
     let records: Result<_, UnknownName> = on_blocking_thread(parse).await;
     let records = records.map_err(undecodable);
-    records.doing("read the outcomes of a source campaign")
+    records.doing("read a campaign's outcomes")
 }
 
 /// Runs a computation on a blocking thread, not on one that answers calls: a computation over a
@@ -326,8 +327,8 @@ mod tests {
         NewCampaign::from_json(&spec.to_string()).expect("a campaign")
     }
 
-    /// Regression (finding B9): between a pass and the addition of its jobs, a campaign was deleted
-    /// and created again under the same number.
+    /// Regression: between a pass and the addition of its jobs, a campaign was deleted and created
+    /// again under the same number.
     #[tokio::test(flavor = "multi_thread")]
     async fn derived_jobs_of_a_deleted_campaign_are_added_to_no_other() {
         let folder = tempfile::tempdir().expect("a temporary folder");

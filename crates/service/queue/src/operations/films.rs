@@ -23,7 +23,7 @@ pub use crate::store::films::Film;
 
 impl Queue {
     /// Returns a rollout to film with this asset pack and simulator, and the number of such
-    /// rollouts; `None` if none is left.
+    /// rollouts without a video, including those being filmed; `None` if none is left to assign.
     ///
     /// # Errors
     /// If the database fails.
@@ -81,7 +81,8 @@ async fn unfilmed_illustrations(
     Ok(unfilmed.await)
 }
 
-/// Returns the rollouts of changed configurations that have no video yet.
+/// Returns the rollouts without a video of the configurations whose outcome simultaneous
+/// perturbation changed.
 fn unfilmed_transitions(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
     let records: Result<Vec<Record>, _> = rows.iter().map(|row| row.job.record()).collect();
     let records = records.map_err(undecodable);

@@ -104,8 +104,8 @@ impl Films {
         }
     }
 
-    /// Returns the first rollout of these campaigns that is not being filmed, and the number of
-    /// rollouts without a video.
+    /// Returns the first rollout to be filmed of these campaigns that is not being filmed, and the
+    /// number of rollouts to be filmed, including those being filmed.
     pub(super) fn assign(
         &self,
         campaigns: &[FilmedCampaign],

@@ -139,7 +139,8 @@ impl Portable {
         self.store.folder()
     }
 
-    /// Begins a read-only view of the database.
+    /// Begins a read-only view of the database, at the instant of the campaign's creation: a copy
+    /// has no workers or leases whose ages would matter.
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
         let settled = Arc::new(SettlementWatch::new());

@@ -35,7 +35,8 @@ pub(crate) struct Release {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReleaseReply {
     pub verdict: ReleaseVerdict,
-    /// Time until the job, or its policy, may be tried again.
+    /// Time until both the job and its policy may be tried again; zero if the job was quarantined
+    /// or the attempt is stale.
     pub backoff: Duration,
     /// Reason why this worker must stop leasing; `None` if it may continue.
     pub stop_leasing: Option<String>,

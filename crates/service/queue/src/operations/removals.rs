@@ -106,8 +106,8 @@ mod tests {
         }
     }
 
-    /// Regression (finding B11): a deleted campaign whose videos were in unavailable storage
-    /// blocked the creation, alteration and deletion of all other campaigns.
+    /// Regression: a deleted campaign whose videos were in unavailable storage blocked the
+    /// creation, alteration and deletion of all other campaigns.
     #[tokio::test(flavor = "multi_thread")]
     async fn unresponsive_storage_blocks_no_creation_or_deletion_of_campaigns() {
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -143,8 +143,9 @@ mod tests {
     use super::*;
     use crate::expand::NewCampaign;
 
-    /// Regression (soak test): evaluating the rule inside the transaction blocked every claim for
-    /// 40 s. The transaction must therefore detect that an evaluation is out of date.
+    /// Regression: evaluating the rule inside the transaction blocked every claim for 40 s. The
+    /// rule is evaluated before the transaction, which must therefore detect that an evaluation is
+    /// out of date.
     #[tokio::test(flavor = "multi_thread")]
     async fn an_evaluation_is_outdated_once_an_earlier_rollout_waits_again() {
         let folder = tempfile::tempdir().expect("a temporary folder");

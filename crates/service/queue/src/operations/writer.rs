@@ -187,8 +187,8 @@ mod tests {
     use crate::store::{DATABASE_FILE, Store};
     use crate::timing::Timing;
 
-    /// Regression (defect 12): a transaction that could not begin was retried for each of its
-    /// operations, up to 256 consecutive waits for the lock.
+    /// Regression: a transaction that could not begin was retried for each of its operations, up to
+    /// 256 consecutive waits for the lock.
     #[tokio::test(flavor = "multi_thread")]
     async fn a_transaction_that_cannot_begin_fails_all_of_its_operations_at_once() {
         const OPERATIONS: u32 = 40;

@@ -39,9 +39,11 @@ pub struct CampaignStatus {
     pub counts: Counts,
     /// Reason why the campaign's policy is paused; `None` if it is not paused.
     pub policy_pause_reason: Option<String>,
-    /// Time until a probe tries the paused policy again.
+    /// Time until a probe tries the paused policy again; `None` if it is not paused or a probe is
+    /// running.
     pub policy_retry: Option<Duration>,
-    /// Committed rollouts per second over [`RATE_WINDOW`].
+    /// Committed rollouts per second over [`RATE_WINDOW`]; `None` if there were none, or the
+    /// campaign is not running.
     pub rate_per_sec: Option<f64>,
     /// Seconds that the remaining rollouts take at that rate.
     pub eta_secs: Option<f64>,
@@ -203,8 +205,8 @@ impl View {
     }
 }
 
-/// Returns recent rollouts per second; `None` before the first rollout completed. Rollouts that
-/// began before the campaign was last resumed are excluded, since their duration includes the
+/// Returns committed rollouts per second over [`RATE_WINDOW`]; `None` if there were none. Rollouts
+/// that began before the campaign was last resumed are excluded, since their duration includes the
 /// pause.
 async fn rate(
     tx: &mut SqliteConnection,

@@ -63,7 +63,8 @@ pub(super) struct Measured {
     pub(super) results: i64,
     /// Mean duration of a rollout, seconds.
     pub(super) secs: f64,
-    /// Results that report where their time went.
+    /// Results that report where their time went. The fields below are their means per rollout, as
+    /// in [`Spent`].
     pub(super) timed_results: i64,
     pub(super) physics_secs: f64,
     pub(super) drawing_secs: f64,

@@ -12,7 +12,7 @@ use crate::store::{Doing, StoreError, json};
 
 /// Most jobs that one query returns.
 pub const MAX_JOBS_LISTED: u32 = 1_000;
-/// Most failures that one query returns, newest first.
+/// Most failures that one query returns.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
 /// Conditions on the jobs to list; `None` is no condition.
@@ -26,7 +26,7 @@ pub struct JobFilter<'a> {
     pub task: Option<&'a str>,
     pub condition: Option<Condition>,
     pub level: Option<Level>,
-    /// Last job of the preceding page: only jobs after it are listed.
+    /// Last job of the preceding page: only jobs after it are listed. 0 for the first page.
     pub after: JobId,
     /// Most jobs to return, capped at [`MAX_JOBS_LISTED`].
     pub limit: u32,
@@ -105,7 +105,7 @@ macro_rules! job_lines {
 }
 
 impl View {
-    /// Returns jobs of a campaign in paired-unit order.
+    /// Returns jobs of a campaign, in its order of jobs.
     pub async fn jobs(
         &mut self,
         campaign: &Campaign,
@@ -185,8 +185,8 @@ impl View {
         })
     }
 
-    /// Returns those attempts of some jobs that ended without a result, newest first, up to
-    /// `MAX_FAILURES_SHOWN`.
+    /// Returns those attempts of some jobs that ended without a result, in descending order of
+    /// their numbers within their jobs, up to `MAX_FAILURES_SHOWN`.
     pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
         sqlx::query_as(
             "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error

@@ -56,7 +56,7 @@ pub struct RecordRow {
     /// The job and its outcome.
     #[sqlx(flatten)]
     pub job: OutcomeRow,
-    /// Realisation mode, once the job is committed.
+    /// Realisation, as [`libero_ctrl::Realisation`] names it, once the job is committed.
     pub realisation: Option<String>,
     /// The policy's control steps, once the job is committed.
     pub steps: Option<u32>,

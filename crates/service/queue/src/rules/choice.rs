@@ -9,7 +9,8 @@ pub struct WaitingCampaign {
     /// Priority: campaigns with a higher priority are leased first.
     pub priority: i32,
     pub leased: u32,
-    /// Turn of the last lease, a number that rises with every lease; 0 if unknown.
+    /// Turn in which the campaign last received leases. Each turn grants leases to one campaign;
+    /// turns are counted from 1. 0 if unknown.
     pub last_turn: u64,
 }
 
@@ -27,15 +28,15 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
     let mut peers: Vec<&WaitingCampaign> = peers.collect();
     peers.sort_by_key(|campaign| (campaign.leased, campaign.last_turn, campaign.id));
     let first = peers.first()?;
-    // The level is the number of leases that the campaign and its peers each reach once all claims
+    // The target is the number of leases that the campaign and its peers each reach once all claims
     // are served; peers that already have more leases get none of the claims.
-    let mut level = usize::MAX;
+    let mut target = usize::MAX;
     let mut leases = claims;
     for (preceding, peer) in peers.iter().enumerate() {
         leases += peer.leased as usize;
-        level = level.min(leases.div_ceil(preceding + 1));
+        target = target.min(leases.div_ceil(preceding + 1));
     }
-    let share = level.saturating_sub(first.leased as usize);
+    let share = target.saturating_sub(first.leased as usize);
     Some((first.id, share.max(1)))
 }
 
@@ -44,13 +45,13 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
 pub struct WaitingTask {
     /// Task, such as "libero_goal/3".
     pub task: String,
-    /// Place of the task's next job in paired-unit order.
+    /// Place of the task's next job in the campaign's order of jobs.
     pub first_unit: i64,
     pub leased: u32,
 }
 
 /// Chooses the task that a worker starts on: the one with the fewest leases; ties go to the task
-/// whose next job comes first in paired-unit order.
+/// whose next job comes first in the campaign's order of jobs.
 pub fn choose_task(waiting: &[WaitingTask]) -> Option<&WaitingTask> {
     waiting
         .iter()
@@ -164,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn the_task_with_the_fewest_leases_is_chosen_then_paired_unit_order() {
+    fn the_task_with_the_fewest_leases_is_chosen_then_the_one_whose_job_comes_first() {
         let waiting = |task: &str, first_unit, leased| WaitingTask {
             task: task.to_owned(),
             first_unit,

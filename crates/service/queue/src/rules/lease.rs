@@ -33,7 +33,7 @@ pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
 /// same number.
 pub const LOSSES_UNTIL_ALONE: u32 = 4;
 /// Attempts of one job that lost their policy after which the job is quarantined, since it crashes
-/// its policy: in the last of these attempts, the job was the policy's single lease.
+/// its policy: in the last two of these attempts, the job was the policy's single lease.
 pub const MAX_LOSSES: u32 = 6;
 
 /// Lease state of a job: one rollout × replicate.
@@ -70,7 +70,6 @@ pub enum JobState {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
     pub attempt: AttemptId,
-    /// Worker that holds the lease.
     pub owner: WorkerId,
     pub granted: UnixMillis,
     /// Instant of expiry unless a heartbeat renews the lease.
@@ -131,11 +130,14 @@ pub enum FailureReason {
     LeaseLost,
     /// The attempt reached its ceiling.
     Overdue,
-    /// The result disagreed with its configuration's siblings.
+    /// The result disagreed with its configuration's siblings, its campaign or its manifest row.
     Unpaired,
-    /// The policy cannot be reached or is overloaded.
+    /// The policy cannot be reached or is overloaded, or another policy answers in its place.
     PolicyUnavailable,
+    /// The worker did not run the job, because it was shutting down, its slot was not usable, or it
+    /// lacked files; or the campaign was copied while the attempt ran.
     Draining,
+    /// The campaign was cancelled, was given another policy, or stopped early.
     Cancelled,
     /// Another worker's result pinned the campaign to another asset pack, simulator or renderer, or
     /// the stored results of the siblings cannot be read.
@@ -151,13 +153,13 @@ pub enum FailureReason {
     TakesPolicyDown,
     /// Last of too many attempts that were cut off with their worker.
     TakesWorkerDown,
+    /// An operator skipped the rollout.
     Skipped,
 }
 
 /// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
-    /// Requeue the job.
     Requeue {
         /// End of the job's back-off, the earliest instant of the next lease.
         not_before: UnixMillis,
@@ -479,7 +481,8 @@ mod tests {
         let at = |millis| Some(UnixMillis(millis));
         check(late(false), at(59), FailureReason::NeverAcknowledged, false);
         check(late(false), None, FailureReason::NeverAcknowledged, false);
-        // The last heartbeat renewed the lease, or an older heartbeat arrived after that one.
+        // A heartbeat at 20 renewed the lease until 60. A worker whose last heartbeat was sent in
+        // the first half of that time is silent; a later heartbeat has omitted the lease.
         check(late(true), at(20), FailureReason::WorkerSilent, false);
         check(late(true), at(40), FailureReason::WorkerSilent, false);
         check(late(true), at(41), FailureReason::LeaseLost, true);

@@ -13,13 +13,13 @@ use crate::ids::WorkerId;
 /// instruction.
 const IN_FIRST_FRAME: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
 /// Axes realised without random values: their realisation follows from the parameters and the
-/// initial state alone, in both realisation modes.
+/// initial state alone, under both realisations.
 const WITHOUT_RANDOM_VALUES: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
 pub(crate) struct Demand<'a> {
-    /// The campaign's realisation mode.
+    /// The campaign's realisation.
     pub(crate) realisation: Realisation,
     pub(crate) row: &'a ManifestRow,
 }

@@ -14,7 +14,7 @@ use crate::ids::{CampaignId, CampaignName, PolicyId};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyHealth;
 
-/// Jobs inserted by one statement: SQLite binds at most 32,766 values.
+/// Jobs inserted by one statement, each with eight values; SQLite binds at most 32,766 values.
 const JOBS_PER_INSERT: usize = 1_000;
 
 /// A campaign and the policy that it measures.
@@ -31,11 +31,11 @@ pub struct Campaign {
     pub endpoint: String,
     #[sqlx(json)]
     pub health: PolicyHealth,
-    /// Source of random values in perturbations: "matched" or "reference".
+    /// Source of random values in perturbations, as [`Realisation`] names it.
     pub realisation: String,
     /// Execution model as text: what the robot does while the policy computes an answer.
     pub execution: String,
-    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed, as [`libero_ctrl::Record`] names them.
     pub record: String,
     #[sqlx(json)]
     pub state: CampaignState,
@@ -62,7 +62,8 @@ impl Campaign {
         mode.doing("read a campaign's realisation mode")
     }
 
-    /// Returns true if a result has completed the pin.
+    /// Returns true if a result has pinned the campaign. A campaign that schema 1 pinned has no
+    /// renderer; its next result adds one.
     pub(crate) fn is_pinned(&self) -> bool {
         let pin = self.pin.as_ref().filter(|_| self.pinned_ms.is_some());
         pin.is_some_and(|pin| !pin.renderer.is_empty())

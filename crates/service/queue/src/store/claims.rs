@@ -42,7 +42,7 @@ pub(crate) struct Candidate {
     pub(crate) id: JobId,
     /// Task, such as "libero_goal/3".
     task: String,
-    /// Place in paired-unit order.
+    /// Place in the campaign's order of jobs.
     pub(crate) unit_order: i64,
     /// Machines on which the job failed, JSON; `None` below the number of failures from which
     /// [`has_failed_on`](Self::has_failed_on) applies.
@@ -166,7 +166,8 @@ pub(crate) async fn waiting_tasks(
     Ok(rows.into_iter().filter_map(waiting).collect())
 }
 
-/// Returns for each task up to `limit` waiting jobs whose back-off is over, in paired-unit order.
+/// Returns for each task up to `limit` waiting jobs whose back-off is over, in the campaign's order
+/// of jobs.
 pub(crate) async fn candidates(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -205,6 +206,7 @@ pub(crate) async fn candidates(
 pub(crate) async fn with_lone_jobs(
     tx: &mut SqliteConnection,
 ) -> Result<Vec<CampaignId>, StoreError> {
+    // The 4 is `LOSSES_UNTIL_ALONE` and must match the index `job_alone`.
     sqlx::query_scalar(
         "SELECT DISTINCT campaign_id FROM job WHERE state = 'queued' AND losses >= 4",
     )
@@ -214,14 +216,14 @@ pub(crate) async fn with_lone_jobs(
 }
 
 /// Returns up to `limit` waiting jobs of a campaign that run alone and whose back-off is over, in
-/// paired-unit order.
+/// the campaign's order of jobs.
 pub(crate) async fn lone(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     limit: usize,
     now: UnixMillis,
 ) -> Result<Vec<LoneJob>, StoreError> {
-    // The 4 in `losses >= 4` must match the index `job_alone`.
+    // The 4 is `LOSSES_UNTIL_ALONE` and must match the index `job_alone`.
     sqlx::query_as(concat!(
         "SELECT j.id, j.task, j.unit_order, j.rollout_id, j.losses, ",
         failed_on!("?4"),

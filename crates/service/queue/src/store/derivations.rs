@@ -166,7 +166,7 @@ pub(crate) async fn outcomes(
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("read the outcomes of a source campaign")
+    .doing("read a campaign's outcomes")
 }
 
 /// Returns the manifest rows of a campaign's rollouts, JSON.

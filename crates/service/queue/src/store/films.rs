@@ -18,7 +18,7 @@ pub struct Film {
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Realisation mode: "matched" or "reference".
+    /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
     /// The actions of every control step, as [`rollout_types::Motion`] packs them.
     pub actions: Vec<u8>,
@@ -59,7 +59,8 @@ pub(crate) async fn filmed_campaigns(
          FROM campaign c JOIN tally own ON own.campaign_id = c.id
          LEFT JOIN derivation d ON d.campaign_id = c.id
          LEFT JOIN tally its ON its.campaign_id = d.source_id
-         WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions' AND c.asset_pack_digest = ? AND c.mujoco_version = ?
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions'
+             AND c.asset_pack_digest = ? AND c.mujoco_version = ?
          ORDER BY c.id",
     )
     .bind(&pin.asset_pack_digest)

@@ -37,7 +37,7 @@ async fn run(
     Ok(())
 }
 
-/// Hides a campaign that has just been stored without its jobs.
+/// Hides a campaign that has just been stored without its jobs. It is paused until it is published.
 pub(crate) async fn hide_new(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
     run(tx, &HIDE, id).await?;
     run(

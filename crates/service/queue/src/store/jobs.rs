@@ -68,8 +68,9 @@ pub(crate) struct ExpiredRow {
     pub(crate) heartbeat_ms: Option<UnixMillis>,
 }
 
-/// Numbers of a job's attempts, including the attempt that ends now. The fields are those of
-/// [`Suspicion`](crate::rules::lease::Suspicion).
+/// Numbers of a job's attempts. The fields are those of
+/// [`Suspicion`](crate::rules::lease::Suspicion). Each includes the attempt that ends now, whatever
+/// its failure: only the fields that concern this failure are used.
 #[derive(Clone, Copy, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
     pub(crate) failed_on_machines: u32,

@@ -35,6 +35,7 @@ struct TableCopy {
 
 /// The column of the campaign's id, with its new value from the temporary table `moved`.
 const CAMPAIGN: (&str, &str) = ("campaign_id", "(SELECT new FROM temp.moved)");
+/// The column of the job's id, with its new value from the temporary table `moved_job`.
 const JOB: (&str, &str) = ("job_id", "m.new");
 
 /// Error text stored with an attempt that was in progress when its campaign was copied.
@@ -264,7 +265,7 @@ pub(crate) async fn copy_batch(
     end(tx).await
 }
 
-/// Returns the jobs of a campaign in paired-unit order.
+/// Returns the jobs of a campaign, in its order of jobs.
 pub(crate) async fn jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

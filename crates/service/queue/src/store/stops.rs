@@ -19,7 +19,7 @@ pub(crate) struct Stoppable {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FirstUnsettled {
     pub(crate) rollout_id: String,
-    /// Place of the rollout in paired-unit order.
+    /// Place of the rollout's job in the campaign's order of jobs.
     pub(crate) unit_order: i64,
 }
 

@@ -220,7 +220,8 @@ impl<'a> Receiver<'a> {
         send_progress(on_progress, *progress)
     }
 
-    /// Counts a corrupted reception of a file; the error is permanent after [`MAX_TRIES`].
+    /// Counts a corrupted reception of a file; the error is permanent after [`MAX_TRIES`], and at
+    /// once if the origin is a local folder.
     fn count_corruption(&mut self, member: &Member<'_>, problem: String) -> RequestError {
         let tries = self.corruptions.entry(member.file.path).or_default();
         *tries += 1;

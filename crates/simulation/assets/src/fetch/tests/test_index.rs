@@ -29,14 +29,15 @@ pub(super) enum Fault {
     None,
     /// Pages are HTML only, as on simple mirrors.
     HtmlPages,
-    /// Every connection ends half-way through its answer.
+    /// Every answer with more than 100,000 bytes of a wheel ends half-way.
     CutsMidway,
     /// A range request gets the whole wheel.
     NoRanges,
     /// A range request gets the whole wheel, and the first connection ends half-way.
     NoRangesAndCutsOnce,
+    /// The large file has a wrong byte in every transfer.
     WrongBytes,
-    /// The large file has wrong bytes in its first transfer.
+    /// The large file has a wrong byte in its first transfer.
     WrongBytesOnce,
     /// The first two answers are 503.
     BusyAtFirst,
@@ -50,9 +51,9 @@ pub(super) enum Fault {
     Stalls,
     /// Bytes arrive slowly but steadily.
     Slow,
-    /// Pages arrive byte by byte, too slowly for any timeout.
+    /// Pages arrive byte by byte: no single read times out, but the whole page does.
     SlowPages,
-    /// Wheels arrive byte by byte.
+    /// Wheels arrive byte by byte: no single read times out, but the next mebibyte does.
     SlowWheels,
     /// The wheels have the wrong size.
     WrongSize,
