@@ -1,7 +1,7 @@
 //! Evaluation of goals with LIBERO's predicates (hf-libero 0.1.4, `object_states` and `objects`),
 //! resolved to ids once per scene.
 //!
-//! As in the original, predicates use the body positions and contacts that the last simulation step
+//! As in LIBERO, predicates use the body positions and contacts that the last simulation step
 //! computed before it integrated, and the joint positions that the integration resulted in.
 
 use libero_ctrl::Predicate;
@@ -147,7 +147,7 @@ impl Goal {
 
 impl Site {
     /// Returns true if an object at `position` is on the site. Rotates the offset by the site's
-    /// matrix rather than its transpose, like the original.
+    /// matrix rather than its transpose, like LIBERO.
     fn supports(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let offset = self.offset(model, data, position);
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];

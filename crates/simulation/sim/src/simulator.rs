@@ -130,8 +130,8 @@ impl Simulator {
             self.scenes[..=index].rotate_right(1);
             return Ok(());
         }
-        // The oldest scene is evicted before the new one is compiled, so that the buffers of both
-        // are not allocated at once.
+        // The least recently used scene is evicted before the new one is compiled, so that the
+        // buffers of both are not allocated at once.
         self.scenes
             .truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;

@@ -461,6 +461,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         encoded(&[], &[-0.2, -0.4, -0.9, 0.0, 0.0, 0.0, 0.8, 0.7, 0.6]),
         encoded(&[], &[0.3, 0.3, 0.3]),
     ];
+    // A place past the end of the list of geoms appends the geom.
     let geom = |place: u8, shape: [u8; 2], numbers: [f32; 10], more: &[u8]| {
         let head = [place, shape[0], shape[1]];
         script::write(GEOM, &[encoded(&head, &numbers), more.to_vec()].concat())

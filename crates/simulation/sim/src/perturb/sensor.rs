@@ -130,8 +130,8 @@ impl SensorStage {
         frame.rgb.copy_from_slice(&picture.to_bytes());
     }
 
-    /// Returns the drawn elements to store with the result: the blur's angle, and the first noise
-    /// values of each camera's first picture.
+    /// Returns the drawn elements to store with the result: the blur's angle, and the first four
+    /// noise values of each camera's first picture.
     pub fn realised(&self) -> Vec<f64> {
         let mut realised = vec![self.motion_angle];
         for source in FrameSource::ALL {
