@@ -237,8 +237,8 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // If the instance's radius exceeds half the region's side, the bounds are in reverse
-            // order; LIBERO nevertheless draws between them.
+            // If the object's radius, by which a range was shortened at both ends, exceeds half of
+            // it, its bounds are in reverse order; LIBERO nevertheless draws between them.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],

@@ -35,7 +35,7 @@ const ROTATION_SCALE: f64 = 0.5;
 const STIFFNESS: f64 = 150.0;
 /// Stiffness of the null-space posture, 1/s²; damping is critical.
 const POSTURE_STIFFNESS: f64 = 10.0;
-/// Change of a finger's position per simulation step; its range extends from −1 to 1.
+/// Change of a finger's position per simulation step, as a share of half its range.
 const GRIPPER_RAMP: f64 = 0.01;
 
 type ArmVector = SVector<f64, ARM_JOINTS>;

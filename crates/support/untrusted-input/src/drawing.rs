@@ -266,7 +266,7 @@ impl Bytes<'_> {
     fn mesh(&mut self) -> Mesh {
         let mut builder = MeshBuilder::default();
         let kind = self.byte();
-        // Repeats the triangles, each time shifted a little further.
+        // Number of repetitions of the triangles, and the shift from each to the next.
         let (times, step): (u8, [f32; 3]) = (self.byte() % 32, self.numbers());
         let mut triangles = Vec::new();
         while !self.0.is_empty() && triangles.len() < MOST_TRIANGLES / 32 {

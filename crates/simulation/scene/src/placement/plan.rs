@@ -187,6 +187,7 @@ impl<'a> Plan<'a> {
             }
             Place::OnSite(region) => {
                 let (base, [x, y, _]) = self.site(predicate, region, true)?;
+                // Half of the site's length along each axis, as in LIBERO.
                 let middle = Rectangle {
                     x: [-x / 2.0, x / 2.0],
                     y: [-y / 2.0, y / 2.0],

@@ -264,7 +264,8 @@ impl Model {
         usize::try_from(id).map_err(|_| missing())
     }
 
-    /// Returns every numeric array except the contents of meshes and textures.
+    /// Returns every numeric array except the contents of meshes, textures, height fields and their
+    /// search trees.
     pub fn arrays(&self) -> Vec<NamedArray> {
         arrays::all_arrays(self.raw())
     }
