@@ -145,7 +145,8 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// Id that matches no record and differs from [`NOTHING`].
+/// Id of the last record before the first fragment. Differs from [`NOTHING`], so that pixels
+/// without a triangle do not match it.
 const NO_RECORD: u32 = NOTHING - 1;
 
 /// Appends fragments to the lists. Optimised for runs of fragments of the same triangle and list.

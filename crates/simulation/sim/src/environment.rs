@@ -14,7 +14,8 @@ use crate::render::{Canvas, Drawer, View};
 
 /// Index of the fingers' first position in qpos.
 const FINGERS: usize = ARM_JOINTS;
-/// Substep of a control step whose kinematics an observation shows after a state was loaded.
+/// Substep of a control step, from 0, whose kinematics an observation shows after a state was
+/// loaded.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
 /// Smallest width and height of frame buffers, pixels.
 const CANVAS_SIZE: u32 = 256;
@@ -33,7 +34,7 @@ pub struct Environment {
     /// True if the poses in `observed` were computed from its positions.
     pub(crate) has_observed_poses: bool,
     pub(crate) observed_joints: JointReadings,
-    /// Substep of a control step whose kinematics the observation shows.
+    /// Substep of a control step, from 0, whose kinematics the observation shows.
     pub(crate) observed_substep: usize,
     pub(crate) controller: Controller,
     /// Angles of the arm's joints at a reset, rad.

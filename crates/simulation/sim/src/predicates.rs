@@ -61,12 +61,12 @@ enum Quantifier {
     All,
 }
 
-/// Largest horizontal distance of two objects stacked by `on`, m.
+/// Horizontal distance below which an object counts as `on` another object, m.
 const STACKED_DISTANCE: f64 = 0.03;
-/// Largest distances below and above the top of a region at which an object is `on` the region, m.
+/// Distances below and above the top of a region within which an object is `on` the region, m.
 const ON_SITE_BELOW: f64 = 0.005;
 const ON_SITE_ABOVE: f64 = 0.10;
-/// Largest distance below a region at which an object is still `in` the region, m.
+/// Distance below a region within which an object is still `in` the region, m.
 const IN_SITE_BELOW: f64 = 0.01;
 
 impl Goal {

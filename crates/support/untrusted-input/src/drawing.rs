@@ -22,8 +22,8 @@ const DRAW: u8 = 8;
 
 /// Most pixels of a frame, so that an input takes milliseconds.
 const MOST_PIXELS: usize = 1 << 12;
-/// Most bytes of a texture.
-const MOST_TEXELS: usize = 1 << 16;
+/// Most bytes of a texture that its sizes require; an input may add up to 255 surplus bytes.
+const MOST_TEXTURE_BYTES: usize = 1 << 16;
 /// Most lights of a scene, of which the renderer uses eight.
 const MOST_LIGHTS: usize = 20;
 const MOST_TRIANGLES: usize = 1 << 11;
@@ -322,9 +322,9 @@ impl Bytes<'_> {
         let needed = width
             .checked_mul(height)
             .and_then(|texels| texels.checked_mul(channels))
-            .filter(|needed| *needed <= MOST_TEXELS);
+            .filter(|needed| *needed <= MOST_TEXTURE_BYTES);
         let (excess, value) = (self.byte(), self.byte());
-        let length = needed.unwrap_or(MOST_TEXELS) + usize::from(excess);
+        let length = needed.unwrap_or(MOST_TEXTURE_BYTES) + usize::from(excess);
         let texels = (0..length).map(|at| (at as u8).wrapping_mul(value));
         (kind, width, height, channels, texels.collect())
     }
