@@ -23,6 +23,7 @@ pub(crate) struct Shapes {
     pub(crate) rectangle: Mesh,
     pub(crate) cuboid: Mesh,
     pub(crate) sphere: Mesh,
+    /// Half-spheres at the ends of a capsule whose cylinder extends from −1 to 1 along the axis.
     pub(crate) upper_half: Mesh,
     pub(crate) lower_half: Mesh,
     pub(crate) cylinder: Mesh,

@@ -257,6 +257,7 @@ fn size_table(
     for (index, inset) in LEG_INSET.iter().enumerate() {
         let mut pos = [0.0, 0.0, -half_length];
         for axis in 0..2 {
+            // On a table that is too narrow for the inset, legs stand on the middle line.
             if half[axis] > (inset[axis] * 2.0).abs() {
                 pos[axis] = inset[axis].signum() * half[axis] - inset[axis];
             }

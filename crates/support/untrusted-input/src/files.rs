@@ -1,4 +1,4 @@
-//! Files that users provide, other than scene files. Checks that parsed data survives a round trip,
+//! Files that users provide, other than those of a scene. Checks that parsed data survives a round trip,
 //! that accepted data can be used, and that no error contains a secret.
 
 use std::io::{Cursor, Write};
