@@ -1,5 +1,5 @@
-//! Files that users provide, other than those of a scene. Checks that parsed data survives a round trip,
-//! that accepted data can be used, and that no error contains a secret.
+//! Files that users provide, other than those of a scene. Checks that parsed data survives a round
+//! trip, that accepted data can be used, and that no error contains a secret.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
