@@ -78,6 +78,7 @@ pub(crate) struct Lists {
     surfaces: Vec<Surface>,
     /// Per record from `first` on: its place in a shadow map, if listed.
     places: Vec<Surface>,
+    /// Index of the first record that may be listed.
     first: usize,
     /// Per record from `first` on: number of the list that holds its fragments, or [`NOTHING`].
     list_of: Vec<u32>,
@@ -144,7 +145,8 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// Id that matches no record and differs from [`NOTHING`].
+/// Id of the last record before the first fragment. Differs from [`NOTHING`], so that pixels
+/// without a triangle do not match it.
 const NO_RECORD: u32 = NOTHING - 1;
 
 /// Appends fragments to the lists. Optimised for runs of fragments of the same triangle and list.
@@ -452,12 +454,14 @@ fn colour_eight(
         let place = at(px, py);
         let texel = match texture.texture.kind {
             TextureKind::Flat { srgb } => {
+                // Three pixels of the 2 × 2 quad that contains the pixel.
                 let even = I::splat(!1);
                 let (qx, qy) = (centre(x & even), centre(y & even));
                 let square = [at(qx, qy), at(qx + one, qy), at(qx, qy + one)];
                 sample::flat(texture, srgb, place, square)
             }
             TextureKind::Cube => {
+                // The neighbours along x and y in the 2 × 2 quad.
                 let last_bit = I::splat(1);
                 let neighbours = [at(centre(x ^ last_bit), py), at(px, centre(y ^ last_bit))];
                 sample::cube(texture, place, neighbours)

@@ -16,7 +16,8 @@ use crate::visible::SAMPLES;
 
 /// Widest angle of a spot light's map, degrees.
 const WIDEST: f32 = 160.0;
-/// Least opacity, out of 255, at which a fragment is drawn.
+/// Least opacity of a fragment to which a light that casts shadows is added: 0.99 of 255, rounded
+/// up.
 const LEAST_OPACITY: u32 = 253;
 
 /// Adds the lights that cast shadows to the opaque geoms of a picture.

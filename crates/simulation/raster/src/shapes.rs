@@ -23,14 +23,15 @@ pub(crate) struct Shapes {
     pub(crate) rectangle: Mesh,
     pub(crate) cuboid: Mesh,
     pub(crate) sphere: Mesh,
+    /// Half-spheres at the ends of a capsule whose cylinder extends from −1 to 1 along the axis.
     pub(crate) upper_half: Mesh,
     pub(crate) lower_half: Mesh,
     pub(crate) cylinder: Mesh,
     pub(crate) open_cylinder: Mesh,
 }
 
-/// Number of a cuboid's faces. The triangles of a face are consecutive, and the upper face comes
-/// first.
+/// Number of a cuboid's faces. For each cell of the faces' grids, the mesh lists the triangles of
+/// the upper face, then those of the other five faces.
 const CUBOID_FACES: u32 = 6;
 const TRIANGLES_PER_QUAD: u32 = 2;
 
@@ -141,7 +142,7 @@ fn azimuth(slice: usize, slices: usize) -> f32 {
     ((2.0 * PI * slice as f64) / f64::from(slices as f32)) as f32
 }
 
-/// Returns a point of the unit sphere, shifted along the axis.
+/// Returns a point of the unit sphere, shifted along the axis by `raised`.
 fn on_sphere(azimuth: f32, elevation: f32, raised: f32) -> Corner {
     let (ca, sa) = (libm::cosf(azimuth), libm::sinf(azimuth));
     let (ce, se) = (libm::cosf(elevation), libm::sinf(elevation));
@@ -149,7 +150,8 @@ fn on_sphere(azimuth: f32, elevation: f32, raised: f32) -> Corner {
     corner([ca * ce, sa * ce, z], [ca * ce, sa * ce, z - raised])
 }
 
-/// Adds the half of a sphere on one side of its equator.
+/// Adds the half of a sphere above its equator if `side` is 1, or below it if `side` is −1, shifted
+/// along the axis by `raised`. `elevation` returns the angle of a ring, numbered from the equator.
 fn dome(
     builder: &mut MeshBuilder,
     side: i32,
@@ -259,9 +261,9 @@ fn open_cylinder(builder: &mut MeshBuilder, slices: usize, stacks: usize) {
 
 /// Returns the positions of the lines of a plane's grid along one direction.
 ///
-/// `half` is half the plane's length, 0 for an infinite plane; `spacing` is the distance of its
-/// lines; `period` is the repeat length of its texture, or `None` without a texture that repeats;
-/// `far` is the viewing distance.
+/// `half` is half the plane's length, 0 for an infinite plane; `spacing` is half the distance of a
+/// finite plane's lines; `period` is the repeat length of an infinite plane's texture, or `None`
+/// without a texture that repeats; `far` is the viewing distance. All are in the same unit.
 pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec<f64> {
     /// `mjMAXPLANEGRID`.
     const MAX_LINES: usize = 200;
@@ -313,8 +315,8 @@ pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
 }
 
 /// Returns the corners of a mesh's triangle from its positions, normals and texture coordinates.
-/// Without texture coordinates, a corner whose normal is far from the face's normal gets the face's
-/// normal, which keeps edges sharp.
+/// Without texture coordinates, a corner whose normal makes an angle with the face's normal whose
+/// cosine is below 0.8 gets the face's normal, as in MuJoCo, which keeps edges sharp.
 pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3]>) -> [Corner; 3] {
     let (u, v) = (
         crate::matrix::minus(pos[1], pos[0]),

@@ -10,7 +10,7 @@ use crate::receiver::Receiver;
 use crate::setup::{Slopes, winding_order};
 use crate::visible::{CLIPPED, Record, Visible};
 
-/// Index at which each interpolated value starts; all are divided by w.
+/// Index at which each value starts among the interpolated values, all of which are divided by w.
 pub(crate) const OVER_W: usize = 0;
 pub(crate) const COLOUR: usize = 1;
 pub(crate) const COORDINATES: usize = 4;
@@ -47,7 +47,7 @@ pub(crate) struct SurfaceRequest {
 /// Transformed and lit vertices of a cluster.
 #[derive(Debug)]
 pub(crate) struct Vertices {
-    /// Per vertex: its index in the other lists, or [`UNLIT`].
+    /// Per vertex: its index in `x`, `y` and `varying`, or [`UNLIT`].
     slots: [u8; CAPACITY],
     x: [f32; CAPACITY],
     y: [f32; CAPACITY],

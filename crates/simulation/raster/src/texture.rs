@@ -408,6 +408,7 @@ fn encoded(value: f32) -> u8 {
 /// evaluated at the centre of one of 1,024 intervals per octave, and rounded to 12 bits. Mipmap
 /// levels of sRGB textures equal Mesa's only with this estimate.
 fn reciprocal_sqrt(value: f32) -> f32 {
+    /// Width of an interval, in units of the mantissa's last bit.
     const PART: u32 = 1 << 13;
     let bits = value.to_bits();
     // Scales by an even power of two into the range from 1/4 to 1.

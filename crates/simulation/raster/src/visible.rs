@@ -15,7 +15,7 @@ pub(crate) const BLOCK: i32 = 16;
 pub(crate) const PART: [i32; 2] = [8, 4];
 
 /// Number of writes to a block after which its depth bounds are recomputed. A small triangle counts
-/// as one write.
+/// as one write, and every part of the block that a large triangle may cover as two.
 const WRITES_PER_UPDATE: u8 = 16;
 
 /// Marks a sample without a triangle.

@@ -78,9 +78,9 @@ fn every_part_of_the_room_changes_the_frame() {
 #[derive(Debug, Clone)]
 enum Change {
     Move(usize, [i8; 3]),
-    Recolour(usize, u8),
+    SetOpacity(usize, u8),
     TurnCamera([i8; 3]),
-    Dim(u8),
+    SetDiffuse(u8),
     CastShadow(bool),
     Rest,
 }
@@ -88,9 +88,9 @@ enum Change {
 fn change() -> impl Strategy<Value = Change> {
     prop_oneof![
         4 => (0..10usize, any::<[i8; 3]>()).prop_map(|(geom, by)| Change::Move(geom, by)),
-        1 => (0..10usize, any::<u8>()).prop_map(|(geom, to)| Change::Recolour(geom, to)),
+        1 => (0..10usize, any::<u8>()).prop_map(|(geom, to)| Change::SetOpacity(geom, to)),
         1 => any::<[i8; 3]>().prop_map(Change::TurnCamera),
-        1 => any::<u8>().prop_map(Change::Dim),
+        1 => any::<u8>().prop_map(Change::SetDiffuse),
         1 => any::<bool>().prop_map(Change::CastShadow),
         4 => Just(Change::Rest),
     ]
@@ -103,9 +103,9 @@ impl Change {
         };
         match *self {
             Self::Move(geom, by) => scene.geoms[geom].pos = moved(scene.geoms[geom].pos, by),
-            Self::Recolour(geom, to) => scene.geoms[geom].rgba[3] = f32::from(to) / 255.0,
+            Self::SetOpacity(geom, to) => scene.geoms[geom].rgba[3] = f32::from(to) / 255.0,
             Self::TurnCamera(by) => scene.camera.forward = moved(scene.camera.forward, by),
-            Self::Dim(to) => scene.lights[1].diffuse = [f32::from(to) / 255.0; 3],
+            Self::SetDiffuse(to) => scene.lights[1].diffuse = [f32::from(to) / 255.0; 3],
             Self::CastShadow(casts) => {
                 scene.lights[1].casts_shadow = casts;
                 scene.shadows = Some(shadows(256));

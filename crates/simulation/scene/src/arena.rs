@@ -76,7 +76,7 @@ impl Arena {
 }
 
 /// Returns the arena of a problem class of LIBERO or LIBERO-Plus. The classes of LIBERO-Plus are
-/// LIBERO's with another scene file or other textures.
+/// LIBERO's with another model file or other textures.
 pub fn arena(problem: &str) -> Option<Arena> {
     let libero_arena = |problem: &str| {
         ARENAS

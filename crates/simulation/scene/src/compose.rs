@@ -1,5 +1,5 @@
 //! Composition of one MJCF model from a BDDL problem and an asset pack: arena, robot, objects,
-//! fixtures and region sites, in the original's element order and with the original's names.
+//! fixtures and region sites, in the element order of LIBERO's models and with their names.
 
 use std::path::PathBuf;
 
@@ -224,7 +224,8 @@ fn size_table(
     full_size: [f64; 3],
     friction: [f64; 3],
 ) -> Result<(), String> {
-    /// Distance of the legs from the table's edge, m.
+    /// Distances of each leg from the table's edges along x and y, m. The signs tell the edges: at
+    /// positive or negative x and y.
     const LEG_INSET: [[f64; 2]; 4] = [[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]];
     const LEG_RADIUS: f64 = 0.025;
     let half = full_size.map(|extent| extent / 2.0);
@@ -256,6 +257,7 @@ fn size_table(
     for (index, inset) in LEG_INSET.iter().enumerate() {
         let mut pos = [0.0, 0.0, -half_length];
         for axis in 0..2 {
+            // On a table that is too narrow for the inset, legs stand on the middle line.
             if half[axis] > (inset[axis] * 2.0).abs() {
                 pos[axis] = inset[axis].signum() * half[axis] - inset[axis];
             }

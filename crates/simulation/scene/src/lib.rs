@@ -2,8 +2,8 @@
 //! objects and region sites into MJCF, placement samplers, and the released initial states.
 //!
 //! Text in, MJCF out: this crate neither compiles a model nor renders a frame; crate `sim` does.
-//! The behaviour follows LIBERO (hf-libero 0.1.4) and robosuite 1.4.0, which comments call the
-//! original. `cargo xtask parity` compares scenes and simulations with the original's.
+//! The behaviour follows LIBERO (hf-libero 0.1.4) with robosuite 1.4.0. `cargo xtask parity`
+//! compares scenes and simulations with theirs.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]

@@ -20,7 +20,8 @@ pub(crate) struct ObjectPart {
     pub(crate) footprint: Footprint,
 }
 
-/// Sizes for the placement sampler, m, from three marker sites.
+/// Horizontal radius of an object, and heights of its top and bottom above its origin, m:
+/// coordinates of three marker sites.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Footprint {
     pub(crate) radius: f64,

@@ -39,8 +39,8 @@ pub struct AssetPack {
 
 impl AssetPack {
     /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack is unpacked
-    /// beside the sources on first use. The files of `libero` may still be missing. A folder with
-    /// LIBERO's files is opened as `libero`, any other as `custom`.
+    /// into the sources' folder on first use. The files of `libero` may still be missing. A folder
+    /// with LIBERO's files is opened as `libero`, any other as `custom`.
     pub fn open(name_or_path: &str, sources: &Sources) -> Result<Self, SceneError> {
         match name_or_path {
             PRIMITIVES => Self::unpack_primitives(&sources.dir().join("packs")),

@@ -142,8 +142,8 @@ impl Part {
         Ok(())
     }
 
-    /// Appends those assets of `other` whose names no asset of this part has. As in the original,
-    /// all unnamed assets of one kind count as having the same name.
+    /// Appends those assets of `other` whose names no asset of this part has. As in robosuite, all
+    /// unnamed assets of one kind count as having the same name.
     pub(crate) fn merge_assets(&mut self, other: &Part) {
         let assets = self.root.child_mut("asset");
         let incoming = other

@@ -109,6 +109,11 @@ struct Machine<'a> {
 }
 
 impl Machine<'_> {
+    /// Executes the opcodes up to `STOP` (`.`). Python's `pickletools` names the others: `PROTO`
+    /// (0x80), `GLOBAL` (c), `BINPUT` and `LONG_BINPUT` (q, r), `BINGET` and `LONG_BINGET` (h, j),
+    /// `BININT1`, `BININT2` and `BININT` (K, M, J), `BINUNICODE` (X), `NONE` (N), `NEWTRUE` and
+    /// `NEWFALSE` (0x88, 0x89), `MARK` (`(`), `TUPLE` and `EMPTY_TUPLE` (t, `)`), `TUPLE1` to
+    /// `TUPLE3` (0x85 to 0x87), `REDUCE` (R), `BUILD` (b).
     fn run(mut self) -> Result<Value, String> {
         for _ in 0..MAX_OPCODES {
             let opcode = self.take(1)?[0];

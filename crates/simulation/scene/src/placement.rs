@@ -1,9 +1,9 @@
 //! Placement at a reset, as by LIBERO's samplers: joints that start open, closed, on or off, then
 //! fixtures and objects. Random draws reproduce NumPy's legacy generator exactly, including
-//! rejections, order and arithmetic, and including the original's defects: orientations are written
-//! in another order than they are read ([`crate::rotation`]), and an object on a site is placed at
-//! the sum of the carrier's new position and the site's world position *before* the carrier was
-//! moved.
+//! rejections, order and arithmetic, and including LIBERO's defects: orientations are written in
+//! another order than they are read ([`crate::rotation`]), and an object on a site of a carrier
+//! (another object or a fixture) is placed at the sum of the carrier's new position and the site's
+//! world position *before* the carrier was moved.
 
 mod plan;
 
@@ -23,17 +23,16 @@ pub struct FixturePose {
     pub quat: [f64; 4],
 }
 
-/// Number of attempts at placing one object, after which the original draws the whole placement
-/// again.
+/// Number of attempts at placing one object, after which LIBERO draws the whole placement again.
 const MAX_ATTEMPTS: usize = 5000;
-/// Draws of the whole placement after which a scene counts as too crowded. The original's wrapper
-/// never gives up; a scene with enough room needs one or two draws.
+/// Draws of the whole placement after which a scene counts as too crowded. LIBERO's wrapper of
+/// environments never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
 /// Number of arm joints. A reset draws one normal number for each joint as noise, even though
 /// LIBERO scales the noise by zero.
 const ARM_JOINTS: usize = 7;
-/// Rounds of joint samples in the first seeded reset: the original has appended all joint samplers
-/// to its list twice by then, at construction and in the reset itself.
+/// Rounds of joint samples in the first seeded reset: LIBERO has appended all joint samplers to its
+/// list twice by then, at construction and in the reset itself.
 const CAMPAIGN_JOINT_ROUNDS: usize = 2;
 
 /// Samplers of everything that a reset of a task draws at random, in the order of the draws.
@@ -88,7 +87,7 @@ enum Base {
     Point([f64; 3]),
     /// The top of another object.
     Top(usize),
-    /// A site of another object or fixture, relative to its top or to its origin.
+    /// A site of another object or fixture, the carrier, added to the carrier's top or origin.
     Site {
         carrier: usize,
         is_relative_to_top: bool,
@@ -105,7 +104,7 @@ pub struct Pose {
 }
 
 impl Samplers {
-    /// Returns the joint samplers of one round. The original appends all of them to its list again
+    /// Returns the joint samplers of one round. LIBERO appends all of them to its list again
     /// whenever it loads its model: at construction and at every hard reset.
     pub fn joints(&self) -> &[JointSampler] {
         &self.joints
@@ -120,7 +119,7 @@ impl Samplers {
         &self.sites
     }
 
-    /// Draws and discards the normal numbers that the original draws first, as noise on the arm's
+    /// Draws and discards the normal numbers that robosuite draws first, as noise on the arm's
     /// joints that LIBERO scales by zero.
     pub fn skip_arm_noise(rng: &mut LegacyRng) {
         for _ in 0..ARM_JOINTS {
@@ -171,8 +170,8 @@ impl Samplers {
             if let Ok(fixtures) = self.draw_fixtures(&mut rng, rounds) {
                 return Ok(fixtures);
             }
-            // The original reloads its model, which appends all joint samplers again, before each
-            // new attempt.
+            // LIBERO reloads its model, which appends all joint samplers again, before each new
+            // attempt.
             rounds += 1;
         }
         self.draw_fixtures(&mut rng, rounds)
@@ -238,8 +237,8 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // If the radius is large, the bounds are in reverse order; the original nevertheless
-            // draws between them.
+            // If the object's radius, by which a range was shortened at both ends, exceeds half of
+            // it, its bounds are in reverse order; LIBERO nevertheless draws between them.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],

@@ -1,21 +1,18 @@
-//! Rotations of placed instances, in the original's order and precision: the original computes
-//! quaternion products and rotation matrices in single precision.
+//! Rotations of placed instances, in LIBERO's order and precision: robosuite computes quaternion
+//! products and rotation matrices in single precision.
 
 use libero_ctrl::numpy::LegacyRng;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Axis {
-    /// Forward.
     X,
-    /// Left.
     Y,
-    /// Up.
     Z,
 }
 
-/// A random orientation: one uniform number for each angle, rad.
+/// A random orientation: one uniform number for each angle, between two bounds, rad.
 ///
-/// The original builds a movable object's quaternion as x y z w and passes it to MuJoCo, which
+/// LIBERO builds a movable object's quaternion as x y z w and passes it to MuJoCo, which
 /// reads w x y z. A "rotation about x by θ" is therefore a rotation about z by π − θ in the scene.
 /// The sampled orientations are as MuJoCo reads them.
 #[derive(Debug, Clone, Copy, PartialEq)]

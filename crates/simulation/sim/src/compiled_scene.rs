@@ -17,7 +17,7 @@ use crate::scene_files::{LoadedScene, Preparation, SceneFolder, name_of_scene};
 pub(crate) const DISABLE_CONSTRAINT: i32 = 1;
 /// `mjDSBL_AUTORESET`: reports an unstable state instead of silently resetting it.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
-/// `mjDSBL_NATIVECCD`: makes 3.3.7 detect collisions like the benchmark's 2.3.7.
+/// `mjDSBL_NATIVECCD`: makes MuJoCo 3.3.7 detect collisions like the benchmark's MuJoCo 2.3.7.
 pub(crate) const DISABLE_NATIVE_CCD: i32 = 1 << 17;
 /// Body whose orientation is observed.
 const HAND_BODY: &str = "robot0_right_hand";
@@ -115,8 +115,8 @@ impl CompiledScene {
     }
 }
 
-/// Hides the sites of the robot, the objects and the fixtures by negating their opacity, like the
-/// original; sites of zones on the workspace stay visible.
+/// Hides the sites of the robot, the objects and the fixtures by negating their opacity, like
+/// robosuite; sites of zones on the workspace stay visible.
 pub(crate) fn hide_marker_sites(scene: &Scene, model: &mut Model) {
     let mut prefixes = vec![
         "robot0_".to_owned(),

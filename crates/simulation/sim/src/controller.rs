@@ -2,8 +2,8 @@
 //! position ramp, with robosuite 1.4.0's configuration for LIBERO. An action is seven numbers in
 //! -1..1: end-effector translation, rotation, gripper.
 //!
-//! The arithmetic follows the original's order and precision where results depend on it, including
-//! one computation in single precision (`rotation_of`).
+//! The arithmetic follows robosuite's order and precision where results depend on it, including one
+//! computation in single precision (`rotation_of`).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use scene::rotation::single_precision_matrix;
@@ -35,7 +35,7 @@ const ROTATION_SCALE: f64 = 0.5;
 const STIFFNESS: f64 = 150.0;
 /// Stiffness of the null-space posture, 1/s²; damping is critical.
 const POSTURE_STIFFNESS: f64 = 10.0;
-/// Fraction of the gripper's range that one simulation step closes.
+/// Change of a finger's position per simulation step, as a share of half its range.
 const GRIPPER_RAMP: f64 = 0.01;
 
 type ArmVector = SVector<f64, ARM_JOINTS>;
@@ -57,8 +57,8 @@ pub struct Controller {
     site: usize,
     torque_limits: [[f64; 2]; ARM_JOINTS],
     finger_range: [[f64; 2]; 2],
-    /// The arm at the reset pose, which the original still uses in the first simulation step after
-    /// an initial state is loaded.
+    /// The arm at the reset pose, which robosuite still uses in the first simulation step after an
+    /// initial state is loaded.
     reset_arm: ArmState,
     uses_reset_arm: bool,
     last_pose: (Vector3<f64>, Matrix3<f64>),
@@ -127,14 +127,14 @@ impl Controller {
         ((*pos).into(), row_by_row)
     }
 
-    /// Returns to the state after the reset.
+    /// Restores the state of new controllers.
     pub fn reset(&mut self) {
         self.reset_arm();
         self.gripper = [0.0; 2];
     }
 
-    /// Returns to the state after the reset, except for the position of the gripper's ramp, which
-    /// the original stores with its model.
+    /// Restores the state of new controllers, except for the position of the gripper's ramp, which
+    /// robosuite stores with its model.
     pub fn reset_arm(&mut self) {
         self.last_pose = (self.reset_arm.pos, self.reset_arm.orientation);
         self.goal_orientation = self.reset_arm.orientation;
@@ -300,7 +300,7 @@ fn sign(value: f64) -> f64 {
 }
 
 /// Returns the rotation about `vector` by its length, rad. The quaternion and its products are in
-/// single precision like the original's (`transform_utils.quat2mat`), which moves goals by up to
+/// single precision like robosuite's (`transform_utils.quat2mat`), which moves goals by up to
 /// 1e-7 rad.
 fn rotation_of(vector: Vector3<f64>) -> Matrix3<f64> {
     let angle = vector.dot(&vector).sqrt();
@@ -322,7 +322,7 @@ mod tests {
         assert!(difference < 2e-7, "{difference}");
         assert!(
             difference > 1e-12,
-            "the rotation is not in single precision like the original's: {difference}"
+            "the rotation is not in single precision like robosuite's: {difference}"
         );
     }
 

@@ -1,5 +1,5 @@
 //! A running scene: loading a state, control steps, success, and observations of the instants that
-//! the original observes. This module does not depend on perturbations.
+//! LIBERO observes. This module does not depend on perturbations.
 
 use std::sync::Arc;
 
@@ -14,15 +14,16 @@ use crate::render::{Canvas, Drawer, View};
 
 /// Index of the fingers' first position in qpos.
 const FINGERS: usize = ARM_JOINTS;
-/// Substep of a control step whose kinematics an observation shows after a state was loaded.
+/// Substep of a control step, from 0, whose kinematics an observation shows after a state was
+/// loaded.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
-/// Smallest size of frame buffers, pixels.
+/// Smallest width and height of frame buffers, pixels.
 const CANVAS_SIZE: u32 = 256;
 
 /// A simulation of a compiled scene, with its own model.
 ///
-/// Observations show the *observed instant*: like the original's, they lag behind the end of a
-/// control step.
+/// Observations show the *observed instant*: like LIBERO's, they lag behind the end of a control
+/// step. After a state was loaded, frames and poses lag by 4 ms, joint readings by 2 ms.
 pub struct Environment {
     pub(crate) compiled: Arc<CompiledScene>,
     canvas: Option<Canvas>,
@@ -33,7 +34,7 @@ pub struct Environment {
     /// True if the poses in `observed` were computed from its positions.
     pub(crate) has_observed_poses: bool,
     pub(crate) observed_joints: JointReadings,
-    /// Substep of a control step whose kinematics the observation shows.
+    /// Substep of a control step, from 0, whose kinematics the observation shows.
     pub(crate) observed_substep: usize,
     pub(crate) controller: Controller,
     /// Angles of the arm's joints at a reset, rad.
@@ -395,7 +396,7 @@ impl Environment {
         })
     }
 
-    /// Updates the burners like the original: the opacity of a burner that disagrees with its knob
+    /// Updates the burners like LIBERO: the opacity of a burner that disagrees with its knob
     /// becomes 1 minus the previous opacity.
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);

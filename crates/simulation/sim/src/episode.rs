@@ -176,10 +176,10 @@ impl Conditions {
     }
 
     /// Returns the robot's command for a policy's action, before the actuation axis distorts it.
-    /// The command is clipped into -1..1, except in the reference realisation, which like the
-    /// released code distorts the unclipped action and clips afterwards. Without an actuation axis
-    /// both realisations give the same step, because the controller clips. The function is
-    /// idempotent, so recorded commands can be simulated again.
+    /// The command is clipped into -1..1, except in the reference realisation, which like
+    /// LIBERO-CTRL's released code distorts the unclipped action and clips afterwards. Without an
+    /// actuation axis both realisations give the same step, because the controller clips. The
+    /// function is idempotent, so recorded commands can be simulated again.
     pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
         match self.realisation {
             Realisation::Matched => clip(policy_action),

@@ -20,9 +20,10 @@ const SCENE: &str = include_str!("fingerprint.mjcf");
 /// Number of simulation steps, 2 ms each.
 const STEPS: u32 = 150;
 const ARM_JOINTS: usize = 7;
-/// Amplitude of the motors' torques, Nm, and the increase of frequency from one motor to the next,
-/// which keeps any two joints from moving alike.
+/// Amplitude of the motors' torques, N·m.
 const AMPLITUDE: f64 = 6.0;
+/// Increase of frequency from one motor to the next, as a share of the first motor's 20 rad/s. It
+/// keeps any two joints from moving alike.
 const DETUNING: f64 = 0.37;
 /// Cameras of the frames, with widths and heights, pixels.
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];

@@ -1,11 +1,11 @@
 //! LIBERO in MuJoCo: compiled scenes, robot controllers, success, offscreen rendering, and the
 //! perturbations of LIBERO-CTRL.
 //!
-//! Comments call hf-libero 0.1.4 with robosuite 1.4.0 the original.
+//! The behaviour follows hf-libero 0.1.4 with robosuite 1.4.0.
 //!
-//! The only crate of the workspace with `unsafe` code: in [`mujoco`], in the OpenGL calls of
-//! [`render`], and in the mapping of scene files. All `unsafe` code is behind safe types, and every
-//! block states why it is sound.
+//! All `unsafe` code of the workspace is in this crate, except a matrix product in `student`: in
+//! [`mujoco`], in the OpenGL calls of [`render`], and in the mapping of scene files. It is behind
+//! safe types, and every block states why it is sound.
 
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 

@@ -12,7 +12,7 @@ pub struct ObservationRequest {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CameraRequest {
-    /// `agentview` or `robot0_eye_in_hand`, or any other camera of the scene.
+    /// `agentview` or `robot0_eye_in_hand`; other cameras are refused.
     pub name: String,
     /// Width, pixels.
     pub width: u32,
@@ -20,8 +20,8 @@ pub struct CameraRequest {
     pub height: u32,
 }
 
-/// Observation of a policy. As in the original's `env.step`, frames and end-effector poses lag 4 ms
-/// behind the end of the control step, and joint readings 2 ms.
+/// Observation of a policy. As in LIBERO's `env.step`, after an initial state was loaded frames and
+/// end-effector poses lag 4 ms behind the end of the control step, and joint readings 2 ms.
 #[derive(Debug, Clone)]
 pub struct Observation {
     /// Frames in the order of the request, with sensor perturbations applied.

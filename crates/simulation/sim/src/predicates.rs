@@ -1,7 +1,7 @@
 //! Evaluation of goals with LIBERO's predicates (hf-libero 0.1.4, `object_states` and `objects`),
 //! resolved to ids once per scene.
 //!
-//! As in the original, predicates use the body positions and contacts that the last simulation step
+//! As in LIBERO, predicates use the body positions and contacts that the last simulation step
 //! computed before it integrated, and the joint positions that the integration resulted in.
 
 use libero_ctrl::Predicate;
@@ -61,12 +61,12 @@ enum Quantifier {
     All,
 }
 
-/// Largest horizontal distance of two objects stacked by `on`, m.
+/// Horizontal distance below which an object counts as `on` another object, m.
 const STACKED_DISTANCE: f64 = 0.03;
-/// Largest distances below and above the top of a region at which an object is `on` the region, m.
+/// Distances below and above the top of a region within which an object is `on` the region, m.
 const ON_SITE_BELOW: f64 = 0.005;
 const ON_SITE_ABOVE: f64 = 0.10;
-/// Largest distance below a region at which an object is still `in` the region, m.
+/// Distance below a region within which an object is still `in` the region, m.
 const IN_SITE_BELOW: f64 = 0.01;
 
 impl Goal {
@@ -147,7 +147,7 @@ impl Goal {
 
 impl Site {
     /// Returns true if an object at `position` is on the site. Rotates the offset by the site's
-    /// matrix rather than its transpose, like the original.
+    /// matrix rather than its transpose, like LIBERO.
     fn supports(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let offset = self.offset(model, data, position);
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];

@@ -15,7 +15,7 @@ const RESET_FINGERS: [f64; 2] = [0.020833, -0.020833];
 /// Starting point of a reset: robosuite's `hard_reset`, whose two modes lead to different scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reset {
-    /// Starts from the compiled model: fixtures at their poses in the file until they are placed,
+    /// Starts from the compiled model: fixtures at their poses in the MJCF until they are placed,
     /// nothing perturbed, the gripper's ramp at its middle.
     Hard,
     /// Starts from the current model: objects on sites of fixtures are placed relative to the

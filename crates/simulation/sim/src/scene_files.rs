@@ -31,10 +31,11 @@ use crate::error::SimError;
 use crate::mujoco::{self, Model, STRUCTURE};
 use crate::render::{Prepared, PreparedBytes};
 
+/// Version of the file format.
 const FORMAT: u32 = 1;
 /// Length of a [`Name`].
 const NAME_DIGITS: usize = 32;
-/// Value of the environment variable and option that disables scene files.
+/// Value of `ROLLOUT_SCENES` and `--scenes` that disables scene files.
 const OFF: &str = "off";
 
 /// Name of a scene or texture: hexadecimal digits.

@@ -26,16 +26,18 @@ pub struct Snapshot {
 
 impl Environment {
     /// Resets without an initial state: draws all poses from NumPy's legacy generator in the
-    /// original's order, with the arm in its reset posture, new controllers and time 0; then
-    /// observes once.
+    /// LIBERO's order, with the arm in its reset posture, new controllers and time 0; then observes
+    /// once.
     ///
-    /// `joint_sampler_rounds` is the number of times that the original has loaded its model so far:
-    /// 1 at construction, plus 1 for each hard reset. Each time, the original appends its samplers
-    /// for joints that start open, closed, on or off to its list of samplers once more.
+    /// `joint_sampler_rounds` is the number of times that LIBERO would have loaded its model so
+    /// far: 1 at construction, plus 1 for each hard reset, this one included. Each time, LIBERO
+    /// appends its samplers for joints that start open, closed, on or off to its list of samplers
+    /// once more.
     ///
-    /// If there is no room for an object, all joints and poses are drawn again, as in the
-    /// original's wrapper; in a hard reset, each repetition counts as another hard reset. Returns
-    /// the resulting number of rounds, to be passed to the next reset.
+    /// If there is no room for an object, all joints and poses are drawn again, as in LIBERO's
+    /// wrapper of environments; in a hard reset, each repetition counts as another hard reset.
+    /// Returns the number of rounds after this reset, to which the caller adds 1 for a next hard
+    /// reset.
     ///
     /// # Errors
     /// [`NoRoom`](scene::SceneError::NoRoom) if a thousand attempts find no room.

@@ -45,7 +45,7 @@ pub(crate) fn is_internal_fault(refusal: &Status) -> bool {
     }
 }
 
-/// Runs `future` and every task that it spawned to completion.
+/// Runs `future` to completion; drops the tasks that it spawned and that have not ended by then.
 pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

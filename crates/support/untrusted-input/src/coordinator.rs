@@ -99,7 +99,7 @@ mod tests {
 
     #[test]
     fn a_release_of_an_unknown_attempt_is_refused_and_changes_nothing() {
-        // Worker `w` releases attempt 1 of job 0.
+        // A release whose attempt id is `\nw` with control characters, which is no id.
         let release = b"\x0a\x05\x0a\x01w\x18\x01\x10\x02\x1a\x01e";
         assert!(!check_calls(&script::write(4, release)));
     }

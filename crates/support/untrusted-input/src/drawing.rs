@@ -22,8 +22,8 @@ const DRAW: u8 = 8;
 
 /// Most pixels of a frame, so that an input takes milliseconds.
 const MOST_PIXELS: usize = 1 << 12;
-/// Most bytes of a texture.
-const MOST_TEXELS: usize = 1 << 16;
+/// Most bytes of a texture that its sizes require; an input may add up to 255 surplus bytes.
+const MOST_TEXTURE_BYTES: usize = 1 << 16;
 /// Most lights of a scene, of which the renderer uses eight.
 const MOST_LIGHTS: usize = 20;
 const MOST_TRIANGLES: usize = 1 << 11;
@@ -266,7 +266,7 @@ impl Bytes<'_> {
     fn mesh(&mut self) -> Mesh {
         let mut builder = MeshBuilder::default();
         let kind = self.byte();
-        // Repeats the triangles, each time shifted a little further.
+        // Number of repetitions of the triangles, and the shift from each to the next.
         let (times, step): (u8, [f32; 3]) = (self.byte() % 32, self.numbers());
         let mut triangles = Vec::new();
         while !self.0.is_empty() && triangles.len() < MOST_TRIANGLES / 32 {
@@ -322,9 +322,9 @@ impl Bytes<'_> {
         let needed = width
             .checked_mul(height)
             .and_then(|texels| texels.checked_mul(channels))
-            .filter(|needed| *needed <= MOST_TEXELS);
+            .filter(|needed| *needed <= MOST_TEXTURE_BYTES);
         let (excess, value) = (self.byte(), self.byte());
-        let length = needed.unwrap_or(MOST_TEXELS) + usize::from(excess);
+        let length = needed.unwrap_or(MOST_TEXTURE_BYTES) + usize::from(excess);
         let texels = (0..length).map(|at| (at as u8).wrapping_mul(value));
         (kind, width, height, channels, texels.collect())
     }
@@ -461,6 +461,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         encoded(&[], &[-0.2, -0.4, -0.9, 0.0, 0.0, 0.0, 0.8, 0.7, 0.6]),
         encoded(&[], &[0.3, 0.3, 0.3]),
     ];
+    // A place past the end of the list of geoms appends the geom.
     let geom = |place: u8, shape: [u8; 2], numbers: [f32; 10], more: &[u8]| {
         let head = [place, shape[0], shape[1]];
         script::write(GEOM, &[encoded(&head, &numbers), more.to_vec()].concat())

@@ -1,5 +1,5 @@
-//! Files that users provide, other than scene files. Checks that parsed data survives a round trip,
-//! that accepted data can be used, and that no error contains a secret.
+//! Files that users provide, other than those of a scene. Checks that parsed data survives a round
+//! trip, that accepted data can be used, and that no error contains a secret.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -37,7 +37,7 @@ pub(crate) fn campaign_spec(input: &[u8]) -> bool {
     true
 }
 
-/// Parses `rollouts.jsonl` of the reference implementation or of an export.
+/// Parses `rollouts.jsonl` of LIBERO-CTRL's released code or of an export.
 pub(crate) fn result_rows(input: &[u8]) -> bool {
     imports(input, b"{}")
 }
@@ -105,7 +105,7 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
     })
 }
 
-/// Two results: one in the reference implementation's format, one in the format of an export.
+/// Two results: one in the format of LIBERO-CTRL's released code, one in the format of an export.
 const ROWS: &str = concat!(
     r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true, "steps": 113, "axis": "camera", "#,
     r#""level": "L2", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": 1, "#,

@@ -1,4 +1,4 @@
-//! Scene files: BDDL problems, object models and initial states.
+//! Files of a scene: BDDL problems, object models and initial states.
 
 use std::io::Cursor;
 use std::path::Path;

@@ -17,7 +17,7 @@ const DATABASE_INPUTS: usize = 150;
 const INPUTS: usize = 2_000;
 /// Largest number of changes to one input.
 const MAX_CHANGES: usize = 8;
-/// Longest range that is removed, doubled or replaced, bytes.
+/// Ranges that are removed, doubled or replaced are shorter than this, bytes.
 const MAX_RANGE_BYTES: usize = 64;
 /// Byte strings that are inserted: limits of number types, and tokens of the formats.
 const INSERTIONS: [&[u8]; 16] = [

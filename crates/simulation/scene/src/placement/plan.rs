@@ -1,5 +1,5 @@
-//! Plans the samplers for a problem's `:init`, in the original's order: joints as listed, then
-//! objects on the workspace, on sites, in sites, and on other objects.
+//! Plans the samplers for a problem's `:init`, in LIBERO's order: joints as listed, then objects
+//! and fixtures on the workspace, then objects on sites, in sites, and on other objects.
 
 use libero_ctrl::Predicate;
 
@@ -36,9 +36,9 @@ impl Samplers {
     /// Plans the samplers of a problem.
     ///
     /// # Errors
-    /// [`SceneError::Inconsistent`] where the original fails too: the initial state places an
-    /// object twice, places it on an instance that is not placed, or opens an instance that cannot
-    /// be opened.
+    /// [`SceneError::Inconsistent`] where LIBERO fails too: the initial state places an object
+    /// twice, places it on an instance that is not placed, or opens an instance that cannot be
+    /// opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,
@@ -90,7 +90,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Returns the place that a statement of `:init` assigns to its first argument; `None` for
-    /// statements that place nothing, which the original ignores.
+    /// statements that place nothing, which LIBERO ignores.
     fn place(&self, predicate: &'a Predicate) -> Option<Place<'a>> {
         let [_, place] = predicate.arguments.as_slice() else {
             return None;
@@ -121,7 +121,7 @@ impl<'a> Plan<'a> {
                 let parent = site.parent.as_deref().unwrap_or_default();
                 (self.part(parent), &site.joints)
             }
-            // The original ignores unknown statements.
+            // LIBERO ignores statements about unknown names.
             (None, None) => return Ok(()),
         };
         let articulation = part.map_or(Articulation::None, |part| {
@@ -187,6 +187,7 @@ impl<'a> Plan<'a> {
             }
             Place::OnSite(region) => {
                 let (base, [x, y, _]) = self.site(predicate, region, true)?;
+                // Half of the site's length along each axis, as in LIBERO.
                 let middle = Rectangle {
                     x: [-x / 2.0, x / 2.0],
                     y: [-y / 2.0, y / 2.0],

@@ -11,13 +11,13 @@ use crate::error::SimError;
 /// Owned simulation state of a model.
 ///
 /// Model and state are separate types, because a rollout perturbs a model that has several states.
-/// Methods take the model that the state was made for.
+/// Methods take a model of the compilation that the state was made for.
 ///
 /// # Panics
-/// Every method panics if it is given another model.
+/// Every method panics if it is given a model of another compilation.
 pub struct Data {
     raw: NonNull<c::mjData>,
-    /// Serial number of the model, whose sizes the arrays have.
+    /// Serial number of the model's compilation, whose sizes the arrays have.
     model: u64,
 }
 
@@ -85,7 +85,7 @@ impl Data {
     }
 
     /// # Panics
-    /// If this state was made for another model.
+    /// If this state was made for a model of another compilation.
     pub(super) fn assert_made_for(&self, model: &Model) {
         assert!(
             self.model == model.serial(),
@@ -319,7 +319,7 @@ mod tests {
         std::mem::swap(&mut own, &mut other);
         assert_eq!(data.qpos(&other).len(), 2);
         assert!(catch_unwind(AssertUnwindSafe(|| data.qpos(&own).len())).is_err());
-        // A model of the same source counts as another model, since it may be perturbed.
+        // A second compilation of the same source counts as another model.
         let twin = chain(2);
         assert!(catch_unwind(AssertUnwindSafe(|| data.qpos(&twin).len())).is_err());
         drop((own, other));

@@ -93,7 +93,8 @@ impl Model {
     }
 
     /// Restores a model whose arrays stay in `arrays`, which holds both parts of the image's arrays
-    /// one after the other. `None` if `arrays` is misaligned, or the structure has another size.
+    /// one after the other. `None` if `arrays` is misaligned, the structure has another size,
+    /// or an offset in it exceeds `arrays`.
     ///
     /// # Safety
     /// The bytes must come from [`Model::image`] of the same version of MuJoCo on the same kind of

@@ -14,11 +14,12 @@ use super::own::OwnArrays;
 use super::slices::values;
 use crate::error::SimError;
 
-/// A compiled model. It owns the arrays that a rollout changes (`own`) and shares
+/// A compiled model. It owns the arrays that a rollout changes (`_own`) and shares
 /// everything else (meshes, textures and data computed from them) with the other models of its
 /// compilation.
 pub struct Model {
-    /// MuJoCo's structure: a copy of the compilation's, except for the pointers to `own` arrays.
+    /// MuJoCo's structure: a copy of the compilation's, except for the pointers to the arrays in
+    /// `_own` and for options of this model.
     raw: Box<c::mjModel>,
     /// Arrays that pointers in `raw` point to.
     _own: OwnArrays,
@@ -263,7 +264,8 @@ impl Model {
         usize::try_from(id).map_err(|_| missing())
     }
 
-    /// Returns every numeric array except the contents of meshes and textures.
+    /// Returns every numeric array except the contents of meshes, textures, height fields and their
+    /// search trees.
     pub fn arrays(&self) -> Vec<NamedArray> {
         arrays::all_arrays(self.raw())
     }
@@ -357,9 +359,9 @@ impl Model {
         cam_pos: f64 = ncam * 3;
         /// Camera orientations in their bodies' frames, w x y z.
         cam_quat: f64 = ncam * 4;
-        /// Light positions, m.
+        /// Light positions in their bodies' frames, m.
         light_pos: f64 = nlight * 3;
-        /// Light directions, unit vectors.
+        /// Light directions in their bodies' frames, unit vectors.
         light_dir: f64 = nlight * 3;
         /// Light colours.
         light_diffuse: f32 = nlight * 3;

@@ -26,8 +26,8 @@ pub struct Segment {
 pub(crate) struct VisualScene {
     options: c::mjvOption,
     scene: Box<c::mjvScene>,
-    /// Serial number of the model. The scene has capacity for that model's skins and flexible
-    /// bodies.
+    /// Serial number of the model's compilation. The scene has capacity for that model's skins and
+    /// flexible bodies.
     model: u64,
 }
 

@@ -6,10 +6,10 @@ use libero_ctrl::numpy::DefaultRng;
 use libero_ctrl::streams::{MatchedStream, Randomness};
 use nalgebra::{Rotation3, Unit, Vector3};
 
-/// Shortest lag that is applied, control steps.
-const SHORTEST_LAG: f64 = 1e-9;
-/// Weakest noise that is applied, action units.
-const LEAST_NOISE: f64 = 1e-12;
+/// Lags up to this are not applied, control steps.
+const NEGLIGIBLE_LAG: f64 = 1e-9;
+/// Noise up to this is not applied, action units.
+const NEGLIGIBLE_NOISE: f64 = 1e-12;
 /// Number of action components for the arm: translation and rotation.
 const ARM: usize = 6;
 
@@ -60,7 +60,7 @@ impl ActuationStage {
             gain: distortion.gain_log2.exp2(),
             misalignment: Rotation3::from_axis_angle(&axis, angle),
             bias: std::array::from_fn(|i| distortion.bias_frac * bias_direction[i] * scale[i]),
-            responsiveness: if lag > SHORTEST_LAG {
+            responsiveness: if lag > NEGLIGIBLE_LAG {
                 1.0 / (1.0 + lag)
             } else {
                 1.0
@@ -110,11 +110,15 @@ impl ActuationStage {
         .concat()
     }
 
-    /// Draws six standard normals; draws none if the noise is zero.
+    /// Draws six standard normals; draws none if no component's noise exceeds [`NEGLIGIBLE_NOISE`].
     fn next_noise(&mut self) -> [f64; ARM] {
         let step = self.step;
         self.step += 1;
-        if self.noise_sigma.iter().all(|&sigma| sigma <= LEAST_NOISE) {
+        if self
+            .noise_sigma
+            .iter()
+            .all(|&sigma| sigma <= NEGLIGIBLE_NOISE)
+        {
             return [0.0; ARM];
         }
         match &mut self.noise {

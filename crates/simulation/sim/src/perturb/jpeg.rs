@@ -183,6 +183,7 @@ const fn fixed(value: f64) -> i32 {
     (value * 65536.0 + 0.5) as i32
 }
 
+/// One half in fixed point with 16 fractional bits.
 const HALF: i32 = 1 << 15;
 
 /// Converts to luminance, blue difference and red difference (JFIF).

@@ -63,7 +63,8 @@ fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
 }
 
 /// Rotates a light's position about the look-at point, and its direction, by `angle` rad about the
-/// horizontal axis that is perpendicular to the light's offset from that point.
+/// horizontal axis that is perpendicular to the light's offset from that point. A positive angle
+/// lowers the light.
 fn elevate(light: &Light, look_at: [f64; 3], angle: f64) -> ([f64; 3], [f64; 3]) {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(light.position) - look_at;

@@ -16,12 +16,12 @@ use super::jpeg;
 const REFERENCE_PX: f64 = 128.0;
 /// Shortest motion blur that is applied, pixels.
 const SHORTEST_MOTION_PX: f64 = 1.5;
-/// Narrowest Gaussian blur that is applied, pixels.
-const LEAST_BLUR_PX: f64 = 1e-3;
-/// Weakest compression that is applied, log2 of 100 over the quality.
-const LEAST_JPEG_LOG2: f64 = 1e-3;
-/// Weakest noise that is applied, for values in [0, 1].
-const LEAST_NOISE: f64 = 1e-5;
+/// Gaussian blur up to this standard deviation is not applied, pixels.
+const NEGLIGIBLE_BLUR_PX: f64 = 1e-3;
+/// Compression up to this is not applied, log2 of 100 over the quality.
+const NEGLIGIBLE_JPEG_LOG2: f64 = 1e-3;
+/// Noise up to this standard deviation is not applied, for values in [0, 1].
+const NEGLIGIBLE_NOISE: f64 = 1e-5;
 /// Cut-off of the Gaussian, standard deviations.
 const TRUNCATE_SIGMAS: f64 = 4.0;
 
@@ -118,7 +118,7 @@ impl SensorStage {
             picture = picture.motion_blurred(&motion_kernel(motion_px, self.motion_angle));
         }
         let blur_px = self.corruption.blur_sigma.abs() * scale;
-        if blur_px > LEAST_BLUR_PX {
+        if blur_px > NEGLIGIBLE_BLUR_PX {
             picture = picture.gaussian_blurred(&gaussian_kernel(blur_px));
         }
         if let Some(quality) = self.jpeg_quality() {
@@ -130,8 +130,8 @@ impl SensorStage {
         frame.rgb.copy_from_slice(&picture.to_bytes());
     }
 
-    /// Returns the drawn elements to store with the result: the blur's angle, and the first noise
-    /// values of each camera's first picture.
+    /// Returns the drawn elements to store with the result: the blur's angle, and the first four
+    /// noise values of each camera's first picture.
     pub fn realised(&self) -> Vec<f64> {
         let mut realised = vec![self.motion_angle];
         for source in FrameSource::ALL {
@@ -153,12 +153,12 @@ impl SensorStage {
     fn jpeg_quality(&self) -> Option<u8> {
         let strength = self.corruption.jpeg_log2.abs();
         let quality = (100.0 * (-strength).exp2()).round_ties_even();
-        (strength > LEAST_JPEG_LOG2).then_some(quality.clamp(1.0, 100.0) as u8)
+        (strength > NEGLIGIBLE_JPEG_LOG2).then_some(quality.clamp(1.0, 100.0) as u8)
     }
 
     fn add_noise(&mut self, source: FrameSource, step: u32, values: &mut [f64]) {
         let sigma = self.corruption.noise_sigma.abs();
-        if sigma <= LEAST_NOISE {
+        if sigma <= NEGLIGIBLE_NOISE {
             return;
         }
         match &mut self.noise {

@@ -98,7 +98,7 @@ impl GlCanvas {
         let numbers = rgb
             .chunks_exact(3)
             .map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
-        // 0 is the background; ids start at 1.
+        // 0 is the background; any other number is a geom's id plus 1.
         Ok(numbers
             .map(|number| segments.get(&number.checked_sub(1)?).copied())
             .collect())

@@ -72,7 +72,7 @@ pub struct SceneFolder {
     pub(super) limit: u64,
     /// Id of this process's user.
     pub(super) user: u32,
-    /// Layout of MuJoCo's arrays; see [`layout`].
+    /// Description of the files' layout; see [`layout`].
     pub(super) layout: String,
     /// Longest wait for another process.
     pub(super) max_wait: Duration,

@@ -1,5 +1,5 @@
-//! Replays every call of NumPy's global generator that a reset of the original makes, for all
-//! evaluation tasks. Skipped, with a message, if the reference data is missing.
+//! Replays every call of NumPy's global generator that a reset of the original LIBERO makes, for
+//! all evaluation tasks. Skipped, with a message, if the reference data is missing.
 
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -11,7 +11,7 @@ use sim::{Environment, Reset, SimError};
 
 use files::{compile, crowded, packs};
 
-/// Number of times that the original has loaded its model: at construction, and in one hard reset.
+/// Number of times that LIBERO has loaded its model: at construction, and in one hard reset.
 const LOADED_TWICE: u32 = 2;
 
 #[test]

@@ -138,7 +138,7 @@ fn assert_close(values: &[f64], expected: &[f64], tolerance: f64, reset_name: &s
 }
 
 #[test]
-fn resets_reproduce_the_originals_placements_and_generator_state() {
+fn resets_reproduce_liberos_placements_and_generator_state() {
     let recorded: Recorded = serde_json::from_str(include_str!("recorded.json")).unwrap();
     for pack in packs() {
         let mut compiled: Option<(&str, Environment)> = None;

@@ -1,4 +1,5 @@
-//! Arm for tests: a chain of 0.2 m links that turn about alternating axes.
+//! Arm for tests: a chain of links, each 0.2 m up and 0.05 m sideways, which turn about alternating
+//! axes.
 
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 
