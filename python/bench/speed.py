@@ -1,4 +1,4 @@
-"""Times the environments of the installed `libero` (the original or the shim), and those of
+"""Times the environments of the installed `libero` (the original LIBERO or the shim), and those of
 `rollout_libero`. Prints one line of JSON.
 
 usage: speed.py one|processes|threads TASK [--environments N] [--steps N]

@@ -1,5 +1,5 @@
-"""Compares the success of recorded trajectories in rollout_libero and in the original, without
-rendering.
+"""Compares the success of recorded trajectories in rollout_libero and in the original LIBERO,
+without rendering.
 
 usage: trajectories.py record FOLDER [--each N] [--tasks TASK …]   with rollout_libero
        trajectories.py replay FOLDER                               with the original LIBERO
@@ -139,8 +139,8 @@ def replay(recorded: Path) -> None:
 def table(folder: Path) -> list[str]:
     """Returns the comparison, a row for each suite, and the trajectories that differ."""
     rows = [
-        "| | trajectories | solved here, in the original | same step | within "
-        f"{SUCCESS_STEPS} | largest difference before contact | first difference above "
+        "| | trajectories | solved here, in the original | at the same step | within "
+        f"{SUCCESS_STEPS} steps | largest difference before contact | first difference above "
         f"{TOLERANCE:g}, step | first contact, step |",
         "| --- |" + " --- |" * 7,
     ]

@@ -210,7 +210,7 @@ class LerobotModel:
         noise: np.ndarray | None = None,
         under_way: UnderWay | None = None,
     ) -> np.ndarray:
-        """Returns chunks of actions [batch, n, 7], in the world's units.
+        """Returns chunks of actions, un-normalised, [batch, n, 7].
 
         `noise` is the flow's initial noise, [batch, n, width]; without it the
         network draws from torch's generator. `under_way` has the actions that are executed

@@ -1,5 +1,5 @@
-"""Code shared by OpenVLA's descendants: a transformers folder that is read by
-each policy's own clone of `prismatic`.
+"""Code shared by OpenVLA's descendants, whose checkpoints are folders in transformers' format. Each
+policy's repository has its own version of the package `prismatic`, which reads them.
 
 Upstream's helpers place everything on the first GPU, query the hub for every
 path and write into the checkpoint's folder. This module therefore assembles the
@@ -67,7 +67,7 @@ def load_network(
 ) -> tuple[Any, Any]:
     """Returns the network in bfloat16 and the processor of its inputs.
 
-    `causal` says that its language model was trained with causal attention: a
+    `causal` says that the network's language model was trained with causal attention: a
     token does not see later ones. Raises UnusableCheckpoint if weights are
     missing, UpstreamMissing if the installed transformers is not the policy's.
     """
