@@ -66,7 +66,7 @@ def record(task: str, each: int, folder: Path) -> None:
     # `replay` resets one environment of the original for all trajectories, so that each trajectory
     # has one reset more than the previous one.
     envs.reset([Start(bddl, states[at], loads=LOADS + at) for at in range(each)])
-    batch = native.Batch(envs.simulations, 2)
+    batch = native.Batch(envs.simulations, threads=2)
     steps: list[dict[str, Any]] = []
     ends = np.full(each, Task.of(task).max_steps)
     while len(steps) < ends.max():

@@ -27,7 +27,7 @@ def prompt(instruction: str) -> str:
     return f"In: What action should the robot take to {instruction.lower()}?\nOut:"
 
 
-def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
+def statistics_key(suite: str, all_statistics: Mapping[str, Any]) -> str:
     """Returns the key of a suite's statistics. OpenVLA's data sets are named
     `libero_goal_no_noops` if steps without motion were removed.
 
@@ -56,7 +56,7 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
         )
     # The statistics in the configuration are those of the pre-training.
     all_statistics = json.loads(file.read_text("utf-8"))
-    key = statistics_of(suite, all_statistics)
+    key = statistics_key(suite, all_statistics)
     actions = all_statistics[key].get("action", {})
     summary = require_statistics("actions", "QUANTILES", actions, ACTION_WIDTH)
     return all_statistics, key, f"{key}: {summary}"
