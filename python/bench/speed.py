@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+#: Side of a frame, pixels.
 SIDE = 256
 #: Timed resets; an environment's first reset is not timed.
 RESETS = 11

@@ -59,8 +59,8 @@ def main() -> int:
         scenario = {"framework": framework, "task": task, "environments": count}
         arms = [arm for arm in ARMS[framework] if arm in flags.arms]
         keys = {arm: (framework, task, count, arm) for arm in arms}
-        # A round has all of its arms or none, so that all are measured under the same conditions. The
-        # factor 1.1 leaves a margin over the longest durations so far.
+        # A round has all of its arms or none, so that all are measured under the same conditions.
+        # The factor 1.1 leaves a margin over the longest durations so far.
         if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
             print(f"{scenario}, round {round_number}: skipped for lack of time", flush=True)
             continue
