@@ -24,8 +24,8 @@ from simulated_smolvla import BATCHES, CAMERAS, STATE, SimulatedSmolvla
 from rollout_policies import Episode, Observation
 
 HERE = Path(__file__).parent
-#: Time limit for a server to prepare its network, s.
-READY_SECS = 300
+#: Time limit for a server to end after SIGTERM, s.
+END_SECS = 300
 
 
 def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
@@ -75,7 +75,7 @@ def running(command: list[str]):
         yield line[2]
     finally:
         process.terminate()
-        process.wait(READY_SECS)
+        process.wait(END_SECS)
 
 
 def measure_slots(programs: dict, address: str, count: int, secs: int) -> dict:
@@ -109,7 +109,12 @@ def main() -> None:
     parser.add_argument("--bin", type=Path, required=True, help="folder of the two programs")
     parser.add_argument("--output", type=Path, required=True, help="JSON file to write")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    parser.add_argument("--secs", type=int, default=10)
+    parser.add_argument(
+        "--secs",
+        type=int,
+        default=10,
+        help="seconds of each measurement of a server; the network alone is measured half as long",
+    )
     parser.add_argument("--tiny", action="store_true", help="a small network, for a CPU")
     arguments = parser.parse_args()
     candidates = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]

@@ -58,7 +58,20 @@ class Size:
 
 
 #: A small size for testing the programs on a CPU.
-TINY = Size(128, 16, 4, 64, 2, 60, 30, 2, 3, 1, 16, 256)
+TINY = Size(
+    side=128,
+    patch=16,
+    merge=4,
+    vision_width=64,
+    vision_layers=2,
+    width=60,
+    expert_width=30,
+    layers=2,
+    heads=3,
+    kv_heads=1,
+    head=16,
+    vocabulary=256,
+)
 
 
 class VisionLayer(nn.Module):
@@ -89,6 +102,7 @@ class Layer(nn.Module):
     def __init__(self, width: int, size: Size) -> None:
         super().__init__()
         self.size = size
+        # As in SmolLM2, whose layers of width 960 have 2,560 hidden units.
         hidden = 8 * width // 3
         self.norms = nn.ModuleList([nn.RMSNorm(width), nn.RMSNorm(width)])
         self.query = nn.Linear(width, size.heads * size.head, bias=False)

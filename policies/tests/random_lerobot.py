@@ -156,6 +156,7 @@ def small_pi05() -> Iterator[None]:
         return create
 
     widths = {"gemma_2b": 2048, "gemma_300m": 256}
+    # GemmaConfig takes width, depth, MLP width, heads, key-value heads and width of a head.
     replacements = {
         "get_gemma_config": lambda kind: upstream.GemmaConfig(widths[kind], 2, 512, 8, 1, 256),
         "CONFIG_MAPPING": {"paligemma": small_paligemma, "gemma": CONFIG_MAPPING["gemma"]},

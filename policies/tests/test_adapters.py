@@ -240,12 +240,12 @@ def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
 
 
 def test_statistics_are_found_with_and_without_no_noops():
-    assert prismatic.statistics_of("libero_10", {"libero_10_no_noops": {}}) == (
+    assert prismatic.statistics_key("libero_10", {"libero_10_no_noops": {}}) == (
         "libero_10_no_noops"
     )
-    assert prismatic.statistics_of("libero_10", {"libero_10": {}}) == "libero_10"
+    assert prismatic.statistics_key("libero_10", {"libero_10": {}}) == "libero_10"
     with pytest.raises(ValueError, match="no statistics of libero_10; it has those of bridge"):
-        prismatic.statistics_of("libero_10", {"bridge": {}})
+        prismatic.statistics_key("libero_10", {"bridge": {}})
 
 
 class RecordingUnivla:

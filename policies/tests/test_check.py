@@ -311,7 +311,7 @@ def test_a_synthetic_observation_has_the_requested_shape():
     }
     assert all(frame.dtype == np.uint8 for frame in synthetic.images.values())
     assert len(synthetic.vector()) == sum(field.size for field in State)
-    # The readings of LIBERO's robot are below 4, too.
+    # In SI units, the readings of LIBERO's robot are below 4.
     assert all(np.abs(reading).max() < 4 for reading in synthetic.state.values())
 
 

@@ -58,7 +58,7 @@ pub struct RouteSpec {
     pub checkpoints: CheckpointSpecs,
     /// Batching and distribution of queries.
     pub batching: Batching,
-    /// Longest wait for an answer.
+    /// Longest time for which a server may answer no query while a call is in flight.
     pub answer_within: Duration,
     /// Certificate authority and token for the route's servers.
     pub access: AccessFiles,

@@ -91,6 +91,7 @@ pub struct Outage {
 struct Probe {
     /// Session of the probe; `None` for a description, which is a single call.
     session: Option<String>,
+    /// Time from which another session may probe.
     until: Instant,
 }
 

@@ -65,6 +65,6 @@ pub const MAX_TEXT_BYTES: usize = 512;
 pub const MAX_SETTING_NAME_BYTES: usize = 64;
 /// Longest value of a setting, bytes.
 pub const MAX_SETTING_VALUE_BYTES: usize = 512;
-/// Largest message accepted, bytes: an observation of two 512×512 frames fits
-/// four times. tonic's own default of 4 MiB does not hold a batch.
+/// Largest message accepted, bytes: a batch of 64 observations of two 256 × 256 frames each takes
+/// 24 MiB. tonic's own default of 4 MiB does not hold such a batch.
 pub const MAX_MESSAGE_BYTES: usize = 32 << 20;

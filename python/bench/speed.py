@@ -1,4 +1,4 @@
-"""Times the environments of the installed `libero` (the original or the shim), and those of
+"""Times the environments of the installed `libero` (the original LIBERO or the shim), and those of
 `rollout_libero`. Prints one line of JSON.
 
 usage: speed.py one|processes|threads TASK [--environments N] [--steps N]
@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+#: Side of a frame, pixels.
 SIDE = 256
 #: Timed resets; an environment's first reset is not timed.
 RESETS = 11

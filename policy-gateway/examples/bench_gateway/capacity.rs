@@ -25,10 +25,10 @@ pub(crate) struct Slots {
     /// Name of the policy, if the server has several
     #[arg(long, default_value = "")]
     policy: String,
-    /// Slots
+    /// Number of slots
     #[arg(long, default_value_t = 64)]
     slots: u32,
-    /// Seconds
+    /// Seconds of the measurement, after two seconds of warm-up
     #[arg(long, default_value_t = 20)]
     secs: u64,
 }

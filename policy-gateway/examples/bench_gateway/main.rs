@@ -49,7 +49,7 @@ struct Measure {
     /// Seconds of every measurement
     #[arg(long, default_value_t = 8)]
     secs: u64,
-    /// Times that latency is measured, directly and through the gateway in turn
+    /// Rounds of the latency measurement, each directly and then through the gateway
     #[arg(long, default_value_t = 5)]
     rounds: u32,
     /// Queries that wait at once while the server is stalled

@@ -29,7 +29,7 @@ const SIDE: u32 = 256;
 
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Milliseconds for one batch, whatever its size; 0: none
+    /// Milliseconds for one batch, whatever its size; 0 answers at once
     #[arg(long, default_value_t = 0)]
     pub(crate) batch_millis: u64,
     /// Largest batch

@@ -9,6 +9,7 @@ mod walk;
 
 use walk::{Credentials, OPERATOR, Table, calls_of, guarded, is_call, open, walk};
 
+/// The gateway's access table; it has no log-in page.
 const TABLE: Table = (resource, None);
 
 /// Paths; true if a call needs no token.

@@ -31,7 +31,7 @@ struct Shared {
     backend: Arc<dyn Backend>,
     watch: Arc<Watch>,
     answer_within: Duration,
-    /// Waiting queries, and the largest batch size as last reported.
+    /// Waiting queries, and the largest batch size that the last query came with.
     queue: Mutex<(Queue<Query>, usize)>,
     changed: Notify,
 }

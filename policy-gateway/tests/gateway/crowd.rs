@@ -56,8 +56,9 @@ impl SlowServer {
         }
     }
 
-    /// Computes this number of queries in turn, unless the caller has disconnected by then. A
-    /// computation that has begun runs to its end.
+    /// Computes the queries of one call, together in the time `per_query`, after those of earlier
+    /// calls, unless the caller has disconnected by then. A computation that has begun runs to its
+    /// end.
     async fn compute(&self, queries: usize) {
         self.awaited.fetch_add(1, Ordering::SeqCst);
         let _awaited = Awaited(Arc::clone(&self.awaited));

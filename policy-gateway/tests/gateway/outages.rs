@@ -9,8 +9,8 @@ use tonic::{Code, Status, transport::Channel};
 
 use crate::support::{describe, gateway, gateway_at, infer, reset, unused_address};
 
-/// Sends queries until one is answered, for as long as the back-off may take.
-async fn query_until_answered(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
+/// Requests the description until the policy answers, for at most twice the longest back-off.
+async fn describe_until_answered(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
     let deadline = Instant::now() + 2 * WAITS.longest;
     loop {
         match client.describe(describe("")).await {
@@ -55,7 +55,7 @@ async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
     assert_eq!(batch.code(), Code::Unavailable);
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    query_until_answered(&mut client)
+    describe_until_answered(&mut client)
         .await
         .expect("the policy came up");
 }
@@ -77,7 +77,7 @@ async fn a_restarted_policy_is_used_again() {
     assert_eq!(down.code(), Code::Unavailable, "{down}");
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    query_until_answered(&mut client)
+    describe_until_answered(&mut client)
         .await
         .expect("the policy came back");
     // The server has lost the session, but keeps no state between queries: the gateway repeats the
@@ -110,7 +110,7 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     drop(silent_listener);
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
     let restarted_at = Instant::now();
-    query_until_answered(&mut client)
+    describe_until_answered(&mut client)
         .await
         .expect("the policy is tried again");
     assert!(restarted_at.elapsed() < WAITS.longest);

@@ -1,5 +1,5 @@
-"""Checks that a comparison is fair: the same motion in both simulators, and the name of the
-original's OpenGL renderer.
+"""Checks that a comparison of the original LIBERO with rollout-libero is fair: the same motion
+in both simulators. Also reads the name of the original's OpenGL renderer.
 
 usage: checks.py record TASK FILE    records the scripted expert's actions in rollout_libero
        checks.py replay TASK FILE    replays these actions in the installed `libero`; prints JSON
@@ -57,6 +57,7 @@ def record_actions(task: str) -> np.ndarray:
         *_, infos = envs.step_chunk(np.zeros((1, 1, 7)), expert=np.ones((1, 1), bool))
         actions.append(infos["expert_action"][0, 0])
         if infos["success"][0]:
+            # The other simulator may reach the goal up to SUCCESS_STEPS later.
             actions += [actions[-1]] * (SUCCESS_STEPS + 3)
             break
     envs.close()

@@ -11,9 +11,9 @@ that an interrupted comparison keeps the results of its complete runs.
 
 Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
 a chunk. S, the shim with every frame read. S+, the shim with only the last frames of chunks read:
-it renders only frames that are read. V, all environments in one process: by RLINF_EXT_MODULE in
-RLinf, and by a TrainingEnvironment in place of SimpleVLA-RL's processes. RLinf reads every frame,
-so its S+ equals S.
+it renders only frames that are read. V, all environments in one process: in RLinf by
+`rollout_libero.rlinf`, which users name in RLINF_EXT_MODULE; otherwise by a TrainingEnvironment in
+place of SimpleVLA-RL's processes. RLinf reads every frame, so its S+ equals S.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ def main() -> int:
         arms = [arm for arm in ARMS[framework] if arm in flags.arms]
         keys = {arm: (framework, task, count, arm) for arm in arms}
         # A round has all of its arms or none, so that all are measured under the same conditions.
+        # The factor 1.1 leaves a margin over the longest durations so far.
         if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
             print(f"{scenario}, round {round_number}: skipped for lack of time", flush=True)
             continue

@@ -72,7 +72,7 @@ def _policy_table(runs: list[dict[str, Any]]) -> list[str]:
     succeeded = [run for run in runs if "error" not in run]
     names = list(dict.fromkeys(name for run in succeeded for name in run["policies"]))
     titles = [title for _, title, _ in _POLICY_COLUMNS]
-    lines = _head(["policy", "arm", *titles, "ratio to O", "to O'"])
+    lines = _head(["policy", "arm", *titles, "steps/s relative to O", "to O'"])
     for name in names:
         speeds: dict[str, float] = {}
         for arm, arm_runs in _by_arm(succeeded).items():

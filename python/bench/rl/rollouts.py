@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+#: Side of a frame, pixels.
 SIDE = 256
 #: Settling steps at the start of a rollout, by framework.
 SETTLING = {"rlinf": 15, "simplevla": 10}

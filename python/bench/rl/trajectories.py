@@ -1,5 +1,5 @@
-"""Compares the success of recorded trajectories in rollout_libero and in the original, without
-rendering.
+"""Compares the success of recorded trajectories in rollout_libero and in the original LIBERO,
+without rendering.
 
 usage: trajectories.py record FOLDER [--each N] [--tasks TASK …]   with rollout_libero
        trajectories.py replay FOLDER                               with the original LIBERO
@@ -66,7 +66,7 @@ def record(task: str, each: int, folder: Path) -> None:
     # `replay` resets one environment of the original for all trajectories, so that each trajectory
     # has one reset more than the previous one.
     envs.reset([Start(bddl, states[at], loads=LOADS + at) for at in range(each)])
-    batch = native.Batch(envs.simulations, 2)
+    batch = native.Batch(envs.simulations, threads=2)
     steps: list[dict[str, Any]] = []
     ends = np.full(each, Task.of(task).max_steps)
     while len(steps) < ends.max():
@@ -139,8 +139,8 @@ def replay(recorded: Path) -> None:
 def table(folder: Path) -> list[str]:
     """Returns the comparison, a row for each suite, and the trajectories that differ."""
     rows = [
-        "| | trajectories | solved here, in the original | same step | within "
-        f"{SUCCESS_STEPS} | largest difference before contact | first difference above "
+        "| | trajectories | solved here, in the original | at the same step | within "
+        f"{SUCCESS_STEPS} steps | largest difference before contact | first difference above "
         f"{TOLERANCE:g}, step | first contact, step |",
         "| --- |" + " --- |" * 7,
     ]

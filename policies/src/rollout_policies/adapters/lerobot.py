@@ -210,7 +210,7 @@ class LerobotModel:
         noise: np.ndarray | None = None,
         under_way: UnderWay | None = None,
     ) -> np.ndarray:
-        """Returns chunks of actions [batch, n, 7], in the world's units.
+        """Returns chunks of actions, un-normalised, [batch, n, 7].
 
         `noise` is the flow's initial noise, [batch, n, width]; without it the
         network draws from torch's generator. `under_way` has the actions that are executed
@@ -225,7 +225,7 @@ class LerobotModel:
             arguments["noise"] = torch.from_numpy(noise.astype(np.float32)).to(device)
         if under_way is not None:
             # The actions are normalised and start at this observation's step, as lerobot requires
-            # of the rest of the last chunk.
+            # of the last chunk's actions that are not executed yet.
             arguments["prev_chunk_left_over"] = batch.pop(ACTION)
             arguments["inference_delay"] = under_way.delay
             guided_steps = self.config.rtc_config.execution_horizon

@@ -48,7 +48,7 @@ def frame(turned: np.ndarray) -> np.ndarray:
 
 
 def proprio(state: np.ndarray, statistics: Mapping[str, Any]) -> np.ndarray:
-    """Scales the state [8] from its first and last percentile to -1..1."""
+    """Scales the state [8]: its 1st percentile to -1, its 99th to 1. Clips to -1..1."""
     mask = statistics.get("mask", [True] * len(state))
     return within_bounds(state, statistics["q01"], statistics["q99"], mask)
 
@@ -78,8 +78,7 @@ class OftModel:
     def chunk(
         self, scene: np.ndarray, wrist: np.ndarray, text: str, state: np.ndarray
     ) -> np.ndarray:
-        """Returns eight actions in the world's units, except the gripper: 0
-        closed, 1 open."""
+        """Returns eight actions, un-normalised, [8, 7]. The gripper is 0 closed, 1 open."""
         import torch
         from PIL import Image
 

@@ -1,5 +1,5 @@
-"""Code shared by OpenVLA's descendants: a transformers folder that is read by
-each policy's own clone of `prismatic`.
+"""Code shared by OpenVLA's descendants, whose checkpoints are folders in transformers' format. Each
+policy's repository has its own version of the package `prismatic`, which reads them.
 
 Upstream's helpers place everything on the first GPU, query the hub for every
 path and write into the checkpoint's folder. This module therefore assembles the
@@ -27,7 +27,7 @@ def prompt(instruction: str) -> str:
     return f"In: What action should the robot take to {instruction.lower()}?\nOut:"
 
 
-def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
+def statistics_key(suite: str, all_statistics: Mapping[str, Any]) -> str:
     """Returns the key of a suite's statistics. OpenVLA's data sets are named
     `libero_goal_no_noops` if steps without motion were removed.
 
@@ -56,7 +56,7 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
         )
     # The statistics in the configuration are those of the pre-training.
     all_statistics = json.loads(file.read_text("utf-8"))
-    key = statistics_of(suite, all_statistics)
+    key = statistics_key(suite, all_statistics)
     actions = all_statistics[key].get("action", {})
     summary = require_statistics("actions", "QUANTILES", actions, ACTION_WIDTH)
     return all_statistics, key, f"{key}: {summary}"
@@ -67,7 +67,7 @@ def load_network(
 ) -> tuple[Any, Any]:
     """Returns the network in bfloat16 and the processor of its inputs.
 
-    `causal` says that its language model was trained with causal attention: a
+    `causal` says that the network's language model was trained with causal attention: a
     token does not see later ones. Raises UnusableCheckpoint if weights are
     missing, UpstreamMissing if the installed transformers is not the policy's.
     """

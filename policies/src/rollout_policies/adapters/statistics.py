@@ -1,4 +1,5 @@
-"""Statistics that convert between a network's numbers and the world's units.
+"""Statistics that convert between a network's normalised numbers and the units of its training
+data, which are those of LIBERO's states and actions.
 
 A checkpoint without them loads and moves, but its actions stay normalised as in
 training, and every task fails.
@@ -30,8 +31,8 @@ def require_statistics(
     title: str, mode: str, statistics: Mapping[str, Any], width: int | None = None
 ) -> str:
     """Checks that a feature's statistics for this normalisation mode exist, are finite, have a
-    spread other than 0, and have `width` numbers unless `width` is None. Returns a short text: the
-    feature's `title`, such as "actions", the mode and a digest.
+    spread in at least one number, and have `width` numbers unless `width` is None. Returns a short
+    text: the feature's `title`, such as "actions", the mode and a digest.
 
     Raises UnusableCheckpoint.
     """

@@ -38,7 +38,8 @@ DECAY = 0.1
 #: Sampling parameters of latent actions.
 TEMPERATURE = 0.75
 TOP_P = 0.9
-#: First token of the 32 latent actions, and the number of them in one step.
+#: Token of the first latent action, number of different latent actions, and number of sampled
+#: latent actions that the decoder reads.
 FIRST_TOKEN = 32001
 LATENT_ACTIONS = 32
 LATENT_STEPS = 4

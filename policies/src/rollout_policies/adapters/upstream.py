@@ -59,8 +59,8 @@ def require_suite(entry: Entry, served: str | None, episode: Episode) -> None:
 
 
 def digest(files: Iterable[Path]) -> str:
-    """Returns SHA-256 over files, by name and content, in hex. Two servers of
-    one policy have the same weights only if their digests are equal."""
+    """Returns SHA-256 over the names and contents of files, in hex. Servers with equal digests
+    have the same weights."""
     total = hashlib.sha256()
     for path in sorted(files, key=lambda path: path.name):
         total.update(path.name.encode())

@@ -1,4 +1,5 @@
-"""Conversion between a network's range and the world's, and averaging of overlapping chunks."""
+"""Conversion between a network's range, -1..1, and the units of its training data, and averaging of
+overlapping chunks."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ import numpy as np
 def within_bounds(
     values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
 ) -> np.ndarray:
-    """Scales world values to -1..1, `low` to -1 and `high` to 1, and clips; values
-    outside `mask` are only clipped. Equals OpenVLA-OFT's `normalize_proprio`."""
+    """Scales values in the training data's units to -1..1, `low` to -1 and `high` to 1, and
+    clips; values outside `mask` are only clipped. Equals OpenVLA-OFT's `normalize_proprio`."""
     least, most = np.asarray(low), np.asarray(high)
     scaled = 2 * (values - least) / (most - least + 1e-8) - 1
     return np.clip(np.where(mask, scaled, values), -1.0, 1.0)
@@ -22,8 +23,8 @@ def within_bounds(
 def from_bounds(
     values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
 ) -> np.ndarray:
-    """Scales -1..1 back to world values where `mask` is set. Equals UniVLA's decoder, with the
-    first and the last percentile as bounds."""
+    """Scales -1..1 back to the training data's units where `mask` is set. Equals UniVLA's decoder
+    if `low` and `high` are the 1st and the 99th percentile."""
     least, most = np.asarray(low), np.asarray(high)
     return np.where(mask, 0.5 * (values + 1) * (most - least) + least, values)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from libero.libero import paths
 from rollout_libero import files
 
+#: Folders of a package's fetched task files, by key of `get_libero_path`.
 _FOLDERS = {"bddl_files": "bddl_files", "init_states": "init_files"}
 
 

@@ -15,7 +15,7 @@ libero_config_path = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/
 config_file = os.path.join(libero_config_path, "config.yaml")
 
 _KEYS = ("benchmark_root", "bddl_files", "init_states", "datasets", "assets")
-#: The folder of `libero.libero`, which holds the original's files. Programs compare it with
+#: The folder of `libero.libero`, which holds LIBERO's files. Programs compare it with
 #: `benchmark_root` to detect the configuration of another installation.
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 

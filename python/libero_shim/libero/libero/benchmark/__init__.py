@@ -155,7 +155,7 @@ LIBERO_10 = _suite("libero_10")
 @register_benchmark
 class LIBERO_100(Benchmark):
     """libero_90 and libero_10 together. It has no files of its own, and cannot
-    be constructed in the original either."""
+    be constructed in LIBERO itself either."""
 
     def __init__(self, task_order_index: int = 0) -> None:
         raise KeyError(

@@ -1,4 +1,4 @@
-"""The benchmark's tables: tasks of each suite in the original order, and 21 orders of ten tasks."""
+"""The benchmark's tables: tasks of each suite in LIBERO's order, and its 21 orders of ten tasks."""
 
 from rollout_libero import tasks
 

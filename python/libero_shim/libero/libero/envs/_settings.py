@@ -24,8 +24,8 @@ OSC_POSE: dict[str, Any] = {
 }
 _SEGMENTATIONS = ("instance", "class", "element")
 
-#: Arguments of the original for which this package permits few values: the permitted values,
-#: and the reason.
+#: Arguments of LIBERO's environments for which this package permits few values: the permitted
+#: values, and the reason.
 _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "gripper_types": (("default",), "the Panda has its own gripper"),
     "initialization_noise": ((None,), "the arm starts at home, as in LIBERO's evaluations"),
@@ -42,7 +42,7 @@ _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "scene_xml": ((None,), "the room is the one that the BDDL file's problem has"),
     "scene_properties": ((None,), "the room is the one that the BDDL file's problem has"),
 }
-#: Arguments that have no effect here. Some of them have no effect in the original either.
+#: Arguments that have no effect here. Some of them have no effect in LIBERO either.
 _IGNORED = ("reward_shaping", "render_camera", "render_gpu_device_id")
 
 
@@ -89,8 +89,8 @@ class Settings:
         reward_scale: float | None = 1.0,
         **others: Any,
     ) -> Settings:
-        """Returns the checked settings. Raises NotImplementedError for features that only the
-        original has, TypeError for an argument that the original does not have either, and
+        """Returns the checked settings. Raises NotImplementedError for features that only
+        LIBERO has, TypeError for an argument that LIBERO does not have either, and
         ValueError for an invalid value."""
         if list(_listed(robots, 1)) != ["Panda"]:
             raise _unsupported("robots", robots, 'LIBERO\'s robot is robots=["Panda"]')

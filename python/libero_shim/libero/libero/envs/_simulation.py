@@ -77,9 +77,9 @@ class SimulationHandle:
             self._simulation = None
 
     def start_over(self, model_loads: int, *, hard: bool) -> int:
-        """Resets all placements, drawing from NumPy's global generator as the original does.
+        """Resets all placements, drawing from NumPy's global generator as LIBERO does.
 
-        `model_loads` is the number of times that the original would have loaded its model so far.
+        `model_loads` is the number of times that LIBERO would have loaded its model so far.
         Returns that number after the reset; it grows when placements are drawn again for lack of
         room.
         """

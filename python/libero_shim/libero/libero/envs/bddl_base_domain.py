@@ -48,7 +48,7 @@ class BDDLBaseDomain:
         """Takes robosuite's arguments. Some of them permit only the default; see `Settings.check`.
         `change` holds the posture and the view of a variant of LIBERO-Plus.
 
-        Draws placements from NumPy's global generator, as the original does.
+        Draws placements from NumPy's global generator, as LIBERO does.
         `reset` returns the first observation.
 
         Raises FileNotFoundError for a missing file or missing assets, and the
@@ -109,7 +109,7 @@ class BDDLBaseDomain:
     def reset(self) -> Observation:
         """Resets all placements and returns the observation.
 
-        With `hard_reset` the original loads its model again, which lengthens its list of samplers
+        With `hard_reset` LIBERO loads its model again, which lengthens its list of samplers
         for doors and knobs and so changes later draws. This method counts these loads, and draws
         the same numbers.
         """

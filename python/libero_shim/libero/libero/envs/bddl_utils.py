@@ -63,7 +63,7 @@ def get_problem_info(problem_filename: str | os.PathLike[str]) -> ProblemInfo:
 def robosuite_parse_problem(
     problem_filename: str | os.PathLike[str],
 ) -> dict[str, Any]:
-    """Returns the whole contents of a file, with the original's keys.
+    """Returns the whole contents of a file, with LIBERO's keys.
 
     `fixtures` and `objects` map a category to its instances; `regions` a region's name,
     target included, to its target, ranges (x and y from, x and y to, m), rotation (rad)

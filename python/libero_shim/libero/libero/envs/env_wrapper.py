@@ -61,7 +61,7 @@ class ControlEnv:
         scene. Sizes of frames are in pixels, `horizon` is in steps.
 
         Raises FileNotFoundError for a missing file or missing assets,
-        NotImplementedError for features that only the original has.
+        NotImplementedError for features that only LIBERO has.
         """
         with report_failure():
             self._construct(

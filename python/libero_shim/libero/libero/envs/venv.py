@@ -239,7 +239,8 @@ def _serve(
     memory: _shared_memory.SharedMemory | None = None,
 ) -> None:
     """Runs an environment: answers messages `[command, data]` until the command `close`. Frames of
-    an answer are written to `memory` unless it is None."""
+    an answer are written to `memory` unless it is None. `obs_bufs` is not used; it keeps the
+    position that it has in LIBERO's function."""
     parent.close()
     if memory is not None:
         # A forked process has its own copy of the descriptor.
