@@ -201,11 +201,11 @@ class Simulation:
         original's order, place all objects; the arm is at home, controllers are new, the time is
         0. Then computes the derived quantities and observes once.
 
-        `joint_sampler_rounds` is the number of times that the original has loaded its model so
-        far: once at construction, and once per hard reset. Each load lengthens the original's list
-        of samplers for open and closed joints. With `hard` False the model is not loaded again.
-        Returns the generator's state after the reset and the number of rounds, which is larger
-        than the given number if objects had to be placed again for lack of room."""
+        `joint_sampler_rounds` is the number of times that the original has loaded its model at the
+        end of this reset: once at construction, and once per hard reset. Each load lengthens the
+        original's list of samplers for open and closed joints. With `hard` False the model is not
+        loaded again. Returns the generator's state after the reset and the number of rounds, which
+        is larger than the given number if objects had to be placed again for lack of room."""
     def load(self, state: ArrayLike) -> None:
         """Loads a state (time, qpos, qvel) as the start of an episode, as a campaign does: resets,
         places fixtures by the benchmark's seed, sets the state and observes it, as

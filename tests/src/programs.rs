@@ -197,7 +197,7 @@ impl Campaigns {
         String::from_utf8(output.stdout).expect("UTF-8")
     }
 
-    /// Creates a campaign of all metric axes at one level with its nominal
+    /// Creates a campaign of all metric axes (all but language) at level L3 with its nominal
     /// rollouts.
     pub fn create(&self, name: &str, policy: &str, tasks: &str, configs: &str) {
         let endpoint = &self.gateway.url;
@@ -209,7 +209,8 @@ impl Campaigns {
         ]);
     }
 
-    /// Waits until a campaign has `count` committed rollouts; `None` waits for all.
+    /// Waits until a campaign has `count` committed rollouts or is finished; `None` waits for the
+    /// end.
     ///
     /// # Panics
     /// If the wait times out.
@@ -230,7 +231,8 @@ impl Campaigns {
         }
     }
 
-    /// Returns a campaign's results as sorted reference rows without wall times.
+    /// Returns a campaign's results as the rows of `coordinator export`, sorted and without wall
+    /// times.
     ///
     /// # Panics
     /// If the results are not valid JSON.

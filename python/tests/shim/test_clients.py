@@ -58,6 +58,7 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
     position, basket = observation[f"{target}_pos"], observation["basket_1_pos"]
     above, lifted = position + [0, 0, 0.12], position + [0, 0, 0.25]
     open_, closed = -1.0, 1.0
+    # Steps, position of the hand, m, and gripper.
     plan = [
         (22, above, open_),
         (20, position, open_),
@@ -105,6 +106,7 @@ def test_a_client_gets_the_same_episode_as_with_the_original(
     )
     assert succeeded(ours[-1]) or succeeded(ours[-2])
     assert not succeeded(ours[len(ours) // 2])
+    # The gripper opens above the basket after 105 steps.
     assert len(ours) > 90
 
     if version(clients) != version(original_python()):

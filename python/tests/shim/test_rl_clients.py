@@ -113,7 +113,7 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
 
 
 @pytest.mark.parametrize("installation", ["package", "checkout"])
-def test_rlinf_counts_the_tasks_of_all_suites(
+def test_rlinf_runs_tasks_of_all_suites(
     installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = roll_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, installation))

@@ -328,6 +328,9 @@ impl Agreement {
     }
 }
 
+/// Returns the heads of the table's columns: the median times of our renderer and of OpenGL, in
+/// milliseconds; the median and the range of OpenGL's time over ours; the shares of equal pixels
+/// and of pixels within [`CLOSE_LEVELS`] levels, percent; and the largest difference, levels.
 fn header(alone: bool) -> String {
     let ours = format!("{:<36} {:>8}", "scene and camera", "ours");
     match alone {

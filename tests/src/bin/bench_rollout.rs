@@ -52,7 +52,7 @@ struct Arguments {
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
     /// Renderer: `software`, or `gl` for MuJoCo's renderer through OpenGL,
-    /// `gl:N` on the N-th device.
+    /// `gl:N` on the N-th device, from 0.
     #[arg(long, default_value_t)]
     renderer: Renderer,
     /// Times by the wall clock even if processor time of the thread would suffice, to compare with

@@ -21,9 +21,12 @@ use worker::variants::Prepared;
 use super::recording::Recording;
 use crate::fidelity::{FrameFindings, RendererRelation};
 
-/// Largest difference of any coordinate of a state or a camera.
+/// Largest permitted difference of any coordinate of a state or a camera.
 pub const TOLERANCE: f64 = 1e-9;
-/// Side of the recorded pictures, pixels. Those with fog are larger, but draw equally many numbers.
+/// Number of times that the original has loaded its model after its construction and one reset.
+pub const MODEL_LOADS: u32 = 2;
+/// Side of the recorded pictures, pixels. Those with fog have 256, but fog draws equally many
+/// random numbers for any size.
 const SIDE: usize = 128;
 /// Pictures that the original draws and corrupts: that of the reset and those of ten waits.
 const PICTURES: usize = 11;
@@ -76,7 +79,7 @@ pub struct Skipped(pub String);
 pub struct Comparison {
     sources: Sources,
     pack: AssetPack,
-    /// LIBERO-PRO's objects are in a folder of their own.
+    /// LIBERO-PRO's assets; `None` if no folder of them is named.
     pro_pack: Option<AssetPack>,
     /// Checkout of LIBERO-Para.
     para: Option<PathBuf>,
@@ -212,7 +215,8 @@ impl Comparison {
                 let number = number_of_task(name)?;
                 files.init =
                     folder.join(format!("init_files/libero_para/eval{number}.pruned_init"));
-                // LIBERO-Para's scripts keep the capitals, which no parser of BDDL does.
+                // LIBERO-Para's scripts keep the sentence's capitals in the prompt; parsers of BDDL
+                // convert them to lower case.
                 Some(Prompts {
                     prompt: files.sentence()?,
                     sentence: files.problem()?.language,
@@ -292,7 +296,9 @@ fn findings(
     }
     if let Some(expected) = numbers("draw") {
         let mut rng = LegacyRng::seed(run.start.seed);
-        episode.environment().reset(&mut rng, Reset::Hard, 2)?;
+        episode
+            .environment()
+            .reset(&mut rng, Reset::Hard, MODEL_LOADS)?;
         if let Some(corruption) = run.start.corruption {
             for _ in 0..PICTURES {
                 corruption.skip(SIDE, SIDE, &mut rng);

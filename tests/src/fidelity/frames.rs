@@ -52,6 +52,7 @@ impl RendererRelation {
         }
     }
 
+    /// Returns the limits, whose measurements are in docs/FIDELITY.md.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),

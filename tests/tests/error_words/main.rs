@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 
 use tests::phrases::raw_phrase;
 
-/// Errors that only their own crate can construct; the errors that wrap them are listed.
+/// Errors that are not listed by themselves: three occur only inside listed errors, and `Outer` is
+/// of a unit test.
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "MissingInput"];
 
 /// Errors whose messages are complete sentences; the messages of all others follow "failed to …".
