@@ -46,8 +46,9 @@ def _parser() -> argparse.ArgumentParser:
         if form == "lerobot":
             command.add_argument("--films", action="store_true", help="export filmed rollouts only")
         if form == "wandb":
-            about = "project of the run (default: rollout)"
-            command.add_argument("--project", default="rollout", help=about)
+            command.add_argument(
+                "--project", default="rollout", help="project of the run (default: rollout)"
+            )
     return parser
 
 

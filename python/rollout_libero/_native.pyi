@@ -265,8 +265,9 @@ class Simulation:
         """Returns the current time, qpos, qvel, qacc, ctrl, qfrc_bias, sensordata, xpos, xquat,
         xmat, xipos, geom_xpos, geom_xmat, site_xpos, site_xmat, cam_xpos or cam_xmat."""
     def names(self, kind: str) -> list[str | None]:
-        """Returns the names of all objects of a kind, in order of ids. Kinds are `body`, `joint`,
-        `geom`, `site`, `camera`, `light`, `actuator` and `sensor`."""
+        """Returns the names of all objects of a kind, in order of ids; None for an object without a
+        name. Kinds are `body`, `joint`, `geom`, `site`, `camera`, `light`, `actuator` and
+        `sensor`."""
     def contacts(self) -> NDArray[np.int32]:
         """Returns the pairs of geoms in contact, [contacts, 2]."""
 

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 /// Timeout of all waits.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Returns the path of the program `name`, built with this package.
+/// Returns the path of the program `name`: in the folder that `ROLLOUT_PROGRAMS` names, else as
+/// built with this package.
 ///
 /// # Panics
 /// If the program has not been built.

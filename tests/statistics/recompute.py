@@ -17,7 +17,7 @@ A comparison of two policies has a "name" and "compared": per row, its "name", "
 [steps of A, of B]], where a goal is [predicates that held, predicates].
 
 Prints how many figures agree; fails with the names of those that do not. Shares no code with the
-crate `paired`; the formulas are those of docs/REPORT.md.
+crate `paired`; the formulas are those of docs/REPORT.md. Variances up to 1e-24 count as zero.
 """
 
 import json
@@ -69,7 +69,7 @@ class Sample:
         self.by_direction = self.leave_out([list(by_direction.values())])
 
     def leave_out(self, strata):
-        """Returns the sums without each group in turn, and the number of groups per stratum."""
+        """Returns sums without each group, its stratum scaled by g / (g - 1), and g per stratum."""
         if any(len(groups) < 2 for groups in strata):
             return None
         total, parts = self.x.sum(axis=0), []

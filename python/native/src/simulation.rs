@@ -373,7 +373,7 @@ impl Simulation {
         Ok(by_rows(py, values, rows)?.into_any())
     }
 
-    /// Returns the names of all objects of a kind, in order of ids.
+    /// Returns the names of all objects of a kind, in order of ids; `None` for one without a name.
     fn names(&self, py: Python<'_>, kind: &str) -> PyResult<Vec<Option<String>>> {
         let kind = object_kind(kind)?;
         self.state.with(py, |state| {

@@ -84,6 +84,7 @@ struct Phases {
     frames: f64,
     /// Encoding an observation into the message to a policy.
     encode: f64,
+    /// Selecting the actions of an answer from the predetermined ones.
     policy: f64,
     /// Time of the rollout outside the phases above.
     other: f64,

@@ -345,7 +345,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         "",
     );
     row(
-        "  of its scene file: mean, most",
+        "  of its scene file, resident: mean, most",
         format!("{:.1}, {:.1} MiB", mean(&mapped), most(&mapped)),
         "",
     );

@@ -18,7 +18,7 @@ use tests::programs::program;
 
 /// Interval at which the progress of the campaign is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Range of the interval between two random faults, milliseconds.
+/// Range of the interval between two random faults, milliseconds; the upper end is excluded.
 const INTERVAL_MILLIS: (u64, u64) = (1_000, 4_000);
 
 /// One-time events, each with the share of committed rollouts after which it happens. A clock jump

@@ -76,7 +76,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Draws the schedule of a seed. One fault is of kind `seed % KINDS`, so that [`KINDS`]
+    /// Draws the schedule of a seed. One fault is of kind `seed % KINDS`, so that `KINDS`
     /// consecutive seeds cover every kind.
     pub fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
