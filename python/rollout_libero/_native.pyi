@@ -274,8 +274,9 @@ class Simulation:
 class Schedule:
     """Queries and commands of one rollout whose answers take effect late, as in a campaign's
     rollout with the same execution model: `wait`, `hold:N`, `overlap:N` or `overlap:N,rtc`, where
-    N is a number of control steps or a distribution such as `3*812+4*188`. `execute` actions of
-    each answer are executed; all of them by default. The gripper starts open."""
+    N is a number of control steps or a distribution such as `3*812+4*188`: three steps with weight
+    812, four with 188. `execute` actions of each answer are executed; all of them by default. The
+    gripper starts open."""
 
     def __init__(
         self, execution: str, task: str, init_state: int, *, execute: int | None = None

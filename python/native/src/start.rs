@@ -35,7 +35,7 @@ pub(crate) struct Legacy {
     state: Option<Vec<f64>>,
 }
 
-/// A placement of the benchmark's samplers.
+/// Placement by LIBERO's samplers, and settling steps.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Sampled {

@@ -105,6 +105,7 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
     theirs = roll_out(python, shim, tmp_path, kind, sources)
     ours = roll_out(python, shim, tmp_path, f"{kind}_together", sources)
     assert ours["tasks"] == theirs["tasks"]
+    # Two resets, each with an observation, and with results and a count for each of two chunks.
     assert len(theirs["outputs"]) == 10
     assert_same(ours["outputs"], theirs["outputs"], kind)
     print(

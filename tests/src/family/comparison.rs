@@ -34,15 +34,15 @@ const PICTURES: usize = 11;
 /// Differences from the original in one case.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    /// Dimension of LIBERO-Plus, or ending of LIBERO-PRO's suites.
+    /// Dimension of LIBERO-Plus, ending of LIBERO-PRO's suites, or `sentences` for LIBERO-Para.
     pub group: String,
     /// Largest difference of any coordinate of a state.
     pub states: f64,
     /// Largest difference of the compiled pose of `agentview`; `None` if it was not recorded.
     pub camera: Option<f64>,
-    /// Whether the generator's next number is the same; `None` if it was not recorded.
+    /// True if the generator's next number is the same; `None` if it was not recorded.
     pub draw: Option<bool>,
-    /// Whether the prompts are the same; `None` if none was recorded or the sentence is missing.
+    /// True if the prompts are the same; `None` if none was recorded or the sentence is missing.
     pub prompt: Option<bool>,
     /// `None` if there is no recorded picture.
     pub frames: Option<FrameFindings>,
@@ -71,7 +71,7 @@ impl Findings {
     }
 }
 
-/// Why a case was not compared.
+/// Reason why a case was not compared.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Skipped(pub String);
 
