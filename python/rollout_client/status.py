@@ -164,8 +164,8 @@ class Forecast:
     #: Duration of all rollouts on these slots if they run nothing else; None if no rollout of the
     #: last seven days was measured on such a worker.
     secs: float | None
-    #: Number of results of the last seven days from which the duration is computed; and True if they
-    #: are results of this policy, False if they are results of other policies.
+    #: Number of results of the last seven days from which the duration is computed; and True if
+    #: they are results of this policy, False if they are results of other policies.
     results: int
     is_of_policy: bool
     #: Suites without such a result, which are assumed to be as fast as the other suites.

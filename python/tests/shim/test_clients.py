@@ -43,8 +43,8 @@ def clients() -> str:
 
 @pytest.fixture(scope="module")
 def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path:
-    """Actions [steps, 7] that put the task's object into the basket. A script that knows both
-    positions computes the actions."""
+    """Actions [steps, 7] that put the task's object into the basket. A script that
+    knows the positions of object and basket computes the actions."""
     suite = benchmark.get_benchmark_dict()[SUITE]()
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(TASK), use_camera_obs=False

@@ -27,6 +27,7 @@ READINGS = (
     "joint_pos_sin",
     "joint_vel",
 )
+#: Seed of the recordings.
 SEED = 20260904
 SETTLING = [0.0] * 6 + [-1.0]
 #: Largest permitted difference of a position or reading from the original's, in its own unit.

@@ -8,6 +8,7 @@ use sim::{Drawer, Environment, Frame};
 
 use super::reference::ReferenceTask;
 
+/// Side of the reference's frames, pixels.
 const SIZE: u32 = 256;
 /// Largest difference at which a pixel counts as close, grey levels.
 pub const CLOSE_LEVELS: u8 = 2;
