@@ -505,7 +505,7 @@ def claims(cells):
 
 
 def gate(outcomes, published, enough):
-    """The gate of nominal `outcomes` by task. `enough`: number of rollouts that a verdict needs."""
+    """Reproduction gate of nominal `outcomes` by task; `enough`: rollouts that a verdict needs."""
     n = sum(map(len, outcomes))
     if n == 0:
         return {"difference": None, "verdict": "undecided", "equivalence_p": None}

@@ -79,7 +79,8 @@ impl Found {
         &mut self.0[index]
     }
 
-    /// Adds a line of `states.txt`, unless it is `noise`, which belongs to pictures of 256 × 256.
+    /// Adds a line of `states.txt`. Two kinds are left out: `noise`, which belongs to pictures of
+    /// 256 × 256, and `reset-only`, which belongs to fifteen waits.
     fn add_states(&mut self, line: &str) -> Option<()> {
         let (name, rest) = line.split_once(' ')?;
         let (kind, numbers) = rest.split_once(' ')?;
