@@ -46,7 +46,9 @@ def _parser() -> argparse.ArgumentParser:
         if form == "lerobot":
             command.add_argument("--films", action="store_true", help="export filmed rollouts only")
         if form == "wandb":
-            command.add_argument("--project", default="rollout", help="default: rollout")
+            command.add_argument(
+                "--project", default="rollout", help="project of the run (default: rollout)"
+            )
     return parser
 
 

@@ -73,7 +73,8 @@ class Rollout:
     task: str
     #: The instruction for the policy.
     instruction: str
-    #: Condition, as in rollout ids: `clean`, `camera`, `combination`.
+    #: Condition, as in rollout ids: `clean` (nominal), axes such as `camera` or `camera+robot`, or
+    #: `combination` (all axes).
     axis: str
     #: Level: `L0` for nominal rollouts and for rollouts of the placebo level.
     level: str

@@ -67,13 +67,14 @@ class Campaign:
 
     def results(self) -> pd.DataFrame:
         """Returns a row per committed rollout, by rollout id and replicate. `axis` and `level` are
-        the condition: `clean` and `L0`, an axis, or `combination`. `config` is missing for nominal
-        rollouts, `ik_res_mm` unless the robot was displaced, `placebo_radius` unless the rollout is
-        perturbed at level `L0`. `execution` is the execution model, `wait` unless the campaign
-        names another. `goal_predicates` counts the goal's predicates, `goal_at_end` those that held
-        at the end, and `goal_at_most` the largest number that held at one time; all three are
-        missing in results from workers of earlier releases. Only variants of LIBERO's family have
-        `protocol` and `prompt`."""
+        the condition: `clean` and `L0` (nominal), an axis, or `combination` (all axes). `config` is
+        missing for nominal rollouts; `ik_res_mm`, residual of the inverse kinematics, mm, unless
+        the robot was displaced; `placebo_radius` unless the rollout is perturbed at level `L0`.
+        `execution` is the execution model, `wait` unless the campaign names another.
+        `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
+        and `goal_at_most` the largest number that held at one time; all three are missing in
+        results from workers of earlier releases. Only variants of LIBERO's family have `protocol`
+        and `prompt`."""
         request = wire.ExportRequest(campaign=self._name)
         lines = self._connection.collect(self._connection.operator.Export, request)
         rows = ({"replicate": 0, "execution": "wait", **json.loads(line.json)} for line in lines)

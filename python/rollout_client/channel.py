@@ -16,8 +16,9 @@ def channel(access: Access) -> grpc.Channel:
         ("grpc.max_send_message_length", 32 << 20),
         ("grpc.enable_http_proxy", 0),
         ("grpc.initial_reconnect_backoff_ms", 250),
-        ("grpc.min_reconnect_backoff_ms", 5_000),
         ("grpc.max_reconnect_backoff_ms", 4_000),
+        # Despite its name, the shortest timeout of an attempt to connect, not a back-off.
+        ("grpc.min_reconnect_backoff_ms", 5_000),
         # Each channel has its own connection, which failures of another channel do not affect.
         ("grpc.use_local_subchannel_pool", 1),
     ]

@@ -12,7 +12,8 @@ import pandas as pd
 TEXT, INTEGER, COUNT, OUTCOME = "string", "Int64", "int64", "boolean"
 FLAG, NUMBER, INSTANT = "bool", "float64", "datetime64[ms, UTC]"
 
-#: Columns of the reference's `rollouts.jsonl`, as `coordinator export` writes them.
+#: Columns of the reference implementation's `rollouts.jsonl`, and then, from `replicate` on, those
+#: that `coordinator export` adds.
 RESULTS = {
     "rollout_id": TEXT,
     "success": FLAG,

@@ -18,6 +18,7 @@ from .frames import COUNT, INTEGER, NUMBER, OUTCOME, TEXT
 from .program import Program
 
 AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
+#: Paired measures that have a 95 % interval.
 INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
 #: Names of conditions in rollout ids: without perturbation, and with all axes perturbed at once.
 CLEAN, COMBINATION = "clean", "combination"

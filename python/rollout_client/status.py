@@ -36,8 +36,9 @@ class Status:
     succeeded: int
     failed: int
     quarantined: int
-    #: Rate of recent rollouts, and time in which the remaining rollouts complete at that rate; None
-    #: until a rollout is committed, and unless the campaign is running.
+    #: Rate of the rollouts that started and were committed within the last five minutes, or since
+    #: the first lease or last resume if that is later; and time in which the remaining rollouts
+    #: complete at that rate. None without such rollouts, and unless the campaign is running.
     rate_per_sec: float | None
     remaining_secs: float | None
     #: Number of live workers that can run the campaign.
@@ -49,10 +50,10 @@ class Status:
     #: Description of the different fingerprints in the campaign's results; None unless there are
     #: several.
     mixed_fingerprints: str | None
-    #: Condition for an early stop, such as `width(I) < 0.08`; None if there is none.
+    #: Stop rule, such as `width(I) < 0.08`, in which widths are fractions; None if there is none.
     stop_rule: str | None
-    #: Number of configurations after which the campaign stopped early, and number of rollouts
-    #: saved; None while it has not stopped.
+    #: Number of configurations after which the campaign stopped early, and number of rollouts that
+    #: did not run; None while it has not stopped.
     stopped_after: int | None
     saved: int | None
     #: Name of the campaign whose outcomes determine this campaign's rollouts; None without one.
@@ -160,11 +161,11 @@ class Forecast:
     #: first.
     workers: int
     slots: int
-    #: Duration of all rollouts on these slots if they run nothing else; None if no recent rollout
-    #: was measured on such a worker.
+    #: Duration of all rollouts on these slots if they run nothing else; None if no rollout of the
+    #: last seven days was measured on such a worker.
     secs: float | None
-    #: Number of recent results from which the duration is computed; and True if they are results of
-    #: this policy, False if they are results of other policies.
+    #: Number of results of the last seven days from which the duration is computed; and True if
+    #: they are results of this policy, False if they are results of other policies.
     results: int
     is_of_policy: bool
     #: Suites without such a result, which are assumed to be as fast as the other suites.

@@ -203,11 +203,11 @@ class Simulation:
         original's order, place all objects; the arm is at home, controllers are new, the time is
         0. Then computes the derived quantities and observes once.
 
-        `joint_sampler_rounds` is the number of times that the original has loaded its model so
-        far: once at construction, and once per hard reset. Each load lengthens the original's list
-        of samplers for open and closed joints. With `hard` False the model is not loaded again.
-        Returns the generator's state after the reset and the number of rounds, which is larger
-        than the given number if objects had to be placed again for lack of room."""
+        `joint_sampler_rounds` is the number of times that the original has loaded its model at the
+        end of this reset: once at construction, and once per hard reset. Each load lengthens the
+        original's list of samplers for open and closed joints. With `hard` False the model is not
+        loaded again. Returns the generator's state after the reset and the number of rounds, which
+        is larger than the given number if objects had to be placed again for lack of room."""
     def load(self, state: ArrayLike) -> None:
         """Loads a state (time, qpos, qvel) as the start of an episode, as a campaign does: resets,
         places fixtures by the benchmark's seed, sets the state and observes it, as
@@ -267,16 +267,18 @@ class Simulation:
         """Returns the current time, qpos, qvel, qacc, ctrl, qfrc_bias, sensordata, xpos, xquat,
         xmat, xipos, geom_xpos, geom_xmat, site_xpos, site_xmat, cam_xpos or cam_xmat."""
     def names(self, kind: str) -> list[str | None]:
-        """Returns the names of all objects of a kind, in order of ids. Kinds are `body`, `joint`,
-        `geom`, `site`, `camera`, `light`, `actuator` and `sensor`."""
+        """Returns the names of all objects of a kind, in order of ids; None for an object without a
+        name. Kinds are `body`, `joint`, `geom`, `site`, `camera`, `light`, `actuator` and
+        `sensor`."""
     def contacts(self) -> NDArray[np.int32]:
         """Returns the pairs of geoms in contact, [contacts, 2]."""
 
 class Schedule:
     """Queries and commands of one rollout whose answers take effect late, as in a campaign's
     rollout with the same execution model: `wait`, `hold:N`, `overlap:N` or `overlap:N,rtc`, where
-    N is a number of control steps or a distribution such as `3*812+4*188`. `execute` actions of
-    each answer are executed; all of them by default. The gripper starts open."""
+    N is a number of control steps or a distribution such as `3*812+4*188`: three steps with weight
+    812, four with 188. `execute` actions of each answer are executed; all of them by default. The
+    gripper starts open."""
 
     def __init__(
         self, execution: str, task: str, init_state: int, *, execute: int | None = None

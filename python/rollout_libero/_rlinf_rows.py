@@ -43,6 +43,7 @@ class Rows:
             )
         self.env_num = len(parameters)
         self._size = (widths.pop(), heights.pop())
+        # True if the frames of every step of a chunk are rendered, not only those of the last.
         self._draws_all = draws_all
         self._pool = ThreadPoolExecutor(threads)
         self._files = [str(each["bddl_file_name"]) for each in parameters]
@@ -104,7 +105,8 @@ class Rows:
 
     def chunk(self, actions: NDArray[np.float64]) -> _Chunk:
         """Simulates a whole chunk, [environments, steps, 7]. Within the returned context, ``step``
-        returns the steps of this chunk."""
+        returns the steps of this chunk. If all frames are rendered, nothing is simulated here, and
+        ``step`` simulates each step."""
         if self._draws_all:
             return _Chunk(self, None)
         stepped = self._rows.step_chunk(actions)

@@ -138,10 +138,11 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Begins a rollout, up to the policy's first action.
 
         A seed selects the rollout's start. With ``init_states="cycle"`` it selects initial state
-        ``seed % 50``; with numbers, the number at index ``seed % len(numbers)``; later resets
-        without a seed continue from there in turn. ``"random"`` and ``"sampled"`` draw from a
-        generator with this seed. ``options={"init_state": 7}`` takes precedence, and a
-        configuration's own initial state does not depend on the seed.
+        ``seed % 50``, as each task has 50; with numbers, the number at index
+        ``seed % len(numbers)``; later resets without a seed continue from there in turn.
+        ``"random"`` and ``"sampled"`` draw from a generator with this seed.
+        ``options={"init_state": 7}`` takes precedence, and a configuration's own initial state
+        does not depend on the seed.
         """
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         start = self.starts.plan(generator, options or {}, turn=seed)

@@ -34,7 +34,7 @@ from rollout_libero.tasks import Task
 
 LOADS = 2
 """Number of times that the original has loaded a task's model after an environment was created,
-seeded and reset."""
+seeded and reset once."""
 
 
 class Stepped(NamedTuple):
@@ -50,7 +50,7 @@ class Stepped(NamedTuple):
 class Start:
     """The start of a row's rollout, equal to a script's start of an
     ``OffScreenRenderEnv``: its construction, ``seed(seed)``, ``reset()``,
-    ``set_init_state(state)``, and steps until everything rests."""
+    ``set_init_state(state)``, and settling steps."""
 
     task: str
     """A BDDL file, or the name of one of the forty tasks, ``libero_goal/3``."""
@@ -60,8 +60,8 @@ class Start:
     seed: int = 0
     """Seed of NumPy's legacy generator, which places fixtures and, without a state, all objects."""
     loads: int = LOADS
-    """Number of times that the original would have loaded the task's model before this start. Each
-    reset of a reused environment adds one load."""
+    """Number of times that the original would have loaded the task's model after this start's
+    ``reset()``. Each reset of a reused environment adds one load."""
 
 
 class TrainingEnvironment:

@@ -208,7 +208,7 @@ impl Browser {
         std::mem::take(&mut self.console_errors)
     }
 
-    /// Returns every URL that the page has requested.
+    /// Returns every URL that pages have requested since the browser was started.
     pub fn requests(&mut self) -> &[String] {
         self.value("0");
         &self.requests

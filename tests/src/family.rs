@@ -5,6 +5,6 @@ mod comparison;
 mod recording;
 mod table;
 
-pub use comparison::{Comparison, Findings, Skipped, TOLERANCE};
+pub use comparison::{Comparison, Findings, MODEL_LOADS, Skipped, TOLERANCE};
 pub use recording::{RECORDED, Recording, recordings};
 pub use table::Table;

@@ -1,4 +1,4 @@
-//! Helpers shared by the tests under `tests/` and the parity command.
+//! Helpers shared by the tests under `tests/` and the programs under `src/bin/`.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]

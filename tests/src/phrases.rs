@@ -41,8 +41,8 @@ const LIBRARY_PHRASES: [&str; 33] = [
 /// Artefacts of sentences assembled from parts, in lower case.
 const ASSEMBLY_ARTEFACTS: [&str; 5] = ["failed to failed", "failed to cannot", "``", ": :", "; ;"];
 
-/// Returns the fault of a message, if it has one: a raw phrase, a repeated word,
-/// or nothing after "failed to".
+/// Returns the fault of a message, if it has one: a listed phrase, an error number without a
+/// description, a range in Rust syntax, a repeated word, or nothing after "failed to".
 pub fn raw_phrase(message: &str) -> Option<String> {
     let lower = message.to_lowercase();
     let raw = LIBRARY_PHRASES.into_iter().chain(ASSEMBLY_ARTEFACTS);
@@ -73,6 +73,7 @@ fn bare_range(lower: &str) -> Option<String> {
     range.contains("..").then(|| lower[at..].to_owned())
 }
 
+/// Finds a repeated word. "That that" can be correct.
 fn doubled_word(lower: &str) -> Option<String> {
     let words: Vec<&str> = lower.split_whitespace().collect();
     let pair = words.windows(2).find(|pair| {

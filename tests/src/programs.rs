@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 /// Timeout of all waits.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Returns the path of the program `name`, built with this package.
+/// Returns the path of the program `name`: in the folder that `ROLLOUT_PROGRAMS` names, else as
+/// built with this package.
 ///
 /// # Panics
 /// If the program has not been built.
@@ -197,7 +198,7 @@ impl Campaigns {
         String::from_utf8(output.stdout).expect("UTF-8")
     }
 
-    /// Creates a campaign of all metric axes at one level with its nominal
+    /// Creates a campaign of all metric axes (all but language) at level L3 with its nominal
     /// rollouts.
     pub fn create(&self, name: &str, policy: &str, tasks: &str, configs: &str) {
         let endpoint = &self.gateway.url;
@@ -209,7 +210,8 @@ impl Campaigns {
         ]);
     }
 
-    /// Waits until a campaign has `count` committed rollouts; `None` waits for all.
+    /// Waits until a campaign has `count` committed rollouts or is finished; `None` waits for the
+    /// end.
     ///
     /// # Panics
     /// If the wait times out.
@@ -230,7 +232,8 @@ impl Campaigns {
         }
     }
 
-    /// Returns a campaign's results as sorted reference rows without wall times.
+    /// Returns a campaign's results as the rows of `coordinator export`, sorted and without wall
+    /// times.
     ///
     /// # Panics
     /// If the results are not valid JSON.

@@ -17,7 +17,7 @@ A comparison of two policies has a "name" and "compared": per row, its "name", "
 [steps of A, of B]], where a goal is [predicates that held, predicates].
 
 Prints how many figures agree; fails with the names of those that do not. Shares no code with the
-crate `paired`; the formulas are those of docs/REPORT.md.
+crate `paired`; the formulas are those of docs/REPORT.md. Variances up to 1e-24 count as zero.
 """
 
 import json
@@ -47,7 +47,8 @@ def grouped(labels):
 
 
 class Sample:
-    """Rows of numbers, with the groups that a jackknife leaves out."""
+    """Rows of numbers, with the groups that a jackknife leaves out. `own_directions`: True if each
+    task has its own directions of perturbation, False if all tasks share each configuration's."""
 
     def __init__(self, keys, values, own_directions=False):
         self.own_directions = own_directions
@@ -68,7 +69,7 @@ class Sample:
         self.by_direction = self.leave_out([list(by_direction.values())])
 
     def leave_out(self, strata):
-        """Returns the sums without each group in turn, and the number of groups per stratum."""
+        """Returns sums without each group, its stratum scaled by g / (g - 1), and g per stratum."""
         if any(len(groups) < 2 for groups in strata):
             return None
         total, parts = self.x.sum(axis=0), []
@@ -92,7 +93,7 @@ class Sample:
         return (variance, int((sizes - 1).sum())) if np.isfinite(variance) else None
 
     def estimate(self, f, scale):
-        """`scale`: True for a share, False for a difference of shares, or "product" or "mean"."""
+        """`scale`: True for a share, False for a difference of shares; "product" of shares; "mean"."""
         with np.errstate(all="ignore"):
             value = float(f(self.x.sum(axis=0)))
             if not np.isfinite(value):
@@ -140,8 +141,7 @@ def t_interval(value, variance, _):
 
 
 def unbounded_t_interval(value, variance, _):
-    """Interval around a mean in a unit without bounds, such as steps, so its ends are not
-    clipped."""
+    """Interval around a mean in a unit without bounds, such as steps: its ends are not clipped."""
     if variance is None or variance[0] <= 1e-24:
         return None
     half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
@@ -505,7 +505,7 @@ def claims(cells):
 
 
 def gate(outcomes, published, enough):
-    """The reproduction gate over nominal rollouts, `outcomes` by task."""
+    """Reproduction gate of nominal `outcomes` by task; `enough`: rollouts that a verdict needs."""
     n = sum(map(len, outcomes))
     if n == 0:
         return {"difference": None, "verdict": "undecided", "equivalence_p": None}
@@ -532,13 +532,13 @@ def compare_gates(campaign, comparison):
     for suite, task, success in campaign["nominal"]:
         by_task.setdefault((suite, task), []).append(success)
     report, published = campaign["report"], campaign["published"]
-    ours = gate(list(by_task.values()), published, 2000)
+    ours = gate(list(by_task.values()), published, 2000)  # 40 tasks of 50 initial states
     comparison.check(f"{campaign['name']} gate", ours, report["gate"])
     theirs = {row["suite"]: row for row in report["suite_gates"]}
     for name, number in campaign["suites"]:
         outcomes = [task for (suite, _), task in by_task.items() if suite == number]
         where = f"{campaign['name']} gate of {name}"
-        comparison.check(where, gate(outcomes, published, 500), theirs[name])
+        comparison.check(where, gate(outcomes, published, 500), theirs[name])  # 10 tasks
 
 
 def components(rows):

@@ -281,13 +281,13 @@ fn pages_name_only_files_and_tests_that_exist() {
         .split(|character| !is_word_character(character))
         .collect();
     let exists = |name: &str| match name.split_once('/') {
-        // Other paths are names of tasks, and files of users and other projects.
         Some((folder, _)) if !folder.is_empty() && root().join(folder).join("").is_dir() => {
             root().join(name).exists()
         }
+        // Other paths are names of tasks, and files of users and other projects.
         Some(_) => true,
-        // The beginning of several tests' names.
         None if !is_long_name(name.trim_end_matches('…')) => true,
+        // The common beginning of several tests' names.
         None if name.ends_with('…') => code.contains(&format!(" {}", name.trim_end_matches('…'))),
         None => words.contains(name) || FOREIGN.contains(&name),
     };

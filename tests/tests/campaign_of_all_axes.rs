@@ -39,7 +39,7 @@ fn all_conditions_at_three_levels_give_a_complete_paired_table() {
     check_stored(&stored(data.path()));
 }
 
-/// Asserts that every rollout of the design has one row in the reference's format.
+/// Asserts that every rollout of the design has one row of `coordinator export`.
 fn check_export(rows: &[String]) {
     assert_eq!(rows.len(), ROLLOUTS);
     let mut conditions: BTreeMap<(Condition, Level), usize> = BTreeMap::new();

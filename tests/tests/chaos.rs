@@ -47,6 +47,7 @@ fn seeds(default: std::ops::Range<u64>) -> VecDeque<u64> {
 fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let start = Instant::now();
     let expected = Fleet::start(slots).outcome();
+    // The smaller campaign, with MuJoCo, has seven rollouts.
     let results = expected.matches("\"success\":").count();
     assert!(
         results >= 7,

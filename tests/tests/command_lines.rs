@@ -163,7 +163,8 @@ fn exit_codes_equal_the_documented_table() {
 fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
     let help = run(name, &[words, &["--help"]].concat(), &[]);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
-    // The help of an option may span several lines, with line breaks anywhere.
+    // The help of an option may span several lines, with line breaks anywhere. An option's first
+    // line is indented by at most six columns, its text by more.
     let mut described: Vec<(String, String)> = Vec::new();
     for line in help.lines() {
         let indent = line.len() - line.trim_start().len();

@@ -14,7 +14,9 @@ use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Conditions, Environment, ObjectKind, ReadyScene, Reset, Start, VariantStart};
-use tests::family::{Comparison, RECORDED as FOLDER, Recording, TOLERANCE, recordings};
+use tests::family::{
+    Comparison, MODEL_LOADS, RECORDED as FOLDER, Recording, TOLERANCE, recordings,
+};
 use tests::files::{folder_with_links, libero, primitives, sources};
 use tests::programs::program;
 
@@ -98,7 +100,9 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
         ];
         check("camera", &pose.concat());
         let mut rng = LegacyRng::seed(SEED);
-        environment.reset(&mut rng, Reset::Hard, 2).unwrap();
+        environment
+            .reset(&mut rng, Reset::Hard, MODEL_LOADS)
+            .unwrap();
         check("draw", &[rng.random_sample()]);
         begin(&mut environment, Start::Reset, 15);
         check("reset-only", &environment.state());
@@ -132,7 +136,9 @@ fn corruption_draws_as_many_random_numbers_as_the_original() {
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
-        environment.reset(&mut rng, Reset::Hard, 2).unwrap();
+        environment
+            .reset(&mut rng, Reset::Hard, MODEL_LOADS)
+            .unwrap();
         // One picture of the reset, and one of each of the ten waits.
         for _ in 0..11 {
             corruption.skip(256, 256, &mut rng);
@@ -249,7 +255,7 @@ fn chosen_variants_of_libero_plus_equal_the_originals() {
     compare_chosen(Benchmark::Plus, test, |recording| !recording.is_held_out);
 }
 
-/// Nothing was changed after these variants were first compared.
+/// No code was changed after these variants were first compared.
 #[test]
 fn held_out_variants_of_libero_plus_equal_the_originals() {
     let test = "held_out_variants_of_libero_plus_equal_the_originals";
@@ -295,8 +301,9 @@ const ADDED_MODEL: &str = r#"<mujoco model="added">
 const ADDED_SHAPE: &str = "v 0 0 0\nv 0.04 0 0\nv 0 0.04 0\nv 0 0 0.1\n\
     f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
 
-/// Checks with a task's layout of one added object and with the one of most. Added objects turn by
-/// −90° about x, −180° about y and 180° about z; read as MuJoCo does, this is 90° about z.
+/// Checks a task's layout with the fewest added objects and the one with the most. Added objects
+/// turn by −90° about x, −180° about y and 180° about z; as MuJoCo reads these angles, the result
+/// is 90° about z.
 #[test]
 fn added_objects_are_placed_from_models_in_the_archives_form() {
     let test = "added_objects_are_placed_from_models_in_the_archives_form";
@@ -359,7 +366,9 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
-        environment.reset(&mut rng, Reset::Hard, 2).unwrap();
+        environment
+            .reset(&mut rng, Reset::Hard, MODEL_LOADS)
+            .unwrap();
         let state = environment.state();
         for object in &added {
             let model = environment.model();

@@ -18,6 +18,7 @@ const VARIANTS: [&str; 4] = [
     "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30",
     "put_the_bowl_on_the_plate_view_0_0_190_0_0_initstate_0",
 ];
+/// Ids of the rollouts of a campaign of [`VARIANTS`], including the task's unperturbed rollout.
 const IDS: [&str; 5] = [
     "goal/t8/plus:initstate_19/i00",
     "goal/t8/plus:noise_30/i00",
@@ -428,7 +429,7 @@ async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
         line.and_then(|line| line.split(',').nth(5))
             .expect("a sentence")
     };
-    // The hint has a capital letter.
+    // The sentence of the type `hint` has a capital letter, which the prompt keeps.
     let expected = [
         (
             "goal/t8/para:act_hint_1/i00",

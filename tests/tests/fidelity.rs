@@ -57,7 +57,8 @@ fn every_reference_task_of_libero_10_agrees_with_the_original() {
     check_suite("libero_10");
 }
 
-/// Compares only frames, of one task of each suite; the tests above compare motion.
+/// Compares one task of each suite with frames drawn through OpenGL; the tests above draw with the
+/// software renderer.
 #[test]
 fn frames_drawn_through_opengl_equal_the_originals_within_bounds() {
     let test = "frames_drawn_through_opengl_equal_the_originals_within_bounds";

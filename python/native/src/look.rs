@@ -37,7 +37,8 @@ impl Look {
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
-    /// Renders OpenGL depth values, [height, width]; row 0 is the bottom.
+    /// Renders OpenGL depth values, [height, width]: 0 at the near plane, 1 at the far plane; row 0
+    /// is the bottom.
     fn depth<'py>(
         &self,
         py: Python<'py>,

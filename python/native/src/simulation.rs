@@ -1,4 +1,4 @@
-//! Python class of one environment.
+//! Python class of one environment. `python/rollout_libero/_native.pyi` states units and frames.
 
 use std::sync::Arc;
 
@@ -78,10 +78,10 @@ impl Simulation {
 
     /// Resets like robosuite: places all objects with LIBERO's samplers, which draw from
     /// NumPy's legacy generator, and observes once. `joint_sampler_rounds` is the number of
-    /// times that the original has loaded its model so far: once in the constructor, and
-    /// once per hard reset. Returns the generator's state after the reset and the number of
-    /// rounds, which is larger than the given number if placements were drawn again for lack of
-    /// room.
+    /// times that the original has loaded its model at the end of this reset: once in the
+    /// constructor, and once per hard reset. Returns the generator's state after the reset and the
+    /// number of rounds, which is larger than the given number if placements were drawn again for
+    /// lack of room.
     #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
     fn reset<'py>(
         &self,
@@ -247,7 +247,8 @@ impl Simulation {
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
-    /// Renders OpenGL depth values, [height, width]; row 0 is the bottom.
+    /// Renders OpenGL depth values, [height, width]: 0 at the near plane, 1 at the far plane; row 0
+    /// is the bottom.
     fn depth<'py>(
         &self,
         py: Python<'py>,
@@ -372,7 +373,7 @@ impl Simulation {
         Ok(by_rows(py, values, rows)?.into_any())
     }
 
-    /// Returns the names of all objects of a kind, in order of ids.
+    /// Returns the names of all objects of a kind, in order of ids; `None` for one without a name.
     fn names(&self, py: Python<'_>, kind: &str) -> PyResult<Vec<Option<String>>> {
         let kind = object_kind(kind)?;
         self.state.with(py, |state| {

@@ -24,9 +24,9 @@ pub(crate) enum Start {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Legacy {
-    /// Seed of NumPy's legacy generator, which places the fixtures.
+    /// Seed of NumPy's legacy generator, which places fixtures and, without a state, all objects.
     legacy_seed: u32,
-    /// Number of times that the original has loaded its model so far.
+    /// Number of times that the original has loaded its model after this start's reset.
     rounds: u32,
     settle_steps: u32,
     settle_action: [f64; 7],
@@ -35,7 +35,7 @@ pub(crate) struct Legacy {
     state: Option<Vec<f64>>,
 }
 
-/// A placement of the benchmark's samplers.
+/// Placement by LIBERO's samplers, and settling steps.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Sampled {
@@ -49,8 +49,8 @@ pub(crate) struct Sampled {
     perturbed: Option<Box<ManifestRow>>,
 }
 
-/// Number of rounds of joint samples that an environment draws when it is constructed, seeded
-/// and reset.
+/// Number of times that the original has loaded its model after an environment was constructed,
+/// seeded and reset once. A reset draws one round of joint samples per load.
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {

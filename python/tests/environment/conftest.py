@@ -44,7 +44,7 @@ def make_vector():
 def diverge(simulation):
     """Makes the physics of the next control step diverge."""
     state = simulation.state().copy()
-    state[1:8] = 1e9
+    state[1:8] = 1e9  # Angles of the arm, rad.
     simulation.set_state(state)
 
 
@@ -53,5 +53,5 @@ def open_the_drawer(simulation):
     state = simulation.state().copy()
     names = simulation.names("joint")
     drawer = names.index("wooden_cabinet_1_middle_level")
-    state[1 + simulation.model_array("jnt_qposadr")[drawer]] = -0.15
+    state[1 + simulation.model_array("jnt_qposadr")[drawer]] = -0.15  # m, open
     simulation.set_state(state)

@@ -19,8 +19,10 @@ from .conftest import diverge, open_the_drawer
 TASKS = ("libero_goal/0", "libero_object/1", "libero_goal/0")
 # For each environment: its rank among the environments of the same task, and their number.
 RANKS, STRIDES = (0, 0, 1), (2, 1, 2)
+# Initial states of a task, settling steps, and the budget of a rollout, control steps.
 STATES, SETTLE, BUDGET = 50, 1, 4
-ROUNDS, MOST_ROUNDS = 50, 300
+# Smallest and largest number of operations: a test continues until it has seen every outcome.
+LEAST_OPERATIONS, MOST_OPERATIONS = 50, 300
 PERTURBATIONS = (None, "robot/L2/c01", "actuation/L3/c02", "language/L1/c03")
 READINGS = ("eef_pos", "joint_pos", "joint_vel")
 
@@ -253,19 +255,21 @@ class Machine:
                     final = infos["final_obs"][index][name]
                     np.testing.assert_array_equal(final, last[index][name])
         for name, flags in (("begins", over), ("succeeds", success), ("truncated", truncated),
-                           ("fails", failed), ("at once", restarted)):
+                           ("fails", failed), ("begins at once", restarted)):
             if any(flags):
                 self.outcomes.add(name)
 
 
-ACTIONS = {
+# Operations with their weights in the random choice.
+OPERATIONS = {
     "step": 12, "reset_all": 1, "reset_some": 3, "refused_reset": 2, "refused_step": 4,
     "perturb": 2, "refused_perturbation": 1, "take_snapshot": 1, "restore_snapshot": 1,
     "succeed_next": 3, "fail_next": 2,
 }  # fmt: skip
+# Outcomes that a test must see in each mode.
 EXPECTED = {
     AutoresetMode.NEXT_STEP: {"begins", "succeeds", "truncated", "fails"},
-    AutoresetMode.SAME_STEP: {"at once", "succeeds", "truncated", "fails", "reset needed"},
+    AutoresetMode.SAME_STEP: {"begins at once", "succeeds", "truncated", "fails", "reset needed"},
     AutoresetMode.DISABLED: {"reset needed", "succeeds", "truncated", "fails"},
 }
 
@@ -277,9 +281,9 @@ def test_environments_match_the_model_under_random_operations(mode, init_states,
     machine = Machine(mode, init_states, random.Random(seed))
     operations = []
     try:
-        while len(operations) < ROUNDS or not EXPECTED[mode] <= machine.outcomes:
-            assert len(operations) < MOST_ROUNDS, machine.outcomes
-            (chosen,) = machine.rng.choices(list(ACTIONS), ACTIONS.values())
+        while len(operations) < LEAST_OPERATIONS or not EXPECTED[mode] <= machine.outcomes:
+            assert len(operations) < MOST_OPERATIONS, machine.outcomes
+            (chosen,) = machine.rng.choices(list(OPERATIONS), OPERATIONS.values())
             operations.append(chosen)
             getattr(machine, chosen)()
     except BaseException:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Number of pixels that may differ by more than two levels in any frame, however small.
+#: Number of pixels that may differ by more than two of 255 grey levels in any frame, however small.
 MAX_DIFFERENT = 8
 #: Smallest share of pixels equal to the original's recorded frames.
 AS_RECORDED = 0.94

@@ -234,8 +234,8 @@ def simplevla_rl() -> Rollouts:
 
 
 def _roll_out_vector(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Steps two environments, then resets and steps the second again. The results of the second
-    environment replace its earlier results."""
+    """Steps two environments, then resets and steps the second again; its new observation replaces
+    its earlier one. `reconfigured`: gives the second environment another task before this reset."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
@@ -278,7 +278,7 @@ def siirl() -> Rollouts:
 
 
 def ript_vla() -> Rollouts:
-    """Runs wrappers of one environment and of several, with both kinds of reset."""
+    """Runs wrappers of one environment and of several, with `reset_ori` and `reset`."""
     utils = importlib.import_module("ript.utils.libero_utils")
     from libero.libero import benchmark
 

@@ -21,7 +21,8 @@ from libero.libero.envs import OffScreenRenderEnv, SegmentationRenderEnv
 
 Log = list[tuple[str, Any]]
 
-# Tasks with fixtures and zones, an open drawer, a bowl in a drawer, a floor, and a burning stove.
+# Tasks with fixtures and zones, an open drawer, a bowl in a drawer, a floor, a burning stove, and a
+# stove that is off.
 TASKS = {
     "goal": "libero_goal/put_the_bowl_on_the_plate",
     "drawer": "libero_10/KITCHEN_SCENE4_put_the_black_bowl_in_the_bottom_drawer_of_the_cabinet_and_close_it",

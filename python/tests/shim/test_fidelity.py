@@ -27,9 +27,10 @@ READINGS = (
     "joint_pos_sin",
     "joint_vel",
 )
+#: Seed of the recordings.
 SEED = 20260904
 SETTLING = [0.0] * 6 + [-1.0]
-#: Largest difference of a position from the original's, m or rad.
+#: Largest permitted difference of a position or reading from the original's, in its own unit.
 NEAR = 1e-9
 #: If the original's response to noise is smaller than this, `NEAR` is the limit in contact too.
 CALM = 1e-11

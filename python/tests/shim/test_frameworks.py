@@ -112,7 +112,7 @@ def test_the_constants_that_convert_depths_to_metres_are_available(bddl_file: st
 # verl-vla, and projects based on a version of RLinf that has no copy of LIBERO's module `venv`.
 
 
-def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) -> None:
+def _serve(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) -> None:
     parent.close()
     env = env_fn.data()
     while True:
@@ -129,7 +129,7 @@ class CustomWorker(venv.SubprocEnvWorker):
     def __init__(self, env_fn: Any) -> None:
         self.parent_remote, self.child_remote = multiprocessing.Pipe()
         self.process = multiprocessing.Process(
-            target=_serve_once,
+            target=_serve,
             args=(self.parent_remote, self.child_remote, venv.CloudpickleWrapper(env_fn), None),
             daemon=True,
         )
@@ -162,7 +162,7 @@ class Counting:
         pass
 
 
-def test_a_subclass_of_the_worker_of_another_project_works() -> None:
+def test_another_projects_subclass_of_the_worker_works() -> None:
     envs = venv.BaseVectorEnv([Counting] * 2, CustomWorker)
     assert envs.worker_class is CustomWorker
     assert (envs.wait_num, envs.timeout, envs.waiting_conn) == (2, None, [])

@@ -258,6 +258,7 @@ def test_depths_and_segmentations_are_rendered_when_read_too(bddl_file: str) -> 
     pairs = []
     for action in actions(4):
         pairs.append((env.step(action)[0], dict(eager_env.step(action)[0])))
+    # Picture, depth and two segmentations of each of two cameras.
     assert len(unrendered(pairs[0][0])) == 8
     for lazy, drawn in reversed(pairs):
         for key in reversed(drawn):

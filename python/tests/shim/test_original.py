@@ -24,6 +24,7 @@ SCENARIOS = [
     "stove",
     "details",
 ]
+# Largest permitted difference of a number from the original's, in its own unit.
 NEAR = 1e-9
 # Rotations between hand and objects are computed in single precision, and the original uses a
 # different implementation of LAPACK.

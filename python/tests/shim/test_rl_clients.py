@@ -105,6 +105,7 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
     theirs = roll_out(python, shim, tmp_path, kind, sources)
     ours = roll_out(python, shim, tmp_path, f"{kind}_together", sources)
     assert ours["tasks"] == theirs["tasks"]
+    # Two resets, each with an observation, and with results and a count for each of two chunks.
     assert len(theirs["outputs"]) == 10
     assert_same(ours["outputs"], theirs["outputs"], kind)
     print(
@@ -113,7 +114,7 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
 
 
 @pytest.mark.parametrize("installation", ["package", "checkout"])
-def test_rlinf_counts_the_tasks_of_all_suites(
+def test_rlinf_runs_tasks_of_all_suites(
     installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = roll_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, installation))

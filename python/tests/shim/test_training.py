@@ -96,6 +96,7 @@ def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvir
     env, from_shim = started_in_shim(start)
     target = env.obj_of_interest[0]
     position, basket = from_shim[f"{target}_pos"], from_shim["basket_1_pos"]
+    # Steps (144 in all, in chunks of 8), position of the hand, m, and gripper.
     plan = [
         (22, position + [0, 0, 0.12], -1.0),
         (20, position, -1.0),

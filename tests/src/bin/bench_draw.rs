@@ -94,15 +94,18 @@ struct Worst {
 struct Agreement {
     pixels: u64,
     equal: u64,
+    /// Number of pixels that differ by at most [`CLOSE_LEVELS`].
     close: u64,
+    /// Largest difference of a channel, levels.
     largest: u8,
 }
 
 /// Results over all scenes.
 #[derive(Default)]
 struct Totals {
-    /// Ratio of the renderers' times over both cameras, by scene.
+    /// OpenGL's time over ours, each the sum of both cameras' medians, by scene.
     ratios: Vec<(f64, String)>,
+    /// Smallest shares of equal and of close pixels, percent, with scene and camera.
     least_equal: Option<(f64, String)>,
     least_close: Option<(f64, String)>,
     /// Growth of resident memory while our renderer draws the first frame of each camera, by
@@ -328,6 +331,9 @@ impl Agreement {
     }
 }
 
+/// Returns the heads of the table's columns: the median times of our renderer and of OpenGL, in
+/// milliseconds; the median and the range of OpenGL's time over ours; the shares of equal pixels
+/// and of pixels within [`CLOSE_LEVELS`] levels, percent; and the largest difference, levels.
 fn header(alone: bool) -> String {
     let ours = format!("{:<36} {:>8}", "scene and camera", "ours");
     match alone {
@@ -371,7 +377,7 @@ impl Totals {
         ))
     }
 
-    /// Adds the ratio of the renderers' times over both cameras of a scene.
+    /// Adds a scene's ratio of OpenGL's time to ours, each the sum of both cameras' medians.
     fn add(&mut self, scene: &str, findings: &[Findings; 2]) {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
             let medians = findings
@@ -431,7 +437,7 @@ fn resident() -> Result<f64> {
     Ok(kib / 1024.0)
 }
 
-/// Saves a picture of both frames and their brightened difference side by side.
+/// Saves a picture of three panes: our frame, OpenGL's, and their difference times 50.
 fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
     let (width, height) = (ours.width, ours.height);

@@ -18,11 +18,12 @@ use scene::{Sources, TaskFiles};
 use sim::{Conditions, Drawer, Environment, ReadyScene};
 use tests::files::open_pack;
 
+/// Side of a frame, pixels.
 const SIDE: u32 = 256;
 /// Number of steps before the timing starts.
 const WARM_UP: usize = 3;
 
-/// Environments to step.
+/// Time environments of one scene that step on threads.
 #[derive(Parser)]
 struct Arguments {
     /// The task: SUITE/N.
@@ -34,8 +35,10 @@ struct Arguments {
     /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
+    /// Environments that step, on one thread per core.
     #[arg(long, default_value_t = 16)]
     environments: usize,
+    /// Control steps of each environment that are timed.
     #[arg(long, default_value_t = 30)]
     steps: usize,
 }

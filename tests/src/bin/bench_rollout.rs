@@ -52,7 +52,7 @@ struct Arguments {
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
     /// Renderer: `software`, or `gl` for MuJoCo's renderer through OpenGL,
-    /// `gl:N` on the N-th device.
+    /// `gl:N` on the N-th device, from 0.
     #[arg(long, default_value_t)]
     renderer: Renderer,
     /// Times by the wall clock even if processor time of the thread would suffice, to compare with
@@ -84,6 +84,7 @@ struct Phases {
     frames: f64,
     /// Encoding an observation into the message to a policy.
     encode: f64,
+    /// Selecting the actions of an answer from the predetermined ones.
     policy: f64,
     /// Time of the rollout outside the phases above.
     other: f64,

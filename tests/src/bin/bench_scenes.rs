@@ -20,6 +20,7 @@ use tests::files::open_pack;
 const CACHED_SCENES: usize = 2;
 /// Number of control steps after which a slot's memory is measured.
 const STEPS: usize = 10;
+/// Side of a frame, pixels.
 const SIDE: u32 = 256;
 const MIB: f64 = (1 << 20) as f64;
 /// Script that prints how long the creation of an environment of a task takes, s.
@@ -344,7 +345,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         "",
     );
     row(
-        "  of its scene file: mean, most",
+        "  of its scene file, resident: mean, most",
         format!("{:.1}, {:.1} MiB", mean(&mapped), most(&mapped)),
         "",
     );

@@ -39,6 +39,7 @@ struct Arguments {
 }
 
 const SETTLE_STEPS: usize = 10;
+/// Side of a frame, pixels.
 const FRAME: u32 = 256;
 /// Number of frames timed per camera.
 const FRAMES: usize = 20;

@@ -152,7 +152,7 @@ fn simulator(arguments: &Arguments, tasks: &[TaskRef]) -> Result<Simulator> {
     }))
 }
 
-/// Runs one short rollout with all metric axes perturbed, as in a campaign.
+/// Runs one short rollout with all metric axes perturbed (all but language), as in a campaign.
 fn roll_out(simulator: &mut Simulator, task: TaskRef, config: usize) -> Result<()> {
     const LEVEL: Level = Level::L2;
     let init_id = task.eval_init_ids()[config];

@@ -39,14 +39,14 @@ struct Arguments {
     #[arg(long, value_delimiter = ',')]
     tasks: Vec<String>,
     /// Renderer: `software`, or `gl` for MuJoCo's renderer through OpenGL,
-    /// `gl:N` on the N-th device.
+    /// `gl:N` on the N-th device, from 0.
     #[arg(long, default_value_t)]
     renderer: Renderer,
     /// The reference was recorded on this machine: frames must equal it bit for bit, not only
     /// within bounds. Only with `--renderer gl`.
     #[arg(long)]
     frames_of_this_machine: bool,
-    /// Folder with the unpacked sources.
+    /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
 }
@@ -161,6 +161,12 @@ fn select(all: Vec<ReferenceTask>, wanted: &[String]) -> Result<Vec<ReferenceTas
     wanted.iter().map(find).collect()
 }
 
+/// Heads of the columns that [`row`] fills. `names`: whether all names of the model are the same.
+/// Largest differences: `arrays` of the model, relative; `settle`, `smooth` and `contact` of joint
+/// positions, m or rad; `obs.` of readings, in their own units. `predicates`: equal truth values of
+/// all. `frames` and `within 2`: smallest shares of a frame's pixels that are equal, and within two
+/// levels. `largest`: difference of a channel, levels. The last column, without a head, is `ok` if all
+/// limits hold, else `NO`.
 const HEADER: &str = "task              names arrays settle smooth contact obs.   predicates frames   within 2  largest";
 
 fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {

@@ -18,10 +18,11 @@ use tests::programs::program;
 
 /// Interval at which the progress of the campaign is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Range of the interval between two random faults, milliseconds.
+/// Range of the interval between two random faults, milliseconds; the upper end is excluded.
 const INTERVAL_MILLIS: (u64, u64) = (1_000, 4_000);
 
-/// One-time events, each with the share of committed rollouts after which it happens.
+/// One-time events, each with the share of committed rollouts after which it happens. A clock jump
+/// has the clock's new offset from the true time.
 const EVENTS: [(f64, Event); 7] = [
     (0.10, Event::PolicyOutage),
     (0.25, Event::Upgrade),
@@ -143,7 +144,7 @@ fn plan(arguments: &Arguments) -> Plan {
 /// A campaign with faults.
 struct Rehearsal<'a> {
     fleet: &'a mut Fleet,
-    /// Number of times that each event happened.
+    /// Number of events and faults so far, by label.
     occurrences: BTreeMap<String, u32>,
     rng: ChaCha8Rng,
     /// Duration of outages of policy and disk.
@@ -200,7 +201,7 @@ impl Rehearsal<'_> {
                 "full disk of the coordinator"
             }
             Event::ClockJump(by) => match self.fleet.jump_clock(by) {
-                true => "jump of the coordinator's clock, by a day",
+                true => "jump of the coordinator's clock to a day ahead or behind",
                 false => "SKIPPED: the clock does not jump without libfaketime",
             },
             Event::Backup => {

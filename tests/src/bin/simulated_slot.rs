@@ -26,7 +26,7 @@ use worker::message::{
 use worker::parent::Parent;
 use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 
-/// Number of control steps of a rollout.
+/// Number of control steps that are simulated; the result has a number from the rollout's hash.
 const STEPS: u32 = 12;
 /// Default duration of a control step, milliseconds.
 const STEP_MILLIS: u64 = 12;
@@ -184,7 +184,8 @@ fn play(
     }))
 }
 
-/// Returns a synthetic path: an arc whose size follows from the rollout's hash.
+/// Returns a synthetic path: an arc whose size follows from the rollout's hash, 0.9 m above the
+/// origin; in units of 0.1 mm.
 fn path(hash: &[u8]) -> Vec<[i16; 3]> {
     let (width, height) = (i16::from(hash[2]) * 8, i16::from(hash[3]) * 4);
     let point = |step: u32| {

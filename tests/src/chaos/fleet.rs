@@ -1,6 +1,6 @@
-//! A whole system as processes: a policy behind a gateway, a coordinator, two
-//! workers with a slot each, and a breakable connection ([`Wire`]) for each link.
-//! Every process may be killed and is restarted.
+//! A whole system as processes: a policy behind a gateway, a coordinator, the workers
+//! of a [`Plan`], and a breakable connection ([`Wire`]) for each link. Every process may
+//! be killed and is restarted.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::PermissionsExt;

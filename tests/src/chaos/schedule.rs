@@ -38,21 +38,21 @@ pub enum Fault {
     RestartMachine(Duration),
     /// SIGTERM of a worker; a new one is started. Never drawn, because it breaks nothing.
     DrainWorker,
-    /// `kill -9` of a slot's process.
+    /// `kill -9` of the processes of all slots of a worker, which starts them again.
     KillSlot,
     /// `kill -9` of the gateway and a restart after the given time.
     KillGateway(Duration),
     /// `kill -9` of the policy and a restart after the given time.
     KillPolicy(Duration),
-    /// SIGSTOP of a worker's parent for longer than its lease, then SIGCONT.
+    /// SIGSTOP of a worker's parent, then SIGCONT after the given time, longer than a lease.
     StopWorker(Duration),
-    /// SIGSTOP of the coordinator, then SIGCONT.
+    /// SIGSTOP of the coordinator, then SIGCONT after the given time.
     StopCoordinator(Duration),
     /// All connections of a link are cut at once.
     Cut(Link),
     /// A link refuses all connections for the given time.
     Block(Link, Duration),
-    /// All data on a link is delayed.
+    /// All data on a link is delayed by the given time, for one second.
     Delay(Link, Duration),
     /// All requests of workers to the coordinator arrive twice for the given time.
     Duplicate(Duration),
@@ -76,8 +76,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Draws the schedule of a seed. Consecutive seeds start with different kinds of
-    /// faults, so that as many seeds as there are kinds cover every kind.
+    /// Draws the schedule of a seed. One fault is of kind `seed % KINDS`, so that `KINDS`
+    /// consecutive seeds cover every kind.
     pub fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut faults = vec![draw(&mut rng, seed % KINDS)];

@@ -21,9 +21,12 @@ use worker::variants::Prepared;
 use super::recording::Recording;
 use crate::fidelity::{FrameFindings, RendererRelation};
 
-/// Largest difference of any coordinate of a state or a camera.
+/// Largest permitted difference of any coordinate of a state or a camera.
 pub const TOLERANCE: f64 = 1e-9;
-/// Side of the recorded pictures, pixels. Those with fog are larger, but draw equally many numbers.
+/// Number of times that the original has loaded its model after its construction and one reset.
+pub const MODEL_LOADS: u32 = 2;
+/// Side of the recorded pictures, pixels. Those with fog have 256, but fog draws equally many
+/// random numbers for any size.
 const SIDE: usize = 128;
 /// Pictures that the original draws and corrupts: that of the reset and those of ten waits.
 const PICTURES: usize = 11;
@@ -31,15 +34,15 @@ const PICTURES: usize = 11;
 /// Differences from the original in one case.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    /// Dimension of LIBERO-Plus, or ending of LIBERO-PRO's suites.
+    /// Dimension of LIBERO-Plus, ending of LIBERO-PRO's suites, or `sentences` for LIBERO-Para.
     pub group: String,
     /// Largest difference of any coordinate of a state.
     pub states: f64,
     /// Largest difference of the compiled pose of `agentview`; `None` if it was not recorded.
     pub camera: Option<f64>,
-    /// Whether the generator's next number is the same; `None` if it was not recorded.
+    /// True if the generator's next number is the same; `None` if it was not recorded.
     pub draw: Option<bool>,
-    /// Whether the prompts are the same; `None` if none was recorded or the sentence is missing.
+    /// True if the prompts are the same; `None` if none was recorded or the sentence is missing.
     pub prompt: Option<bool>,
     /// `None` if there is no recorded picture.
     pub frames: Option<FrameFindings>,
@@ -68,7 +71,7 @@ impl Findings {
     }
 }
 
-/// Why a case was not compared.
+/// Reason why a case was not compared.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Skipped(pub String);
 
@@ -76,7 +79,7 @@ pub struct Skipped(pub String);
 pub struct Comparison {
     sources: Sources,
     pack: AssetPack,
-    /// LIBERO-PRO's objects are in a folder of their own.
+    /// LIBERO-PRO's assets; `None` if no folder of them is named.
     pro_pack: Option<AssetPack>,
     /// Checkout of LIBERO-Para.
     para: Option<PathBuf>,
@@ -212,7 +215,8 @@ impl Comparison {
                 let number = number_of_task(name)?;
                 files.init =
                     folder.join(format!("init_files/libero_para/eval{number}.pruned_init"));
-                // LIBERO-Para's scripts keep the capitals, which no parser of BDDL does.
+                // LIBERO-Para's scripts keep the sentence's capitals in the prompt; parsers of BDDL
+                // convert them to lower case.
                 Some(Prompts {
                     prompt: files.sentence()?,
                     sentence: files.problem()?.language,
@@ -292,7 +296,9 @@ fn findings(
     }
     if let Some(expected) = numbers("draw") {
         let mut rng = LegacyRng::seed(run.start.seed);
-        episode.environment().reset(&mut rng, Reset::Hard, 2)?;
+        episode
+            .environment()
+            .reset(&mut rng, Reset::Hard, MODEL_LOADS)?;
         if let Some(corruption) = run.start.corruption {
             for _ in 0..PICTURES {
                 corruption.skip(SIDE, SIDE, &mut rng);

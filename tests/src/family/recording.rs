@@ -15,11 +15,12 @@ pub const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/family");
 /// `states.txt` and `pro.txt` have fewer values.
 #[derive(Debug, Clone, Default)]
 pub struct Recording {
-    /// Suite and variant, suite and task, or the name of a BDDL file.
+    /// Suite and variant of LIBERO-Plus, suite and task of LIBERO-PRO, or name of a BDDL file of
+    /// LIBERO-Para.
     pub name: String,
     /// Number of the case, which names its pictures.
     pub number: Option<usize>,
-    /// True if nothing was mended after the case was first compared.
+    /// True if no code was changed after the case was first compared.
     pub is_held_out: bool,
     /// SHA-256 of the prompt.
     pub prompt: Option<String>,
@@ -78,7 +79,8 @@ impl Found {
         &mut self.0[index]
     }
 
-    /// Adds a line of `states.txt`. Its `noise` belongs to pictures of 256 × 256.
+    /// Adds a line of `states.txt`. Two kinds are left out: `noise`, which belongs to pictures of
+    /// 256 × 256, and `reset-only`, which belongs to fifteen waits.
     fn add_states(&mut self, line: &str) -> Option<()> {
         let (name, rest) = line.split_once(' ')?;
         let (kind, numbers) = rest.split_once(' ')?;

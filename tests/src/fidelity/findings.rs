@@ -11,7 +11,7 @@ pub struct Limits {
     pub arrays: f64,
     /// Joint positions after every smooth step, m or rad.
     pub smooth: f64,
-    /// Observed readings, m or rad.
+    /// Observed readings, in their own units.
     pub observed: f64,
     pub frames: FrameLimits,
     /// Joint positions in contact-rich steps, in multiples of the original's own sensitivity.
@@ -37,11 +37,11 @@ pub struct Findings {
     pub name: Option<String>,
     /// Largest relative difference of a model array, with the array's name.
     pub arrays: Worst,
-    /// Largest difference of joint positions after loading and settling.
+    /// Largest difference of joint positions after loading, and after settling, m or rad.
     pub settled: Worst,
-    /// Largest difference of joint positions after the smooth steps.
+    /// Largest difference of joint positions after any smooth step, m or rad.
     pub smooth: Worst,
-    /// Largest difference of observed readings.
+    /// Largest difference of an observed reading, in its own unit.
     pub observed: Worst,
     /// Success flags that differ, over all steps.
     pub success_flags: usize,
@@ -56,10 +56,10 @@ pub struct Findings {
 /// Comparison of contact-rich steps with the original.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ContactFindings {
-    /// Largest difference of joint positions.
+    /// Largest difference of joint positions, m or rad.
     pub worst: f64,
-    /// Largest difference while the original itself is insensitive; 0 if the sensitivity was
-    /// not measured.
+    /// Largest difference while the original itself is insensitive, m or rad; 0 if the sensitivity
+    /// was not measured.
     pub worst_while_insensitive: f64,
     /// Largest difference in multiples of the original's sensitivity after the insensitive
     /// phase; `None` if the sensitivity was not measured.

@@ -8,6 +8,7 @@ use sim::{Drawer, Environment, Frame};
 
 use super::reference::ReferenceTask;
 
+/// Side of the reference's frames, pixels.
 const SIZE: u32 = 256;
 /// Largest difference at which a pixel counts as close, grey levels.
 pub const CLOSE_LEVELS: u8 = 2;
@@ -52,6 +53,7 @@ impl RendererRelation {
         }
     }
 
+    /// Returns the limits, whose measurements are in docs/FIDELITY.md.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),

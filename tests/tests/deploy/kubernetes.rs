@@ -51,6 +51,7 @@ fn assert_valid(python: &Path, files: &[PathBuf]) -> serde_json::Value {
     let (is_valid, output) = check(python, files);
     assert!(is_valid, "{output}");
     let (commands, last) = output.trim_end().rsplit_once('\n').expect("some lines");
+    // The command lines of coordinator, gateway and worker.
     assert_eq!(commands.lines().count(), 3, "{commands}");
     for line in commands.lines() {
         let words: Vec<String> = serde_json::from_str(line).expect("a command line");
@@ -99,6 +100,7 @@ fn manifest_faults_are_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let broken = folder.path().join("workers.yaml");
     let mut files = base();
+    // `workers.yaml` is the fourth of `BASE`.
     let text = fs::read_to_string(&files[3]).expect("a manifest");
     files[3] = broken.clone();
     for (from, to, named) in [

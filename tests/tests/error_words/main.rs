@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 
 use tests::phrases::raw_phrase;
 
-/// Errors that only their own crate can construct; the errors that wrap them are listed.
+/// Errors that are not listed by themselves: three occur only inside listed errors, and `Outer` is
+/// of a unit test.
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "MissingInput"];
 
 /// Errors whose messages are complete sentences; the messages of all others follow "failed to …".
@@ -38,7 +39,7 @@ const SENTENCES: [&str; 13] = [
 /// Messages of errors, each with the name of its type.
 #[derive(Default)]
 pub(crate) struct Messages {
-    enums: BTreeSet<String>,
+    types: BTreeSet<String>,
     texts: Vec<(String, String)>,
 }
 
@@ -46,7 +47,7 @@ impl Messages {
     /// Adds an error as programs print it.
     pub(crate) fn add(&mut self, path: &str, error: impl Error + Send + Sync + 'static) {
         let name = path.rsplit("::").next().unwrap_or(path);
-        self.enums.insert(name.trim().to_owned());
+        self.types.insert(name.trim().to_owned());
         let logged = transport::chain(&error);
         let start = match SENTENCES.contains(&name) {
             true => "",
@@ -176,7 +177,7 @@ fn every_error_in_the_sources_is_listed() {
         }
     }
     assert!(names.len() > 40, "few errors were found: {names:?}");
-    let listed = all().enums;
+    let listed = all().types;
     let missing: Vec<&String> = names
         .iter()
         .filter(|name| !listed.contains(*name) && !PRIVATE.contains(&name.as_str()))

@@ -5,11 +5,11 @@
 
 prints the cases. ROOT is the folder of the packages, as `record_chosen.py` says.
 
-LIBERO-Plus: ten variants of each of the six dimensions that run with LIBERO's assets, with those of the benchmark that
-`record.py` recorded first. The k-th new variant of a dimension has the k-th suite and the k-th difficulty, both in turn. If there is
+LIBERO-Plus: ten variants of each of the six dimensions that run with LIBERO's assets, including those that `record.py`
+recorded earlier. The k-th new variant of a dimension has the k-th suite and the k-th difficulty, both in turn. If there is
 no such variant, the suite is free (all floors are libero_object's), then the difficulty, too. Among the candidates, a
 task that the dimension does not have yet comes first, then the lowest SHA-256 of `suite/variant`. Held out, which means
-that nothing was looked at or mended after they were first compared, are ten: the last variant of each dimension, and the
+that no code was changed after they were first compared, are ten: the last variant of each dimension, and the
 last but one of the four dimensions with the most new variants. The repository keeps pictures of the first and the last
 new variant of each dimension.
 
@@ -33,7 +33,7 @@ SHORT = {"spatial": SUITES[0], "object": SUITES[1], "goal": SUITES[2], "long": S
 DIMENSIONS = ("camera", "robot", "language", "noise", "layout", "background")
 PER_DIMENSION = 10
 HELD_OUT = 10
-#: Floors that need LIBERO's textures only.
+#: Number of variants of the background whose floor and wall have textures of LIBERO.
 FLOORS = 62
 NOMINAL = "view_0_0_100_0_0"
 SUFFIXES = {
@@ -45,7 +45,7 @@ SUFFIXES = {
     "tb": "tb_{}",
     "table": "table_{}",
 }
-#: Suites of LIBERO-PRO whose task of the first round has pictures in the repository, and the number of its tasks.
+#: Number of LIBERO-PRO's tasks in the first round, and suites whose task of that round has pictures in the repository.
 FIRST_ROUND = 7
 PRO_PICTURES = ("libero_spatial_swap", "libero_object_task", "libero_10_lan", "libero_10_task")
 
@@ -65,6 +65,7 @@ class Variant(NamedTuple):
 class Chosen(NamedTuple):
     variant: Variant
     is_held_out: bool
+    #: True if the repository keeps its pictures.
     is_kept: bool
 
 

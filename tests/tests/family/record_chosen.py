@@ -89,7 +89,7 @@ def configure(inner: pathlib.Path, assets: pathlib.Path) -> None:
 
 def record(envs, bddl: pathlib.Path, states, picture: pathlib.Path) -> list:
     """Resets, sets the initial state and waits; with two states, twice."""
-    # Fog fits no other size.
+    # The original's fog has 256 pixels a side.
     side = 2 * SIDE if re.search(r"_noise_(3[1-9]|40)$", bddl.stem) else SIDE
     env = envs.OffScreenRenderEnv(bddl_file_name=str(bddl), camera_heights=side, camera_widths=side)
     lines = [f"sentence {hashlib.sha256(env.language_instruction.encode()).hexdigest()}"]
@@ -131,7 +131,7 @@ def plus(root: pathlib.Path):
         bddl = inner / "bddl_files" / variant.suite / f"{variant.name}.bddl"
         about = f"{variant.dimension} {variant.difficulty} {'held-out' if is_held_out else 'open'}"
         yield variant.path, about, is_kept, prompt, envs, bddl, lambda: [load(file).reshape(1, -1)[0] if single else load(file)[0]]
-    # `record.py` recorded all but the prompts.
+    # Of these earlier variants, `record.py` recorded all values but the prompts.
     for path in sorted(choice.recorded_first()):
         suite, name = path.split("/")
         yield path, "", False, benchmark.grab_language_from_filename(suite, f"{name}.bddl"), None, None, None
