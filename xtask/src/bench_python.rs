@@ -44,11 +44,14 @@ pub(crate) struct Options {
     assets: Option<PathBuf>,
 }
 
-/// Row of the table: the measured quantity, its target, and its computation from a round.
+/// Row of the table. The last row compares with a program without Python, in the column of the
+/// original.
 struct Row {
     name: &'static str,
+    /// Target of the ratio or, if it has a unit, of this project's value.
     target: &'static str,
     unit: &'static str,
+    /// Returns this project's value, the original's, and their ratio.
     values_of: fn(&Round) -> Result<[f64; 3]>,
 }
 

@@ -62,6 +62,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             println!("without the original, which cannot be run here: failed to {error:#}");
             let mut command = Command::new(&shim);
             command.arg(&script);
+            // The arms of compare.py that run this project's environments.
             command.args(["--no-checks", "--arms", "S", "S+", "V"]);
             command
         }

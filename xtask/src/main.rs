@@ -75,7 +75,7 @@ enum Command {
     Dist(dist::Options),
     /// Take the pictures of the live page in docs/screenshots.
     Screenshots,
-    /// Measure and print JSON.
+    /// Run a benchmark; docs/PERFORMANCE.md and docs/PYTHON.md describe most of them.
     #[command(subcommand)]
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
