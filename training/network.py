@@ -30,7 +30,7 @@ TEXT_WIDTH = 128
 POINTS = 64
 """Number of learned points in each camera's picture."""
 GRID = 32
-"""Height and width of the map in which points are located, twice those of the last features."""
+"""Height and width of the map in which points are located, twice those of ``block3``'s output."""
 HEAD = 512
 """Width of the two layers before the actions."""
 GROUPS = 8

@@ -168,8 +168,8 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     assert_eq!(row["task"], "own/0");
     assert_eq!(row["waits"], 10);
 
-    // The unperturbed rollout of the same task under the same rules. Its equality with the
-    // original is tested in `family.rs`.
+    // The unperturbed rollout of the task of which `plate` is a copy, under `plus-official`, whose
+    // rules the suite file has. `family.rs` compares such rollouts with the original.
     let libero = suite.folder.path().join("libero");
     let mut command = Command::new(program("worker"));
     command.args(["variants", "--assets", "primitives", "--variant"]);

@@ -1,5 +1,5 @@
-//! `cargo xtask bench python`: times this project's Python environments and the original's, in
-//! turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
+//! `cargo xtask bench python`: times this project's Python environments and the original LIBERO's,
+//! in turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

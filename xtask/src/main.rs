@@ -119,9 +119,9 @@ enum Bench {
     },
     /// The same rollout in this simulator and in the original LIBERO, in turn.
     Compare(bench::Compare),
-    /// This project's environments in Python and the original's, in turn.
+    /// This project's environments in Python and the original LIBERO's, in turn.
     Python(bench_python::Options),
-    /// Rollouts for reinforcement learning, in our and the original's environments.
+    /// Rollouts for reinforcement learning, in our and the original LIBERO's environments.
     Training(bench_training::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
