@@ -169,7 +169,7 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     assert_eq!(row["waits"], 10);
 
     // The unperturbed rollout of the task of which `plate` is a copy, under `plus-official`, whose
-    // rules the suite file has. `family.rs` compares such rollouts with the original.
+    // rules the suite file has.
     let libero = suite.folder.path().join("libero");
     let mut command = Command::new(program("worker"));
     command.args(["variants", "--assets", "primitives", "--variant"]);
