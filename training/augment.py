@@ -24,16 +24,16 @@ GAIN = 0.12
 TINT = 0.06
 BRIGHTNESS = 0.08
 """Standard deviations: ``GAIN`` of the log contrast, ``TINT`` of the log gain of each colour,
-``BRIGHTNESS`` of the brightness offset."""
+``BRIGHTNESS`` of the offset that is added to pixels, which are in -1..1."""
 MAX_NOISE = 0.04
-"""Greatest standard deviation of the noise on pixels; a picture's range is 2."""
+"""Greatest standard deviation of the noise on pixels, which are in -1..1."""
 
 CANONICAL_SHARE = 0.2
 """Probability that a sample has the benchmark's own instruction."""
 MAX_WORDS_DROPPED = 0.25
 MAX_PAIRS_DROPPED = 0.6
-"""Largest shares of the words, and of the remaining pairs, that are dropped from an instruction.
-Dropped words simulate words that never occur in training."""
+"""Largest shares of an instruction's words that are dropped, and of its pairs of neighbouring words
+of which both words are kept. Dropped words simulate words that never occur in training."""
 
 
 class PictureChange(NamedTuple):
@@ -81,7 +81,8 @@ def apply_changes(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tens
 
 
 class Wordings:
-    """Many wordings of each task, as features on the batch's device."""
+    """Many wordings of each task, as features on the batch's device. Wording 0 is the benchmark's
+    own instruction."""
 
     def __init__(self, per_task: int, seed: int, device: torch.device, processes: int = 1) -> None:
         by_task = _all_features(per_task, seed, processes)

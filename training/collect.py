@@ -34,7 +34,7 @@ from training.student import Student
 from training.wordings import TASK_NAMES, draw
 
 STEPS_PER_FRAME = 4
-"""Control steps between frames. It must divide the student's eight actions."""
+"""Control steps between frames. It must divide each of ``drivers.HORIZONS``."""
 LONG_TASK_WEIGHT = 2.0
 """Number of environments per task of libero_10, relative to a task of the other suites: episodes
 of libero_10 are longer, and their steps more diverse."""
@@ -81,7 +81,8 @@ class Tally:
             self._results.append((task, driver, success))
 
     def line(self) -> str:
-        """Returns a progress line."""
+        """Returns a progress line. Its two success rates are of the episodes in which the expert
+        drove, alone or in turns with the student, and of those in which the student drove alone."""
         with self._lock:
             seconds = time.monotonic() - self._start
             results = list(self._results)
@@ -96,7 +97,7 @@ class Tally:
             f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
             f"{self.frames:,} frames ({self.frames / seconds:,.0f}/s)",
             f"{len(results):,} episodes",
-            "success % " + _rates(guided),
+            "success with the expert % " + _rates(guided),
         ]
         if alone:
             parts.append("student alone % " + _rates(alone))
@@ -248,7 +249,7 @@ class Group:
             )
             self._store_steps(commands, info["taken"], info["expert_action"])
             self._tally.add_steps(int(info["taken"].sum()), len(acting))
-            # In this call, environments whose rollout had ended began their next rollout.
+            # `step_chunk` began the next rollout in environments whose rollout had ended before.
             if begins.any():
                 self._begin(np.flatnonzero(begins))
             begins = terminated | truncated
@@ -499,7 +500,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--into", type=Path, required=True, help="folder of shards")
     parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
-    parser.add_argument("--driver", choices=["expert", "student"], default="expert")
+    parser.add_argument(
+        "--driver", choices=["expert", "student"], default="expert",
+        help="expert: the expert drives, mostly disturbed; student: student and expert in turns",
+    )  # fmt: skip
     parser.add_argument(
         "--weights", type=Path,
         help="file of the student's weights, read again when it changes; until the file exists, the"

@@ -113,7 +113,7 @@ def report(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--weights", type=Path, required=True)
+    parser.add_argument("--weights", type=Path, required=True, help="file of the student's weights")
     parser.add_argument("--episodes", type=int, default=5, help="episodes per task")
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
     parser.add_argument(
@@ -123,7 +123,10 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=200, help="number of environments")
     parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--table", type=Path, help="file for each episode's outcome, JSON")
-    parser.add_argument("--wordings", choices=["canonical", "drawn"], default="canonical")
+    parser.add_argument(
+        "--wordings", choices=["canonical", "drawn"], default="canonical",
+        help="the benchmark's own instructions, or wordings drawn with a seed that training lacks",
+    )  # fmt: skip
     parser.add_argument(
         "--perturbed", action="store_true", help="perturb every episode, as `training.collect` does"
     )

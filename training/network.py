@@ -20,7 +20,8 @@ CHUNK = 8
 ARM = 6
 """Numbers of an action for the arm; a seventh number is for the gripper."""
 STATE = 14
-"""Numbers of the robot's state: position (3), rotation matrix (9), fingers (2)."""
+"""Numbers of the robot's state: the hand's position, m, and rotation matrix, world frame (3 and 9);
+positions of the fingers, m (2)."""
 PICTURE = 128
 """Height and width of a picture, pixels."""
 
@@ -29,7 +30,7 @@ TEXT_WIDTH = 128
 POINTS = 64
 """Number of learned points in each camera's picture."""
 GRID = 32
-"""Height and width of the map in which points are located, twice those of the last features."""
+"""Height and width of the map in which points are located, twice those of ``block3``'s output."""
 HEAD = 512
 """Width of the two layers before the actions."""
 GROUPS = 8

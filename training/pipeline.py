@@ -31,7 +31,8 @@ from training.train import WEIGHTS
 LEAVE_SECONDS = 12.0
 """Seconds before the end of a call at which collecting and training stop, to write files."""
 THREADS = 16
-"""Threads of a collecting process; more would contend for the interpreter lock (GIL)."""
+"""Threads per collecting process: so many workers start a further process, since the threads of one
+process contend for its interpreter lock (GIL)."""
 
 
 def python(module: str, *arguments: object) -> list[str]:
@@ -40,7 +41,7 @@ def python(module: str, *arguments: object) -> list[str]:
 
 
 def rounds(data: Path) -> list[Path]:
-    """Returns the folders of the rounds so far, in order."""
+    """Returns the folders of the rounds so far, in order: one for each collecting process."""
     return sorted(folder for folder in data.glob("round_*") if folder.is_dir())
 
 
@@ -74,10 +75,11 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
         if any((folder / OUTCOMES).exists() for folder in earlier):
             command += ["--failures", *map(str, earlier)]
         log = (arguments.data / f"{into.name}.log").open("wb")
-        # The first GPU trains; collectors take turns with the others, if there are any.
-        others = visible_gpus()[1:]
+        # The first GPU trains. Collecting processes are spread over the further GPUs, if there are
+        # any, and otherwise use the first GPU too.
+        further = visible_gpus()[1:]
         environment = (
-            os.environ | {"CUDA_VISIBLE_DEVICES": others[at % len(others)]} if others else None
+            os.environ | {"CUDA_VISIBLE_DEVICES": further[at % len(further)]} if further else None
         )
         processes.append(
             subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
@@ -122,7 +124,8 @@ def teach(arguments: argparse.Namespace) -> None:
 
 
 def show_rounds(data: Path) -> None:
-    """Prints each round's results: the last line of each collection, and its failures."""
+    """Prints the last progress line of each collecting process, and the twelve tasks that the
+    student, driving alone, failed most often in the newest two folders."""
     for folder in rounds(data):
         log = data / f"{folder.name}.log"
         lines = [line for line in log.read_text().splitlines() if " steps (" in line]
@@ -158,20 +161,23 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder of all rounds and logs")
     parser.add_argument("--into", type=Path, default=Path("."), help="folder of exported files")
     parser.add_argument("--minutes", type=float, required=True, help="duration of this call")
-    parser.add_argument("--total-minutes", type=float, default=18.0, help="time of all calls")
-    parser.add_argument("--expert-minutes", type=float, default=3.0, help="length of round 1")
-    parser.add_argument("--round-minutes", type=float, default=5.0, help="length of other rounds")
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--total-minutes", type=float, default=18.0, help="training of all calls")
+    parser.add_argument("--expert-minutes", type=float, default=3.0, help="length of first round")
+    parser.add_argument("--round-minutes", type=float, default=5.0, help="length of later rounds")
+    parser.add_argument(
+        "--workers", type=int, default=len(os.sched_getaffinity(0)),
+        help="number of cores to simulate on",
+    )  # fmt: skip
     parser.add_argument("--envs", type=int, default=160, help="number of environments")
-    parser.add_argument("--perturbed", type=float, default=0.0, help="share of episodes")
+    parser.add_argument("--perturbed", type=float, default=0.0, help="share of perturbed episodes")
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
-    parser.add_argument("--budgets", type=int, default=BUDGETS, help="as in collect")
-    parser.add_argument("--solved-only", action="store_true", help="as in collect")
+    parser.add_argument("--budgets", type=int, default=BUDGETS, help="as in training.collect")
+    parser.add_argument("--solved-only", action="store_true", help="as in training.collect")
     parser.add_argument("--episodes", type=int, default=10, help="per task, in evaluate")
-    parser.add_argument("--batch", type=int, default=1024)
+    parser.add_argument("--batch", type=int, default=1024, help="frames per training step")
     parser.add_argument("--wordings", type=int, default=4000, help="wordings per task")
     parser.add_argument("--assets", default="libero", help="asset pack or its folder")
-    parser.add_argument("--name", default="student")
+    parser.add_argument("--name", default="student", help="name of the student and its file")
     arguments = parser.parse_args()
     {"teach": teach, "evaluate": evaluate}[arguments.stage](arguments)
 

@@ -6,7 +6,7 @@ every few steps, and a label for every step.
     frames.npy       uint8   [F, 2, 128, 128, 3]  both cameras, row 0 at the top
     table.npz:
       state          float32 [F, 14]  the robot's state at the frame
-      frame_step     int32   [F]      the step that follows the frame, counted in the shard
+      frame_step     int32   [F]      the step that follows the frame, from the shard's first step
       label          float32 [S, 7]   the expert's action
       executed       float32 [S, 7]   the executed action
       source         uint8   [S]      a ``Source``
@@ -50,11 +50,13 @@ class Source(IntEnum):
     """Driver of a step, or the disturbance of the expert in the step."""
 
     EXPERT = 0
+    """The expert's action, unchanged."""
     NOISE = 1
     """The expert's action with Gaussian noise."""
     PUSH = 2
     """The expert's action plus a push."""
     STUDENT = 3
+    """The student's action."""
 
 
 class Outcome(IntEnum):

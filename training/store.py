@@ -120,6 +120,7 @@ class Library:
         self.training = Store(capacity, device)
         self.held_out = Store(held_out_capacity, device)
         self.by_suite = np.zeros(4, np.int64)
+        """Frames added to the training store, by suite in the order of ``TASK_NAMES``."""
 
     def refresh(self) -> int:
         """Loads the new shards. Returns the number of frames by which the stores grew."""
@@ -149,7 +150,7 @@ class Library:
 
 
 def _held_out(path: Path, episodes: int) -> NDArray[np.bool_]:
-    """Returns a mask of a shard's episodes for validation. It depends only on the shard's
-    number."""
+    """Returns a mask of a shard's episodes for validation. It depends only on the shard's number,
+    and consecutive shards hold out different positions."""
     number = int(path.name.split("_")[1])
     return np.equal(np.arange(episodes) % HELD_OUT_INTERVAL, (7 * number) % HELD_OUT_INTERVAL)

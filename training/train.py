@@ -244,7 +244,8 @@ def _schedule(step: int, fraction: float) -> float:
 
 
 def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
-    """Returns the requested number of frames, or the number that the device can hold."""
+    """Returns the requested number of frames, else the number that the GPU can hold, else 20,000,
+    which take 2 GB."""
     if arguments.capacity:
         return int(arguments.capacity)
     if device.type == "cuda":
@@ -332,7 +333,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of shards")
     parser.add_argument("--run", type=Path, required=True, help="folder of checkpoint and weights")
-    parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
+    parser.add_argument(
+        "--seconds", type=float, default=300.0, help="duration of all calls, start included"
+    )
     parser.add_argument(
         "--stop-after", type=float, metavar="SECONDS",
         help="stop after this time with a checkpoint, from which the same command resumes",
@@ -344,7 +347,7 @@ def main() -> None:
         "--start-from", type=Path, metavar="WEIGHTS", help="file of the initial weights"
     )
     parser.add_argument("--name", default="student", help="name in the weights file")
-    parser.add_argument("--batch", type=int, default=1024)
+    parser.add_argument("--batch", type=int, default=1024, help="frames per step")
     parser.add_argument("--learning-rate", type=float, default=1e-3)
     parser.add_argument("--weight-decay", type=float, default=1e-3)
     parser.add_argument("--wordings", type=int, default=4_000, help="wordings per task")
@@ -354,10 +357,16 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument(
         "--capacity", type=int,
-        help="largest number of frames; by default as many as fit on the GPU",
+        help="largest number of frames; by default as many as fit on the GPU, without one 20,000",
     )  # fmt: skip
-    parser.add_argument("--processes", type=int, default=min(8, len(os.sched_getaffinity(0))))
-    parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=cuda)
+    parser.add_argument(
+        "--processes", type=int, default=min(8, len(os.sched_getaffinity(0))),
+        help="processes that draw the wordings at the start",
+    )  # fmt: skip
+    parser.add_argument(
+        "--compile", action=argparse.BooleanOptionalAction, default=cuda,
+        help="compile the network with torch.compile",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cuda" if cuda else "cpu")
     train(parser.parse_args())

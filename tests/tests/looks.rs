@@ -123,11 +123,11 @@ fn explain(campaigns: &Campaigns, outcomes: &Path) {
     finish(campaigns, "explain", "planted");
 }
 
-/// Step and maximum of the radii at which thresholds may be searched.
+/// Spacing and largest of the radii that `coordinator thresholds` may run by default.
 const RADII: [f64; 2] = [0.5, 16.0];
 
 /// Returns the smallest radius at which a rollout fails: larger for later tasks, and largest for
-/// the robot axis alone.
+/// the robot axis alone. Task 7, which also fails nominally, has the smallest.
 fn failure_radius(task: usize, config: u16, condition: Condition) -> f64 {
     let scale = match condition {
         Condition::Combination => 0.6,
@@ -139,7 +139,8 @@ fn failure_radius(task: usize, config: u16, condition: Condition) -> f64 {
     scale * (task + 0.7 * f64::from(config))
 }
 
-/// Returns result rows for all radii; some rollouts succeed again at a larger radius.
+/// Returns result rows for all radii. Task 2 under the camera axis alone fails at smaller radii
+/// and succeeds again at radius 8.
 fn outcomes_by_radius() -> String {
     let mut rows = String::new();
     let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
@@ -194,7 +195,7 @@ fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
     campaigns.simulated_worker(2, &environment)
 }
 
-/// Repeats a command until its findings are complete.
+/// Repeats `explain` or `thresholds` until its findings are complete.
 fn finish(campaigns: &Campaigns, command: &str, campaign: &str) {
     let start = Instant::now();
     loop {

@@ -69,6 +69,7 @@ fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
     assert_eq!(bench.browser.value("window.since"), "the beginning");
 
     bench.browser.click("section.campaign h2 a");
+    // The matrix has a row for each of the twelve tasks, with ten configurations.
     bench
         .browser
         .wait_for("document.querySelectorAll('svg.panel[role=group] a').length === 120");
@@ -130,6 +131,7 @@ fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
     assert_eq!(bench.browser.value("window.since"), "the click");
 
     bench.browser.click("svg.panel[role=group] a");
+    // The rollouts of a configuration: nominal, simultaneous and five single axes.
     bench
         .browser
         .wait_for("document.querySelectorAll('article.rollout').length === 7");
@@ -186,6 +188,8 @@ fn the_videos_of_a_configuration_play_together() {
     let shortest = "Math.min(...[...document.querySelectorAll('video')].map(v => v.duration))";
     let difference = bench.browser.value(difference).as_f64().unwrap();
     let shortest = bench.browser.value(shortest).as_f64().unwrap();
+    // The slider is in the middle of the longest video, which lasts 14 s at most. A video of less
+    // than 8 s may have ended there.
     assert!(
         difference < 0.1 || shortest < 8.0,
         "the videos are {difference} s apart"

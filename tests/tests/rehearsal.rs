@@ -13,6 +13,7 @@ fn a_disturbed_week_ends_as_an_undisturbed_one() {
     let printed = String::from_utf8_lossy(&output.stdout);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{printed}\n{errors}");
+    // 50 nominal rollouts, and ten configurations under seven conditions at three levels.
     assert!(
         printed.contains("260 rollouts on 4 simulated slots"),
         "{printed}"

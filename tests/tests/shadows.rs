@@ -1,5 +1,5 @@
-//! LIBERO's scenes with other lights, which cast shadows, as LIBERO-Plus' light conditions have
-//! them: pictures compared with those that the original draws, as recorded by `shadows/record.py`.
+//! LIBERO's scenes with changed lights, which cast shadows as in LIBERO-Plus' light variants:
+//! pictures compared with those that the original LIBERO draws, recorded by `shadows/record.py`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,23 +15,23 @@ use tests::fidelity::CLOSE_LEVELS;
 use tests::files::{folder_with_links, libero, sources};
 use tests::programs::{Campaigns, program};
 
-/// A scene with other lights.
+/// A scene with changed lights.
 #[derive(Deserialize)]
 struct Case {
     name: String,
     /// Kind of scene, as in the names of LIBERO-Plus' files.
     scene: String,
     task: TaskRef,
-    /// Attributes of lights, by the light's name.
+    /// Changed attributes and their values, by the light's name.
     lights: BTreeMap<String, BTreeMap<String, String>>,
 }
 
 const CASES: &str = include_str!("shadows/cases.json");
 /// Folder of the recorded pictures.
 const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shadows");
-/// Number of cases, at the beginning of the file, by which the renderer was developed; the
+/// Number of cases, at the beginning of `cases.json`, by which the renderer was developed; the
 /// remaining cases were held out.
-const HELD_OUT: usize = 5;
+const DEVELOPMENT_CASES: usize = 5;
 /// Smallest allowed share of pixels that are equal, and that are within [`CLOSE_LEVELS`].
 const EQUAL: f64 = 0.999;
 const CLOSE: f64 = 0.9999;
@@ -53,15 +53,15 @@ fn base_scene(kind: &str) -> String {
     format!("libero_{kind}_base_style.xml")
 }
 
-/// Makes a folder of assets with links to a pack's files, for further scenes of lights.
+/// Makes a folder of assets with links to a pack's files and an empty folder `scenes/lights`.
 fn folder_with_scenes(pack: &Path) -> tempfile::TempDir {
     let folder = folder_with_links(pack, &["scenes"]);
     std::fs::create_dir(folder.path().join("scenes/lights")).unwrap();
     folder
 }
 
-/// Returns a scene file with the case's attributes of lights. Its paths are for a folder one level
-/// deeper.
+/// Returns the text of a scene file with the case's attributes of lights. Its paths are valid one
+/// folder deeper.
 fn changed(text: &str, case: &Case) -> String {
     let mut text = text.replace("file=\"", "file=\"../");
     for (name, attributes) in &case.lights {
@@ -145,16 +145,16 @@ fn check(cases: &[Case], test: &str) {
 #[test]
 fn pictures_with_shadows_equal_the_originals() {
     let cases = cases();
-    let (first, _) = cases.split_at(HELD_OUT);
-    check(first, "pictures_with_shadows_equal_the_originals");
+    let (development, _) = cases.split_at(DEVELOPMENT_CASES);
+    check(development, "pictures_with_shadows_equal_the_originals");
 }
 
 /// No rule of the renderer was changed after these cases were first compared.
 #[test]
 fn held_out_pictures_with_shadows_equal_the_originals() {
     let cases = cases();
-    let (_, held_out) = cases.split_at(HELD_OUT);
-    assert!(held_out.len() >= HELD_OUT);
+    let (_, held_out) = cases.split_at(DEVELOPMENT_CASES);
+    assert!(held_out.len() >= DEVELOPMENT_CASES);
     check(
         held_out,
         "held_out_pictures_with_shadows_equal_the_originals",

@@ -15,7 +15,8 @@ use tests::programs::{Campaigns, Process, program};
 /// Prompt of `libero_goal/8`, on which the student was trained.
 const PROMPT: &str = "put the bowl on the plate";
 
-/// Outcome, digests of scene and initial state, digest of the policy's first frames, and prompt.
+/// Success, control steps, digests of scene, initial state and the policy's first frames, and
+/// prompt of a rollout.
 type Outcome = (bool, i64, [String; 3], String);
 
 /// A folder of sources with a suite of two tasks, copies of LIBERO's under other names.
@@ -104,7 +105,7 @@ fn assert_refused(output: &Output, expected: &[&str]) {
     }
 }
 
-/// Reads `results.jsonl` of a folder, by the names of the rollouts.
+/// Reads `results.jsonl` of a folder: lines and outcomes, by the names of the rollouts.
 fn results(output: &Path) -> BTreeMap<String, (Value, Outcome)> {
     let text = fs::read_to_string(output.join("results.jsonl")).expect("results");
     let rows = text.lines().map(|line| {
@@ -167,8 +168,8 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     assert_eq!(row["task"], "own/0");
     assert_eq!(row["waits"], 10);
 
-    // The unperturbed rollout of the same task under the same rules. Its equality with the
-    // original is tested in `family.rs`.
+    // The unperturbed rollout of the task of which `plate` is a copy, under `plus-official`, whose
+    // rules the suite file has.
     let libero = suite.folder.path().join("libero");
     let mut command = Command::new(program("worker"));
     command.args(["variants", "--assets", "primitives", "--variant"]);
@@ -255,7 +256,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     );
     let mut folder = file.clone();
     folder["folder"] = "suites/elsewhere".into();
-    check(&folder, &["lacks", "folder ", "correct its `folder`"][1..]);
+    check(&folder, &["folder ", "correct its `folder`"]);
     let mut many = file.clone();
     many["trials"] = 50.into();
     check(

@@ -22,7 +22,8 @@ CPU = torch.device("cpu")
 
 
 def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
-    """Writes shards of a few small episodes; a frame's bytes identify its episode."""
+    """Writes the shards ``first`` to ``shards`` - 1, each of three small episodes; a frame's bytes
+    identify its episode."""
     rng = np.random.default_rng(0)
     for number in range(first, shards):
         episodes = []

@@ -9,7 +9,8 @@ use policy_protocol::{ACTION_WIDTH, ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, Observation, StateField};
 use transport::{AccessError, EndpointError};
 
-/// One control step's action, each number in [-1, 1].
+/// One control step's action: translation, rotation, gripper. The simulator clips numbers beyond
+/// [-1, 1].
 pub type Action = [f64; ACTION_WIDTH];
 
 /// Reason why a policy gave no usable answer. The message is a whole sentence; campaigns show
@@ -30,8 +31,8 @@ pub enum PolicyError {
         policy: String,
         endpoint: String,
         problem: String,
-        /// Number of queries that the policy answered in this session before it disappeared;
-        /// `None` if it never answered one, or is overloaded.
+        /// Number of queries that the policy had answered in this session when a query failed;
+        /// `None` if another call failed, or the policy is overloaded.
         answered: Option<u32>,
     },
     #[error("{} at {endpoint} cannot be used: {fault}", label(policy))]

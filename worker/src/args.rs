@@ -105,7 +105,7 @@ pub enum Command {
     /// until none is left; queries no policy
     Film(FilmArguments),
     /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files; with
-    /// --endpoint, runs them, variants with the unperturbed rollouts of their tasks
+    /// --endpoint, runs them, and the tasks of variants unperturbed too
     Variants(Box<VariantsArguments>),
     /// Lists, verifies and fetches asset packs
     Assets(AssetsArguments),
@@ -221,8 +221,8 @@ pub struct BenchArguments {
     /// Task that the slots simulate.
     #[command(flatten)]
     pub load: LoadArguments,
-    /// Numbers of slots, separated by commas [default: 1, 2, 4, … up to twice
-    /// the number that should keep all cores busy, and that number]
+    /// Numbers of slots, separated by commas [default: the number that should
+    /// keep all cores busy, its double, and all powers of 2 below the double]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
     pub slots: Vec<NonZeroUsize>,
     /// Duration of the measurement of each number of slots, seconds
@@ -332,10 +332,17 @@ pub struct RolloutArguments {
     pub replicate: u32,
     /// Source of the random elements of perturbations: `matched` or
     /// `reference`
+    ///
+    /// `matched`: the same elements for an axis alone and in combinations. `reference`: other
+    /// elements under each condition, as the released code draws them.
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
-    /// Motion of the robot while an answer is under way, in control steps of
-    /// 50 ms: `wait`, `hold:4`, `overlap:4` or `overlap:4,rtc`
+    /// Motion of the robot while an answer is under way, which takes N control
+    /// steps of 50 ms: `wait`, `hold:N`, `overlap:N` or `overlap:N,rtc`
+    ///
+    /// `wait`: the simulation stands still. `hold:N`: the arm holds still. `overlap:N`: the arm
+    /// continues with the previous answer. `overlap:N,rtc`: the same, and each query carries the
+    /// actions that are executed meanwhile.
     #[arg(long, value_name = "MODEL", default_value = "wait")]
     pub execution: Execution,
     /// Renders the policy's frames only, which saves two frames per step; with --actions no
@@ -396,6 +403,9 @@ pub struct RescueArguments {
     pub replicate: u32,
     /// Source of the random elements of perturbations: `matched` or
     /// `reference`
+    ///
+    /// `matched`: the same elements for an axis alone and in combinations. `reference`: other
+    /// elements under each condition, as the released code draws them.
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
     /// Credentials for the policy.
@@ -536,6 +546,9 @@ pub struct PreviewArguments {
     pub level: Level,
     /// Source of the random elements of perturbations: `matched` or
     /// `reference`
+    ///
+    /// `matched`: the same elements for an axis alone and in combinations. `reference`: other
+    /// elements under each condition, as the released code draws them.
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
     /// A folder for grid.png, presets_AXIS.png and actuation_paths.svg

@@ -439,9 +439,9 @@ fn run_worker(
     client: &ClientArguments,
     simulator_arguments: &SimulatorArguments,
 ) -> anyhow::Result<()> {
+    let access = client.access(&[Role::Worker])?;
     // The parent opens the simulator too, so that missing files are reported once, before any slot
     // starts.
-    let access = client.access(&[Role::Worker])?;
     let simulator = open_simulator(simulator_arguments)?;
     let mut simulator_arguments = simulator_arguments.clone();
     if let Some(Err(error)) = SceneFolder::of_process().map(SceneFolder::check) {

@@ -1,10 +1,10 @@
 //! Measures how many slots are worth running on a machine: `worker bench` prints the measurements,
 //! `--slots auto` acts on them. Both commands start increasing numbers of slots that simulate and
-//! render whole rollouts with a policy that answers without delay, and add up their throughput.
+//! render whole rollouts with a policy of fixed actions, and add up their throughput.
 //!
-//! Reading order: `open_loop` is that policy, `counting` the process of one measured slot,
-//! `together` the parent of these processes, `room` the available memory, `choice` the rule for
-//! the number of slots, and `bench` and `auto` the two callers of these modules.
+//! Reading order: `open_loop` has that policy's actions; `counting` is the process of one measured
+//! slot, `together` the parent of these processes, `room` the available memory, `choice` the rule
+//! for the number of slots; `bench` and `auto` call these modules.
 
 mod auto;
 mod bench;

@@ -23,7 +23,7 @@ pub(crate) enum Verdict {
     Machine,
     /// The kernel killed no process: another process sent the signal.
     Signal,
-    /// The kernel has no such counter.
+    /// The kernel does not count out-of-memory kills.
     Unknown,
 }
 

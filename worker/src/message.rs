@@ -216,10 +216,11 @@ pub enum FailureKind {
     SlotStuck,
     /// The policy's answer cannot be executed.
     PolicyMisbehaved,
-    /// The policy did not answer. Not charged to the rollout.
+    /// The policy cannot be reached, is overloaded or has an unusable description. Not charged to
+    /// the rollout.
     PolicyUnavailable,
-    /// The policy answered at first and then became unreachable. Not charged to the rollout, unless
-    /// the rollout loses its policy repeatedly.
+    /// The policy could be reached at the first query, and did not answer this or a later query.
+    /// Not charged to the rollout, unless the rollout loses its policy repeatedly.
     PolicyLost {
         /// Number of queries that the policy had answered.
         answered: u32,

@@ -72,7 +72,8 @@ pub struct Rescue {
     /// not; `None` if there is no such step.
     pub saved_until: Option<u32>,
     /// Step of the next query after `saved_until`, or of the first query if `saved_until` is
-    /// `None`: lifting there does not save the rollout. `None` if lifting at the last query does.
+    /// `None`: lifting there does not save the rollout. `None` if lifting at the last query saves
+    /// the rollout.
     pub lost_from: Option<u32>,
     /// True if every trial before `saved_until` also saved the rollout.
     pub is_monotone: bool,

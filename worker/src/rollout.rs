@@ -1,7 +1,8 @@
 //! Runs one rollout: the scene settles, the policy is reset, and queries and steps alternate until
-//! the goal holds or the step budget is spent. The order of these operations is that of section 3
-//! of the protocol, and frames are rendered only for the policy's queries. The caller provides
-//! assignment and policy and handles the result; this module does not call the coordinator.
+//! the goal holds or the step budget is spent. docs/PROTOCOL.md, "One rollout, in order", describes
+//! the order of these operations; frames are rendered only for the policy's queries. The caller
+//! provides assignment and policy and handles the result; this module does not call the
+//! coordinator.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -214,7 +215,8 @@ struct Run<'a> {
     watcher: &'a mut dyn Watcher,
     /// Commands to the robot, from which the rollout can be simulated again.
     executed: Vec<Action>,
-    /// End-effector positions, tenths of a millimetre.
+    /// End-effector positions at rest and after every control step, world frame, tenths of a
+    /// millimetre.
     path: Vec<[i16; 3]>,
     clipped_actions: u32,
     queries: u32,
@@ -352,7 +354,8 @@ impl Run<'_> {
         Ok(actions)
     }
 
-    /// Returns the robot's path and, if requested, its actions; empty for an overlong rollout.
+    /// Returns the robot's path and, if requested, its actions; empty for a rollout of more than
+    /// [`proto::MAX_MOTION_STEPS`] steps.
     fn motion(&self) -> Motion {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();

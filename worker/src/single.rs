@@ -72,7 +72,10 @@ struct FinishedFile<'a> {
 /// Motion of the robot as plain numbers.
 #[derive(Debug, Serialize)]
 struct MotionFile {
+    /// End-effector positions at rest and after every control step, world frame, tenths of a
+    /// millimetre.
     path: Vec<[i16; 3]>,
+    /// Commands to the robot; empty unless the assignment keeps them.
     actions: Vec<Action>,
 }
 

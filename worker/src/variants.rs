@@ -1,5 +1,6 @@
-//! `worker variants`: counts rollouts of LIBERO-Plus, LIBERO-PRO, LIBERO-Para or a suite file, reports
-//! missing files, and runs the rollouts, variants with the unperturbed rollouts of their tasks. Results are lines of `results.jsonl`; an interrupted run resumes from them.
+//! `worker variants`: counts rollouts of LIBERO-Plus, LIBERO-PRO, LIBERO-Para or a suite file,
+//! reports missing files, and runs the rollouts; for variants, also the unperturbed rollouts of
+//! their tasks. Results are lines of `results.jsonl`; an interrupted run resumes from them.
 
 mod audit;
 mod case;

@@ -1,5 +1,5 @@
-//! `cargo xtask bench python`: times this project's Python environments and the original's, in
-//! turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
+//! `cargo xtask bench python`: times this project's Python environments and the original LIBERO's,
+//! in turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -44,11 +44,14 @@ pub(crate) struct Options {
     assets: Option<PathBuf>,
 }
 
-/// Row of the table: the measured quantity, its target, and its computation from a round.
+/// Row of the table. The last row compares with a program without Python, in the column of the
+/// original.
 struct Row {
     name: &'static str,
+    /// Target of the ratio or, if it has a unit, of this project's value.
     target: &'static str,
     unit: &'static str,
+    /// Returns this project's value, the original's, and their ratio.
     values_of: fn(&Round) -> Result<[f64; 3]>,
 }
 

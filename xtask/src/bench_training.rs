@@ -1,6 +1,6 @@
 //! `cargo xtask bench training`: times rollouts for reinforcement learning in this project's
-//! environments and in the original's, in turn. `python/bench/rl/compare.py` and docs/PYTHON.md
-//! describe the measurement.
+//! environments and in the original LIBERO's, in turn. `python/bench/rl/compare.py` and
+//! docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -62,6 +62,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             println!("without the original, which cannot be run here: failed to {error:#}");
             let mut command = Command::new(&shim);
             command.arg(&script);
+            // The arms of compare.py that run this project's environments.
             command.args(["--no-checks", "--arms", "S", "S+", "V"]);
             command
         }

@@ -44,7 +44,7 @@ pub(crate) struct Options {
     /// Tasks, separated by commas.
     #[arg(long, default_value = TASKS)]
     tasks: String,
-    /// Configurations of each task, condition by condition.
+    /// Configurations of each task, each run under every condition.
     #[arg(long, default_value = CONFIGURATIONS)]
     configs: String,
 }

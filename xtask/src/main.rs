@@ -75,7 +75,7 @@ enum Command {
     Dist(dist::Options),
     /// Take the pictures of the live page in docs/screenshots.
     Screenshots,
-    /// Measure and print JSON.
+    /// Run a benchmark; docs/PERFORMANCE.md and docs/PYTHON.md describe most of them.
     #[command(subcommand)]
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
@@ -119,9 +119,9 @@ enum Bench {
     },
     /// The same rollout in this simulator and in the original LIBERO, in turn.
     Compare(bench::Compare),
-    /// This project's environments in Python and the original's, in turn.
+    /// This project's environments in Python and the original LIBERO's, in turn.
     Python(bench_python::Options),
-    /// Rollouts for reinforcement learning, in our and the original's environments.
+    /// Rollouts for reinforcement learning, in our and the original LIBERO's environments.
     Training(bench_training::Options),
     /// A whole machine: runs `worker bench`.
     Machine {

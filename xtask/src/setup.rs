@@ -22,7 +22,7 @@ const GL_PACKAGES: [&str; 5] = [
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
-/// Additional package for rendering in Python, and its library.
+/// Additional package for the original LIBERO, which renders through PyOpenGL, and its library.
 const GLES_PACKAGE: &str = "libgles2";
 const GLES_LIBRARY: &str = "libGLESv2.so.2";
 

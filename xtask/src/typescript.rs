@@ -13,7 +13,7 @@ use crate::step::step;
 const STAMP: &str = "node_modules/.installed-from";
 
 /// Builds the server and returns the script for `node`; `None` if npm is not installed, in which
-/// case its tests report that they are skipped.
+/// case the server's tests report that they are skipped.
 pub(crate) fn build(root: &Path) -> Result<Option<PathBuf>> {
     let folder = root.join("policies/typescript");
     if capture(Command::new("npm").arg("--version")).is_err() {

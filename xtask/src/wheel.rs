@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn build_requirements_are_the_versions_that_setup_installs() {
+    fn build_requirements_are_the_versions_of_the_build_tools() {
         let mut checked = 0;
         for file in projects(&crate::root()) {
             let text = std::fs::read_to_string(&file).expect("a project");

@@ -15,8 +15,8 @@ use table::{MAX_DRIFT, MAX_OVERLAP, Released, deepest_overlap};
 
 /// Released initial states of a task.
 const STATES: u16 = 50;
-/// A released state in which cream cheese and milk overlap, so that even the original throws an
-/// object, by 152 mm; and the distance that is allowed here, m.
+/// A released state in which cream cheese and milk overlap, so that even the original LIBERO throws
+/// an object, by 152 mm; and the distance that is allowed here, m.
 const THROWN: (&str, u16, f64) = ("libero_10/0", 45, 0.16);
 /// Control steps in which a released scene comes to rest.
 const SETTLE_STEPS: usize = 10;

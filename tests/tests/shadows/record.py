@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws the cases of `cases.json` with the original: LIBERO's scenes with other lights, which cast shadows.
+"""Draws the cases of `cases.json` with the original LIBERO: scenes whose changed lights cast shadows.
 
     record.py FOLDER
 
@@ -52,7 +52,7 @@ def states(path) -> np.ndarray:
 
 
 def changed(text: str, lights: dict) -> str:
-    """A scene file with other attributes of lights, and paths for a folder one level deeper."""
+    """Returns a scene file with these attributes of lights and paths for a folder one level deeper."""
     text = text.replace('file="', 'file="../')
     for name, attributes in lights.items():
         (light,) = re.findall(rf'<light [^>]*name="{name}"[^>]*/>', text)

@@ -122,6 +122,7 @@ fn check(client: &str, case: &Case, mut command: Command) {
     }
     assert_eq!(raw_phrase(&text), None, "{context}");
     if case.is_final {
+        // Another program answers at the address: a coordinator cannot be started there.
         assert!(!text.contains("coordinator serve`"), "{context}");
         assert!(!text.contains("trying again"), "{context}");
     }

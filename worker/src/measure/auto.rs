@@ -66,8 +66,8 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
         slots: NonZeroUsize::new(slots).unwrap_or(NonZeroUsize::MIN),
         reason: format!(
             "the fewest that reach {:.0} % of the most control steps per second \
-             ({}); there are {cores} cores, and memory for {fitting} slots in {} MiB available, \
-             of {} MiB each and {} MiB a scene that slots share",
+             (by number of slots, {}); there are {cores} cores, and memory for {fitting} slots in \
+             {} MiB available, of {} MiB each and {} MiB a scene that slots share",
             ENOUGH_SHARE * 100.0,
             rates.join(", "),
             available / MIB,

@@ -14,8 +14,8 @@ use crate::child::SlotProgram;
 pub struct Plan {
     /// Description of the simulated task.
     pub title: String,
-    /// Numbers of slots to measure; if empty, 1, 2, 4, … up to twice the number that should keep
-    /// all cores busy, and that number.
+    /// Numbers of slots to measure; if empty, the number that should keep all cores busy, its
+    /// double, and all powers of 2 below the double.
     pub numbers: BTreeSet<usize>,
     /// Duration of the measurement of each number, seconds.
     pub secs: f64,

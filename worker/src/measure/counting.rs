@@ -22,8 +22,8 @@ use crate::rollout::{self, RolloutError, Step, Watcher};
 use crate::slot::raise_oom_score;
 use crate::stage::Stage;
 
-/// Control steps of a measured rollout: about as many as a successful rollout takes. The next
-/// rollout then loads its initial state and settles.
+/// Control steps of a measured rollout: about as many as a successful rollout takes, so that
+/// loading and settling take their usual share of the time.
 const ROLLOUT_STEPS: u32 = 120;
 
 /// Message of a measured slot to its parent, one JSON value per line.

@@ -1,5 +1,5 @@
-//! A policy for measurements: its actions are fixed, it takes no time, and it asks for the same
-//! cameras and readings as the published policies.
+//! Actions and description of a policy for measurements: its actions are fixed, and it asks for the
+//! same cameras and readings as the published policies.
 
 use libero_ctrl::{ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
@@ -20,8 +20,8 @@ const STATE: [StateField; 3] = [
     StateField::GripperPos,
 ];
 
-/// Returns the reference data's smooth actions: a sine per component; the gripper closes after 30
-/// control steps.
+/// Returns the action of a control step in the smooth motion of the reference data
+/// (docs/FIDELITY.md): a sine per component; the gripper closes after 30 control steps.
 pub fn smooth_action(step: usize) -> Action {
     const AMPLITUDE: [f64; 6] = [0.6, 0.6, 0.6, 0.35, 0.35, 0.35];
     const PERIOD: [f64; 6] = [20.0, 30.0, 24.0, 40.0, 36.0, 28.0];

@@ -97,7 +97,9 @@ fn cores() -> u32 {
 /// The coordinator's time limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Timing {
+    /// Interval between heartbeats.
     pub(super) heartbeat: Duration,
+    /// Longest time without progress of a rollout or a video, after which its slot is killed.
     pub(super) progress_timeout: Duration,
 }
 

@@ -25,7 +25,7 @@ use crate::grpc::with_deadline;
 
 /// Longest time that a claim may wait at the coordinator for a job.
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
-/// Longest wait for the answer to any other call.
+/// Longest wait for a connection, and for the answer to a call without a limit of its own.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
 /// Longest wait for the answer to a sign-off.
 const SIGN_OFF_DEADLINE: Duration = Duration::from_secs(2);

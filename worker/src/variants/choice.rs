@@ -43,7 +43,7 @@ pub struct Choice {
     /// obj, structural, hint or act_pragmatical_hint
     #[arg(long = "para", value_name = "TYPE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties", "of_suites"])]
     pub para: Vec<TypeName>,
-    /// Sentences for tasks, such as libero_goal/8
+    /// Sentences of these tasks only: libero_goal/8
     #[arg(
         long,
         value_name = "SUITE/N,...",
@@ -77,6 +77,9 @@ pub struct RunOptions {
     /// Prints how the start of a rollout differs between the protocols of the benchmark: the hand's
     /// pose, the picture, the prompt; for the variants of --variant, or one of each dimension or
     /// suite
+    ///
+    /// `hand moved` and `turned` are relative to the unperturbed task under the official protocol;
+    /// `pixels` is the share that differs from the variant's picture under that protocol.
     #[arg(long, conflicts_with_all = ["endpoint", "list", "protocol", "suite_file"])]
     pub protocols: bool,
 }

@@ -61,6 +61,7 @@ pub(super) fn check(own: &OwnTask, pack: &AssetPack, sources: &Sources) -> Resul
 fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<States, SceneError> {
     let problem = files.problem()?;
     match pack.is_managed() {
+        // The pack's files are fetched only when the rollout starts.
         true => {
             needed_files(&problem)?;
         }

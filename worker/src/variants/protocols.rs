@@ -41,7 +41,7 @@ struct Start {
     protocol: Protocol,
     budget: u32,
     prompt: String,
-    /// Distance of the hand, mm.
+    /// Distance between the hand's positions, mm.
     moved_mm: f64,
     /// Angle between the hand's orientations, degrees.
     turned_degrees: f64,

@@ -89,6 +89,7 @@ fn bench_tries_more_slots_for_a_slow_policy() {
         .lines()
         .filter_map(|line| line.split_whitespace().next()?.parse().ok());
     let most: usize = tried
+        // The line about the memory begins with a larger number, of MiB.
         .filter(|slots| *slots < 10_000)
         .max()
         .expect("a number");
