@@ -1,6 +1,6 @@
 //! The wire protocols: [`policy`] between workers, gateways and policy servers,
 //! [`coordinator`] between workers, operators and the coordinator. Generated
-//! from the `.proto` files beside this crate, whose comments are the reference.
+//! from the `.proto` files in this crate's folder `rollout`, whose comments are the reference.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, clippy::all, reason = "generated code")]

@@ -25,7 +25,7 @@ pub(super) struct ReportArguments {
     /// Names of campaigns; several are shown side by side.
     #[arg(required_unless_present = "from")]
     campaigns: Vec<String>,
-    /// Folder with a `rollouts.jsonl` of the reference or of `export`, one
+    /// Folder with a `rollouts.jsonl` of the reference implementation or of `export`, one
     /// policy each; or such a file.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     from: Vec<PathBuf>,
@@ -44,8 +44,8 @@ pub(super) struct ReportArguments {
     /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
     #[arg(long, value_name = "FILE", value_parser = parse_table)]
     table: Vec<(PathBuf, TableForm)>,
-    /// Published nominal success of a policy, for the reproduction gate: over all suites,
-    /// or, as `libero_goal:openvla=97.1`, of one suite.
+    /// Published nominal success of a policy, with which the report compares the measured one
+    /// (the reproduction gate): over all suites, or, as `libero_goal:openvla=97.1`, of one suite.
     #[arg(long, value_name = "[SUITE:]POLICY=PERCENT", value_parser = parse_published)]
     published: Vec<Published>,
     #[command(flatten)]
@@ -95,7 +95,8 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
     ) {
         return Err(usage(anyhow!(
             "use {flag} for a campaign under {protocol}: the flag applies to LIBERO-CTRL's \
-             measures, which LIBERO's family lacks; leave it out, or use --json"
+             measures, which campaigns of other benchmarks lack; leave it out, \
+             or use --json in its place"
         )));
     }
     // Thousands of bootstrap resamplings block this thread, but no other task of the command runs.

@@ -73,6 +73,12 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
     transport::raise_file_limit();
+    let (tls_note, scheme) = match security.is_encrypted() {
+        true => (" over TLS", "https"),
+        false => ("", "http"),
+    };
+    let coordinator = Coordinator::open(config(&arguments, security)?).await?;
+    // Bound only now, since orchestrators take an open port for a coordinator that is ready.
     let listener = TcpListener::bind(arguments.listen).await.with_context(|| {
         format!(
             "listen on {}: choose another address with --listen",
@@ -82,11 +88,6 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let address = listener
         .local_addr()
         .context("read the listening address")?;
-    let (tls_note, scheme) = match security.is_encrypted() {
-        true => (" over TLS", "https"),
-        false => ("", "http"),
-    };
-    let coordinator = Coordinator::open(config(&arguments, security)?).await?;
     if arguments.security.insecure && !address.ip().is_loopback() {
         tracing::warn!(
             "--insecure: every machine that reaches {address} can read its traffic, lease jobs and \

@@ -88,7 +88,7 @@ def assigned(path: pathlib.Path, name: str):
 
 
 def variants(package: pathlib.Path) -> list:
-    """The variants that run with LIBERO's assets, except those with other lights or added objects."""
+    """The variants that run with LIBERO's assets; those with other lights or added objects need more."""
     style = package / "envs/arenas/style.py"
     files = {kind: assigned(style, f"{kind.upper()}_STYLE") for kind in ("floor", "wall")}
     spelled = lambda name: name.lower().replace("_", "-")

@@ -51,7 +51,7 @@ fn draw(paths: &[(String, Path)], title: &str) -> String {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
          font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" \
          fill=\"white\"/>\n<text x=\"{MARGIN}\" y=\"24\" font-size=\"14\">End-effector paths under \
-         actuation: {title}, {MOTION_STEPS} control steps of one command</text>\n"
+         actuation: {title}, {MOTION_STEPS} control steps of one motion</text>\n"
     );
     view(&mut svg, paths, MARGIN, "from above", ["x", "y"], |p| {
         [p[0], p[1]]

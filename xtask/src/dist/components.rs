@@ -1,4 +1,4 @@
-//! Third-party components of the archive other than crates.
+//! Third-party components of the archive and of the container image, other than crates.
 
 use std::path::Path;
 use std::process::Command;
@@ -50,7 +50,8 @@ pub(super) fn from_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
         version: version.clone(),
         licence: "GPL-3.0-or-later WITH GCC-exception-3.1",
         texts: vec![
-            "Part of GCC, by the Free Software Foundation, in this system's unaltered version. The \
+            "Part of GCC, by the Free Software Foundation, copied unaltered from the system on \
+             which this archive was built. The \
              GCC Runtime Library Exception 3.1 lets programs of any licence be distributed with \
              it. The texts: https://www.gnu.org/licenses/gpl-3.0.txt and \
              https://www.gnu.org/licenses/gcc-exception-3.1.txt. The source: \
@@ -72,7 +73,8 @@ pub(super) fn glibc() -> Result<Component> {
         licence: "LGPL-2.1-or-later",
         texts: vec![format!(
             "{first}, unaltered. Text: https://www.gnu.org/licenses/lgpl-2.1.txt. Source: \
-             https://sourceware.org/glibc, or of this system's package."
+             https://sourceware.org/glibc, or the source package of the system on which this \
+             image was built."
         )],
     })
 }

@@ -54,7 +54,8 @@ async fn run_on_real_queue(events: &[Event]) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
     let mut queue = start(folder.path(), &clock).await;
-    // These rollouts realise no perturbation, so that reports do not depend on the row.
+    // The language axis has no realised values, so that the workers' reports of results do not
+    // depend on the manifest row.
     let changes = json!({
         "tasks": ["libero_object/0", "libero_object/1"],
         "axes": ["language"],
@@ -118,7 +119,8 @@ fn campaign() -> CampaignName {
     CampaignName::parse("random").expect("a name")
 }
 
-/// Executes one event; `number` makes the id of a new claim unique.
+/// Executes one event; `number` tells the id of its claim from those of concurrent events. A later
+/// event may have the same number again: its claim then repeats the earlier one.
 async fn apply(
     queue: &Queue,
     clock: &ManualClock,

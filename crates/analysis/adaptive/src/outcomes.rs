@@ -14,7 +14,7 @@ pub struct Tally {
     pub failures: u32,
     /// Rollouts without a result so far.
     pub pending: u32,
-    /// Quarantined rollouts: without a result, and never run again.
+    /// Quarantined rollouts: without a result, and not run again unless an operator retries them.
     pub quarantined: u32,
 }
 

@@ -233,8 +233,8 @@ impl Comparison {
         cells.map(|difference| difference.n).sum()
     }
 
-    /// Returns a line for each reason why rollouts are in no figure, with the names of some of
-    /// these rollouts or their number.
+    /// Returns a line for each reason why rollouts are in no cell: their number and, if they cannot
+    /// be paired, the names of some of them.
     pub fn left_out(&self) -> Vec<String> {
         let reasons = self.unpaired.iter();
         let mut lines: Vec<String> = reasons

@@ -18,7 +18,7 @@ pub enum Outcome {
     /// Planned, without a result so far.
     #[default]
     Missing,
-    /// Quarantined after too many failed attempts: listed, and excluded from all rates.
+    /// Quarantined after too many failed attempts, or skipped: listed, and excluded from all rates.
     Quarantined,
 }
 

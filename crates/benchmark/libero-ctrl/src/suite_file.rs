@@ -70,7 +70,8 @@ pub struct SuiteFile {
     pub waits: u32,
     /// Step budget of the policy, control steps.
     pub budget: u32,
-    /// Number of trials of each task; trial i starts from initial state i. Not part of the digest.
+    /// Number of trials of each task. Trial i starts from initial state i, or from reset i if
+    /// `start` is a reset. Not part of the digest.
     #[serde(default = "all_states")]
     pub trials: u16,
     /// The suites.

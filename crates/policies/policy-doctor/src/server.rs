@@ -181,10 +181,11 @@ async fn in_time<T>(
 /// Reason why servers cannot be compared or diagnosed. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum ExaminationError {
-    /// The address, the credentials or the recordings of a route cannot be used.
+    /// The address, the credentials, the weights or the recordings (`replay:FOLDER`) of a route
+    /// cannot be used.
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
-    /// The recordings cannot be used.
+    /// The recordings of `--recorded` cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// The server does not answer in time.
@@ -210,7 +211,7 @@ pub enum ExaminationError {
         fault: DescriptionFault,
     },
     /// The server's answer is not a valid chunk of actions.
-    #[error("compare the answers of {url}: {fault}; `policy-gateway doctor {url}` shows more")]
+    #[error("use the answers of {url}: {fault}; `policy-gateway doctor {url}` counts such answers")]
     InvalidActions {
         /// URL as given.
         url: String,
@@ -220,7 +221,7 @@ pub enum ExaminationError {
     /// The recordings lack an input that the server needs.
     #[error(
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
-         record a policy that needs them, too, or leave --recorded out"
+         record the queries of a policy that also needs this input, or leave --recorded out"
     )]
     MissingInput {
         /// URL as given.

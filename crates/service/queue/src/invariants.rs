@@ -1,6 +1,6 @@
 //! Named invariants of a database. Each is one query whose rows describe the violations.
-//! `coordinator check` runs them on a database at rest; tests run them after every injected fault.
-//! They cover neither policy servers nor files beside the database.
+//! `coordinator check` runs them, also while a coordinator uses the database; tests run them after
+//! every injected fault. They cover neither policy servers nor files beside the database.
 
 use std::path::{Path, PathBuf};
 
@@ -245,8 +245,8 @@ pub const INVARIANTS: [Invariant; 20] = [
              wall_secs)
          FROM divergence WHERE steps > 4294967295 OR wall_secs > 1e9",
     },
-    // The results of one initial state agree on scene and initial state, except in LIBERO's family,
-    // whose ids have a colon: variants have scenes and states of their own.
+    // The results of one initial state agree on scene and initial state, except in LIBERO's family
+    // and suite files, whose ids have a colon: they have scenes and states of their own.
     Invariant {
         name: "configurations_agree",
         query: "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '

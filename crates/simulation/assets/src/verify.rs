@@ -44,8 +44,8 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A folder with files of a table. Each file is hashed when it is first verified, and again only
-/// after it was written or replaced.
+/// A folder with files of a table. A file that equals the table's is hashed again only after its
+/// metadata changed, as when it is written or replaced.
 #[derive(Debug)]
 pub struct VerifiedFolder {
     table: &'static Table,

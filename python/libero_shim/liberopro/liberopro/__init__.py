@@ -17,7 +17,8 @@ __all__ = [
     "set_libero_default_path",
 ]
 
-# The same modules as LIBERO's environments, so that each class exists once.
+# The module of LIBERO's environments under a second name, so that the classes that it exports exist
+# once. Its submodules have no second name.
 sys.modules[f"{__name__}.envs"] = envs
 
 _folders = Folders("LIBERO-PRO", __file__, folder)

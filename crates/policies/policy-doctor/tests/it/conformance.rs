@@ -1,5 +1,5 @@
-//! The conformance check passes conforming servers, and fails other servers on exactly the points
-//! that they violate.
+//! The conformance check fails servers on exactly the points that they violate. The gateway's tests
+//! show that it passes conforming servers.
 
 use policy_doctor::conformance::Point::{
     self, Batch, Isolation, Order, OtherSeed, Range, Restart, Retry, SameSeed, Shape, Unopened,
@@ -39,7 +39,7 @@ async fn answers_that_are_no_actions_fail_on_their_shape_or_range() {
 }
 
 #[tokio::test]
-async fn noise_that_depends_on_the_order_of_requests_fails_on_every_point_that_compares_answers() {
+async fn noise_that_depends_on_the_order_of_requests_fails_on_points_that_demand_equal_answers() {
     let drawing = |query: Query| {
         proper(&query).map(|_| chunk(&[query.earlier_queries as f32 / 1000.0; 7], 7))
     };

@@ -1,11 +1,11 @@
 //! Cache of database rows.
 //!
-//! Cached for one transaction: campaigns with waiting jobs, campaigns with their policies, and the
-//! pins of live workers; cleared whenever an operation changes any of them. Cached across
-//! transactions: results and origins, which are immutable once stored and stored only by this
-//! process; and the turns at which campaigns last received leases, which only break ties between
-//! campaigns. A transaction that is rolled back, or that deletes a campaign, clears the whole
-//! cache.
+//! Cached for one transaction: campaigns with waiting jobs and campaigns with their policies, which
+//! are cleared whenever an operation changes any of them; and the pins of live workers, as first
+//! read in the transaction, even if it later stops a worker. Cached across transactions:
+//! results and origins, which are immutable once stored and stored only by this process; and the
+//! turns at which campaigns last received leases, which only break ties between campaigns. A
+//! transaction that is rolled back, or that deletes a campaign, clears the whole cache.
 
 use std::collections::HashMap;
 use std::collections::btree_map::{BTreeMap, Entry};
@@ -24,8 +24,8 @@ use crate::store::provenance::{self, ProvenanceId};
 use crate::store::workers::{self, Live};
 use crate::store::{StoreError, results};
 
-/// Initial states whose siblings are cached across transactions: several for each scene that a few
-/// thousand slots hold. For a whole LIBERO-CTRL campaign they take about 20 MB.
+/// Initial states whose siblings are cached across transactions: about a dozen for each of LIBERO's
+/// 40 tasks. The siblings of all 2,000 initial states of a LIBERO-CTRL campaign take about 20 MB.
 const MAX_INITIAL_STATES: usize = 512;
 /// Origins that are cached across transactions: one for each kind of worker and policy.
 const MAX_ORIGINS: usize = 4_096;
@@ -109,7 +109,8 @@ impl Cache {
         Ok(campaign)
     }
 
-    /// Returns the committed rollouts of an initial state.
+    /// Returns the rollouts of an initial state that have a result, in the database or from this
+    /// transaction.
     pub(super) async fn siblings(
         &mut self,
         tx: &mut SqliteConnection,
@@ -122,7 +123,7 @@ impl Cache {
         Ok(&self.siblings[state])
     }
 
-    /// Adds a committed rollout of an initial state.
+    /// Adds a rollout of an initial state, whose result this transaction stores.
     pub(super) fn add_sibling(&mut self, state: &InitialState, sibling: Sibling) {
         if let Some(siblings) = self.siblings.get_mut(state)
             && !siblings.iter().any(|other| other.stands_for(&sibling))
@@ -146,8 +147,8 @@ impl Cache {
         Ok((id, origin))
     }
 
-    /// Returns an origin of the campaign's results in a suite, which identifies the policy that was
-    /// measured; `None` before the first result.
+    /// Returns the origin of a result of the campaign, or of its source, in a suite, which
+    /// identifies the policy that was measured; `None` if no result reports the policy's settings.
     pub(super) async fn measured(
         &mut self,
         tx: &mut SqliteConnection,

@@ -233,7 +233,8 @@ pub(crate) async fn walk(
     let mut requests = 0;
     for version in [Version::HTTP_11, Version::HTTP_2] {
         for method in METHODS {
-            // Every request gets a new gate, since a gate counts the requests of its connection.
+            // Each method gets a new gate: a gate limits the request rate of a connection, and to
+            // it all requests of this test come from one connection.
             let mut gate = security.gate(table, log_in).layer(Reached);
             for content in CONTENTS {
                 for sender in Sender::ALL {

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-# LIBERO's largest file has some 50 kB.
+# LIBERO's largest file has 117 kB.
 _MOST_BYTES = 64 << 20
 # An array takes some sixty operations. `worker` has the same limit.
 _MOST_OPERATIONS = 256
@@ -167,7 +167,7 @@ def load_init_states(path: str | os.PathLike[str]) -> Any:
         ValueError,
     ) as error:
         raise ValueError(
-            f"{os.fspath(path)} holds no initial states ({error or 'no pickle in it'}): "
+            f"{os.fspath(path)} holds no initial states ({str(error) or 'no pickle in it'}): "
             "fetch the file again"
         ) from error
 
