@@ -384,6 +384,17 @@ def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
     return total
 
 
+def add_outcomes(folder: Path, outcomes: Mapping[str, Sequence[int]]) -> None:
+    """Adds counts to those of earlier runs in the folder's file ``OUTCOMES``."""
+    total = read_outcomes([folder])
+    for name, (successes, episodes) in outcomes.items():
+        earlier = total.get(name, [0, 0])
+        total[name] = [earlier[0] + successes, earlier[1] + episodes]
+    part = folder / (OUTCOMES + ".part")
+    part.write_text(json.dumps(total))
+    part.replace(folder / OUTCOMES)
+
+
 def tasks_of_environments(
     count: int, prefixes: Sequence[str], outcomes: Mapping[str, Sequence[int]]
 ) -> list[int]:
@@ -488,9 +499,7 @@ def collect(arguments: argparse.Namespace) -> None:
                 print(tally.line(), flush=True)
     finally:
         writer.close()
-        part = arguments.into / (OUTCOMES + ".part")
-        part.write_text(json.dumps(tally.student_outcomes()))
-        part.replace(arguments.into / OUTCOMES)
+        add_outcomes(arguments.into, tally.student_outcomes())
     if errors:
         raise errors[0]
     print(f"wrote shards {run} to {next_number(arguments.into) - 1}", flush=True)

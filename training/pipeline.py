@@ -30,6 +30,8 @@ from training.train import WEIGHTS
 
 LEAVE_SECONDS = 12.0
 """Seconds before the end of a call at which collecting and training stop, to write files."""
+MAX_ROUNDS = 40
+"""Number of rounds from whose folders the trainer reads."""
 THREADS = 16
 """Threads per collecting process: so many workers start a further process, since the threads of one
 process contend for its interpreter lock (GIL)."""
@@ -45,6 +47,21 @@ def rounds(data: Path) -> list[Path]:
     return sorted(folder for folder in data.glob("round_*") if folder.is_dir())
 
 
+def process_count(workers: int) -> int:
+    """Returns the number of processes that collect a round."""
+    return max(1, workers // THREADS)
+
+
+def folders_to_train_on(data: Path, workers: int) -> list[Path]:
+    """Returns the folders of all rounds so far, which may have had other numbers of processes, and
+    of all possible further rounds."""
+    processes = range(process_count(workers))
+    possible = {
+        data / f"round_{number:02}_{at}" for number in range(MAX_ROUNDS) for at in processes
+    }
+    return sorted(possible.union(rounds(data)))
+
+
 def visible_gpus() -> list[str]:
     """Returns the names of the GPUs that this process may use, as in CUDA_VISIBLE_DEVICES."""
     chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
@@ -56,7 +73,7 @@ def visible_gpus() -> list[str]:
 def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
     """Starts the processes that collect a round, on all cores."""
     number = len({folder.name.split("_")[1] for folder in rounds(arguments.data)})
-    count = max(1, arguments.workers // THREADS)
+    count = process_count(arguments.workers)
     processes = []
     for at in range(count):
         into = arguments.data / f"round_{number:02}_{at}"
@@ -91,9 +108,7 @@ def teach(arguments: argparse.Namespace) -> None:
     """Collects and trains concurrently until this call's time is spent."""
     end = time.monotonic() + 60 * arguments.minutes - LEAVE_SECONDS
     arguments.data.mkdir(parents=True, exist_ok=True)
-    # The trainer reads shards from the folders of all possible rounds.
-    numbers = [f"{at:02}_{process}" for at in range(40) for process in range(8)]
-    folders = [arguments.data / f"round_{number}" for number in numbers]
+    folders = folders_to_train_on(arguments.data, arguments.workers)
     trainer = subprocess.Popen(
         python(
             "train", "--data", *folders, "--run", arguments.data / "run",

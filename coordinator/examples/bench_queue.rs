@@ -276,7 +276,8 @@ fn report(
 ) -> Result<Value> {
     // Leaves out the first two seconds, in which the slots start, and the last three, in which the
     // jobs run out.
-    let middle = &seconds[2.min(seconds.len())..seconds.len().saturating_sub(3).max(2)];
+    let begin = 2.min(seconds.len());
+    let middle = &seconds[begin..seconds.len().saturating_sub(3).max(begin)];
     let mut sorted = middle.to_vec();
     sorted.sort_unstable();
     let database = std::fs::metadata(folder.join(DATABASE_FILE))?.len();

@@ -83,7 +83,8 @@ def test_the_settings_hold_the_resolved_configuration(policy, checkpoint):
     mode = {"pi05": "QUANTILES", "vla-jepa": "MIN_MAX"}.get(name, "MEAN_STD")
     assert settings["statistics"].startswith(f"actions {mode} ")
     assert "the state " in settings["statistics"]
-    assert (settings["device"], settings["precision"]) == ("cpu", settings["precision"])
+    assert settings["device"] == "cpu"
+    assert settings["precision"]
     assert settings["lerobot"]
 
 

@@ -121,7 +121,7 @@ def measure_one(flags: argparse.Namespace) -> dict[str, float]:
 
 
 def measure_processes(flags: argparse.Namespace) -> dict[str, float]:
-    """Returns observations per second of environments in processes, and megabytes of each."""
+    """Returns observations per second of environments in processes, and mebibytes of each."""
     import multiprocessing
 
     from libero.libero.envs import SubprocVectorEnv
@@ -133,9 +133,9 @@ def measure_processes(flags: argparse.Namespace) -> dict[str, float]:
     env.reset()
     env.set_init_state([states[0]] * count)
     rate = observations_per_second(env.step, flags.steps, count)
-    memory = [pss_mb(worker.process.pid) for worker in env.workers]
+    memory = [pss_mib(worker.process.pid) for worker in env.workers]
     env.close()
-    return {"observations_per_second": rate, "further_mb": statistics.median(memory)}
+    return {"observations_per_second": rate, "further_mib": statistics.median(memory)}
 
 
 class _Maker:
@@ -149,7 +149,7 @@ class _Maker:
 
 
 def measure_threads(flags: argparse.Namespace) -> dict[str, float]:
-    """Returns observations per second of environments in this process, and megabytes of each."""
+    """Returns observations per second of environments in this process, and mebibytes of each."""
     import rollout_libero
 
     count = flags.environments
@@ -157,15 +157,15 @@ def measure_threads(flags: argparse.Namespace) -> dict[str, float]:
     single = rollout_libero.VectorEnvironment(flags.task, 1, **options)
     single.reset()
     single.step(actions(1))
-    before = pss_mb(os.getpid())
+    before = pss_mib(os.getpid())
     env = rollout_libero.VectorEnvironment(flags.task, count, **options)
     env.reset()
     env.step(np.repeat(actions(1), count, axis=0))
-    growth = (pss_mb(os.getpid()) - before) / count
+    growth = (pss_mib(os.getpid()) - before) / count
     rate = observations_per_second(env.step, flags.steps, count)
     env.close()
     single.close()
-    return {"observations_per_second": rate, "further_mb": growth}
+    return {"observations_per_second": rate, "further_mib": growth}
 
 
 def observations_per_second(step: Callable[[np.ndarray], object], steps: int, count: int) -> float:
@@ -179,8 +179,8 @@ def observations_per_second(step: Callable[[np.ndarray], object], steps: int, co
     return steps * count / (time.perf_counter() - start)
 
 
-def pss_mb(process: int) -> float:
-    """Returns the memory of a process with its proportional share of shared pages, MB."""
+def pss_mib(process: int) -> float:
+    """Returns the memory of a process with its proportional share of shared pages, MiB."""
     for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
         if line.startswith("Pss:"):
             return int(line.split()[1]) / 1024

@@ -55,8 +55,8 @@ def test_tables_have_medians_ranges_and_ratios_to_the_original(bench: Any) -> No
             "arm": arm,
             "round": number,
             "construct_s": 1.0,
-            "pss_mb": 10.0,
-            "card_mb": None,
+            "pss_mib": 10.0,
+            "card_mib": None,
             "cpu_s": 3.0,
             "policies": {"none": {"steps_per_second": speed, "reset_s": 2.0}},
         }

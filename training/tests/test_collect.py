@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("torch", reason="PyTorch is not installed")
 libero = pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
 
-from training import collect
+from training import collect, pipeline
 from training.shards import Driver, Outcome, Shard, read, shard_folders
 from training.wordings import TASK_NAMES
 
@@ -186,3 +186,19 @@ def test_the_student_takes_part_once_its_weights_exist(
         step = shard.frame_step - shard.repeat_per_frame(first_steps)
         assert (step % 4 == 0).all()
         assert (shard.frames == step[:, None, None, None, None]).all()
+
+
+def test_a_further_run_into_a_folder_adds_to_the_outcomes(tmp_path: Path) -> None:
+    first, second = TASK_NAMES[:2]
+    collect.add_outcomes(tmp_path, {first: [1, 2]})
+    collect.add_outcomes(tmp_path, {first: [3, 4], second: [0, 5]})
+    assert collect.read_outcomes([tmp_path]) == {first: [4, 6], second: [0, 5]}
+
+
+def test_the_trainer_reads_the_folders_of_all_processes(tmp_path: Path) -> None:
+    earlier = tmp_path / "round_00_11"
+    earlier.mkdir()
+    folders = pipeline.folders_to_train_on(tmp_path, 10 * pipeline.THREADS)
+    assert earlier in folders
+    assert {tmp_path / f"round_01_{at}" for at in range(10)} <= set(folders)
+    assert tmp_path / "round_01_10" not in folders

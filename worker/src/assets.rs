@@ -307,7 +307,7 @@ fn fetch_suite(
     });
     bar.finish();
     print(&format!(
-        "{}: the task files are present; {} over the network\n",
+        "{}: the task files are present; {} fetched\n",
         Sources::family(sources.dir(), benchmark).display(),
         size_in_words(fetched?.bytes),
     ))
@@ -342,7 +342,7 @@ fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError>
         false => pack.dir().display().to_string(),
     };
     print(&format!(
-        "{}: {} fetched{replaced}, {} over the network; {} already present. Give it as --assets \
+        "{}: {} fetched{replaced}, {} packed; {} already present. Give it as --assets \
          {pack_or_path}\n",
         pack.dir().display(),
         counted(fetched.fetched as u64, "file"),

@@ -47,6 +47,8 @@ pub struct FilmCounts {
 /// Reason why filming stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
+    #[error("start the threads that call the coordinator; raise `ulimit -u` and `ulimit -n`")]
+    Threads(#[source] io::Error),
     #[error("create a temporary folder for videos")]
     Folder(#[source] io::Error),
     #[error(transparent)]
@@ -80,7 +82,7 @@ pub fn run(
     simulator: &SimulatorConfig,
     provide: &(dyn Fn(TaskRef) -> Result<(), String> + Sync),
 ) -> Result<FilmCounts, FilmError> {
-    let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Folder)?;
+    let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Threads)?;
     let scratch = tempfile::tempdir().map_err(FilmError::Folder)?;
     // `worker film` never drains: when it is ended, unfinished videos are lost.
     let (_running, draining) = watch::channel(false);

@@ -225,7 +225,8 @@ pub enum FailureKind {
         /// Number of queries that the policy had answered.
         answered: u32,
     },
-    /// The worker is shutting down. Not charged to the rollout.
+    /// The rollout did not begin or end for a reason of the worker: it is shutting down, the
+    /// slot's process had ended, or files could not be fetched. Not charged to the rollout.
     Draining,
 }
 

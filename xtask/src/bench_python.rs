@@ -105,9 +105,9 @@ const ROWS: [Row; 6] = [
     },
     Row {
         name: "memory of a further environment",
-        target: "<= 15 MB",
-        unit: "MB",
-        values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mb"),
+        target: "<= 15 MiB",
+        unit: "MiB",
+        values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mib"),
     },
     Row {
         name: "environments without Python",

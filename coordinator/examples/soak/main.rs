@@ -28,9 +28,9 @@ use crowd::Crowd;
 use server::Server;
 use watch::Watch;
 
-/// Rollouts of LIBERO-CTRL v0.1. One replicate of a campaign of this test has fewer, since its
-/// nominal rollouts start from its configurations' initial states only.
-const DESIGN: u64 = 10_400;
+/// Rollouts of one replicate of a campaign of this test: the 8,400 perturbed rollouts of
+/// LIBERO-CTRL v0.1, and 400 nominal ones from the initial states of its configurations.
+const DESIGN: u64 = 8_800;
 /// Times of the kill, the backup and its restoration, as fractions of the planned duration.
 const KILL: f64 = 0.4;
 const BACK_UP: f64 = 0.6;

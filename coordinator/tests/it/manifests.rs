@@ -127,7 +127,7 @@ fn an_invalid_manifest_exits_with_1_and_an_invalid_command_with_2() {
     write(&path, &rows);
     let stderr = &fail(manifest("check", &[&path]), 1);
     for words in [
-        "v.jsonl: read manifest: 5 lines are refused",
+        "v.jsonl: read manifest: 5 errors",
         "line 2: read row spatial/t0/lighting/L1/c00: read `perturb`",
         "there is no field `blur_sigma`",
         "line 3: read row spatial/t0/robot/L1/c00: `level` is L3, but the id says L1",

@@ -51,7 +51,7 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
     # PyTorch and the accelerator's context belong to the policy, so they are loaded before the
     # environments' memory is measured.
     importlib.import_module("torch")
-    memory, on_card = pss_mb(), _card_mb()
+    memory, on_card = pss_mib(), _card_mib()
     begun = time.perf_counter()
     rollouts = _construct(flags)
     constructed = time.perf_counter() - begun
@@ -73,8 +73,8 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
                 **_run(rollouts, policy, actions),
                 "reset_s": resets[-1],
             }
-        memory_each = (pss_mb() - memory) / flags.environments
-        card = None if on_card is None else (_card_mb() or 0.0) - on_card
+        memory_each = (pss_mib() - memory) / flags.environments
+        card = None if on_card is None else (_card_mib() or 0.0) - on_card
     finally:
         rollouts.close()
     for result in results.values():
@@ -85,8 +85,8 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
         "loop": rollouts.loop,
         "construct_s": constructed,
         "first_s": warm,
-        "pss_mb": memory_each,
-        "card_mb": card,
+        "pss_mib": memory_each,
+        "card_mib": card,
         "cpu_s": sum(resource.getrusage(who).ru_utime for who in _CPU_USERS),
         "policies": results,
     }
@@ -142,8 +142,8 @@ def _actions(flags: argparse.Namespace) -> np.ndarray:
     return moves.reshape(flags.environments, chunks, flags.chunk, 7).swapaxes(0, 1)
 
 
-def pss_mb() -> float:
-    """Returns the memory of this process and its descendants, shared pages counted once, MB."""
+def pss_mib() -> float:
+    """Returns the memory of this process and its descendants, shared pages counted once, MiB."""
     total = 0
     for process in _with_descendants(os.getpid()):
         try:
@@ -169,8 +169,8 @@ def _with_descendants(root: int) -> list[int]:
     return processes
 
 
-def _card_mb() -> float | None:
-    """Returns the memory in use on the first accelerator, MB; None without one."""
+def _card_mib() -> float | None:
+    """Returns the memory in use on the first accelerator, MiB; None without one."""
     command = ["nvidia-smi", "--id=0", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
     try:
         query = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""Prints the memory that a further row of a `TrainingEnvironment` takes, MB of PSS: the growth of
+"""Prints the memory that a further row of a `TrainingEnvironment` takes, MiB of PSS: the growth of
 this process, divided by the number of added rows.
 
 usage: memory.py [TASK] [--rows N N]
@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from measure import pss_mb
+from measure import pss_mib
 
 from rollout_libero.training import Start, TrainingEnvironment
 
@@ -26,11 +26,11 @@ def main() -> None:
     # A first row, which is not counted, loads the libraries and the scene, and allocates each
     # thread's buffers.
     kept_alive = [_rows(flags.task, 1)]
-    before = pss_mb()
+    before = pss_mib()
     for count in flags.rows:
         kept_alive.append(_rows(flags.task, count))
-        now = pss_mb()
-        print(f"{flags.task}, {count} rows: {(now - before) / count:.2f} MB each")
+        now = pss_mib()
+        print(f"{flags.task}, {count} rows: {(now - before) / count:.2f} MiB each")
         before = now
 
 

@@ -21,8 +21,8 @@ _POLICY_COLUMNS = (
 #: Columns of a table of processes: key of the result, title, decimal digits.
 _PROCESS_COLUMNS = (
     ("construct_s", "construction, s", 1),
-    ("pss_mb", "PSS per environment, MB", 0),
-    ("card_mb", "card, MB", 0),
+    ("pss_mib", "PSS per environment, MiB", 0),
+    ("card_mib", "card, MiB", 0),
     ("cpu_s", "CPU, s", 0),
 )
 

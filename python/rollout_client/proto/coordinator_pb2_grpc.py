@@ -451,7 +451,8 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListJobs(self, request, context):
-        """Returns jobs of a campaign, page by page in paired-unit order.
+        """Returns jobs of a campaign, page by page in paired-unit order: all conditions of one
+        configuration follow one another.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -479,7 +480,7 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListWorkers(self, request, context):
-        """Returns the workers that called most recently, latest call first.
+        """Returns up to 1,000 workers: those that called most recently, latest call first.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -500,7 +501,8 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Export(self, request, context):
-        """Streams the committed results, one JSON line in the reference's format per message.
+        """Streams the committed results, one JSON line per message, in the result format of
+        LIBERO-CTRL's reference implementation.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -530,7 +532,8 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Forecast(self, request, context):
-        """Estimates the duration of rollouts from recent measurements of the live workers.
+        """Estimates the duration of rollouts on the live workers, from results of the last seven
+        days.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

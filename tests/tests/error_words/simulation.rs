@@ -139,6 +139,7 @@ fn simulator(messages: &mut Messages) {
     );
     for path in [
         "a_view_b/c_view_0_0_100_0_0_initstate_0.bddl",
+        "c_initstate_0_view_0_0_100_0_0.bddl",
         "c_view_0_0_0_0_0_initstate_0.bddl",
         "c_view_0_0_100_0_0_initstate_501.bddl",
         "c_view_0_0_100_0_0_initstate_0_noise_51.bddl",
@@ -349,6 +350,7 @@ fn supervision(messages: &mut Messages) {
         SlotError::Parent(_) => SlotError::Parent(io_error()),
     );
     variants!(messages, FilmError,
+        FilmError::Threads(_) => FilmError::Threads(io_error()),
         FilmError::Folder(_) => FilmError::Folder(io_error()),
         FilmError::Link(_) => FilmError::Link(SuperviseError::Panicked("a task".to_owned())),
         FilmError::Refused { .. } => FilmError::Refused {

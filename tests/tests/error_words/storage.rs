@@ -287,6 +287,9 @@ fn reports(messages: &mut Messages) {
     variants!(messages, LatticeError,
         LatticeError::TooFewAxes(_) => LatticeError::TooFewAxes(AxisSet::of(Axis::Camera)),
         LatticeError::OtherAxes { .. } => LatticeError::OtherAxes { set: axes, full: axes },
+        LatticeError::Duplicate(_) => LatticeError::Duplicate(DuplicateRecord {
+            id, replicate: 0,
+        }),
         LatticeError::TooFewRepeats { .. } => LatticeError::TooFewRepeats {
             axes: 6,
             repeats: 8,

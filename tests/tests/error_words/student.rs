@@ -18,7 +18,7 @@ pub(crate) fn add(messages: &mut Messages) {
     variants!(messages, WeightsError,
         WeightsError::Unreadable { .. } => WeightsError::Unreadable { bytes: 12 },
         WeightsError::Format { .. } => WeightsError::Format {
-            found: None, expected: "rollout-student/1",
+            found: None, expected: ["rollout-student/1", "rollout-student/2"],
         },
         WeightsError::Name => WeightsError::Name,
         WeightsError::Missing { .. } => WeightsError::Missing {

@@ -132,7 +132,7 @@ fn protocol(messages: &mut Messages) {
         },
         SpecError::Stop(_) => SpecError::Stop(StopError::NotSimultaneous),
         SpecError::Variants(_) => SpecError::Variants(VariantsError {
-            field: "stop", problem: "leave it out",
+            field: "stop", rollouts: "variants", problem: "leave it out",
         }),
         SpecError::Selection { .. } => SpecError::Selection { problem: text() },
         SpecError::VariantRow { .. } => SpecError::VariantRow { id: id() },

@@ -74,6 +74,7 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         components: Components::of_each(records.configurations()),
         notes: options.notes.clone(),
         overstated: options.overstated.clone(),
+        directions: options.directions,
         axes: records.axes().collect(),
         gate: options
             .published_nominal

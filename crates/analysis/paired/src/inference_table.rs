@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use libero_ctrl::Level;
+use libero_ctrl::{Directions, Level};
 
 use crate::inference::Inference;
 use crate::inference::estimate::Estimate;
@@ -222,8 +222,12 @@ fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     }
 }
 
-/// Returns the legend entries of the table's lines.
-pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
+/// Returns the legend entries of the table's lines. `directions` is the assignment of directions
+/// in all reports, `None` if they differ.
+pub(crate) fn meanings(
+    cells: &[&Cell],
+    directions: Option<Directions>,
+) -> Vec<(&'static str, &'static str)> {
     let inferred: Vec<&Inference> = cells
         .iter()
         .filter_map(|cell| cell.inference.as_ref())
@@ -242,7 +246,17 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
         ),
         (
             "and directions",
-            "about new tasks and new directions; a configuration has one direction in all tasks",
+            match directions {
+                Some(Directions::Shared) => {
+                    "about new tasks and new directions; a configuration has one direction in all \
+                     tasks"
+                }
+                Some(Directions::Own) => {
+                    "about new tasks and new directions; every task has directions of its own, so \
+                     that the interval about new tasks covers both"
+                }
+                None => "about new tasks and new directions",
+            },
         ),
         (
             "directions alike",

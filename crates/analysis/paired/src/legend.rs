@@ -84,7 +84,11 @@ pub fn legend(reports: &[&Report]) -> String {
         );
     }
     let all: Vec<&Cell> = cells().collect();
-    for (symbol, meaning) in inference_table::meanings(&all) {
+    let mut directions = reports.iter().map(|report| report.directions);
+    let common_directions = directions
+        .next()
+        .filter(|first| directions.all(|other| other == *first));
+    for (symbol, meaning) in inference_table::meanings(&all, common_directions) {
         entries.push((symbol, meaning.to_owned()));
     }
     let replication = reports.iter().flat_map(|report| &report.replication);

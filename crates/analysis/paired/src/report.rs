@@ -54,6 +54,9 @@ pub struct Report {
     /// they were large.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub overstated: BTreeSet<Measure>,
+    /// Assignment of directions to configurations.
+    #[serde(default, skip_serializing_if = "Directions::is_shared")]
+    pub directions: Directions,
     /// Cells, by replicate and level.
     pub cells: Vec<Cell>,
     /// Comparison of each further replicate with the first.

@@ -21,7 +21,7 @@ use crate::subject::{Origin, Setups, Subject};
 
 const ROWS: &str = "rollouts.jsonl";
 const ABOUT: &str = "about.json";
-/// Largest length of a line, bytes.
+/// Largest length of a line, bytes, its newline included.
 const MAX_LINE_BYTES: u64 = 64 << 10;
 /// Largest `about.json` that is read, bytes.
 const MAX_ABOUT_BYTES: u64 = 64 << 10;
@@ -126,6 +126,8 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
     let mut read_bytes = 0;
     let mut file = BufReader::new(file);
     let mut line = Vec::new();
+    // True while the remainder of a line beyond the limit is skipped.
+    let mut is_remainder = false;
     loop {
         if size_bytes.max(read_bytes) > MAX_FILE_BYTES {
             return Err(ImportError::TooLarge { path: rows });
@@ -133,7 +135,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         line.clear();
         let read = file
             .by_ref()
-            .take(MAX_LINE_BYTES)
+            .take(MAX_LINE_BYTES + 1)
             .read_until(b'\n', &mut line);
         let read = read.map_err(read_error)? as u64;
         if read == 0 {
@@ -141,6 +143,10 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         }
         read_bytes += read;
         digest.update(&line);
+        let was_remainder = std::mem::replace(&mut is_remainder, !line.ends_with(b"\n"));
+        if was_remainder {
+            continue;
+        }
         if reading.records.len() == MAX_FILE_ROWS {
             return Err(ImportError::TooLong { path: rows });
         }
@@ -237,7 +243,8 @@ struct Reading {
 impl Reading {
     fn add_line(&mut self, line: &[u8]) {
         self.number += 1;
-        if line.iter().all(u8::is_ascii_whitespace) {
+        let is_too_long = line.len() as u64 > MAX_LINE_BYTES;
+        if !is_too_long && line.iter().all(u8::is_ascii_whitespace) {
             return;
         }
         match self.parse(line) {
@@ -253,7 +260,7 @@ impl Reading {
     }
 
     fn parse(&mut self, line: &[u8]) -> Result<Record, String> {
-        if line.len() as u64 == MAX_LINE_BYTES {
+        if line.len() as u64 > MAX_LINE_BYTES {
             return Err(format!("it is longer than {MAX_LINE_BYTES} bytes"));
         }
         let row: Row = serde_json::from_slice(line.trim_ascii_end()).map_err(|error| {

@@ -244,7 +244,7 @@ impl Sequential {
              estimates beside them weight suites or tasks as in that population{}",
             self.used,
             self.seed,
-            self.strata.name().replace('_', " "),
+            strata_in_words(self.strata),
             self.star_explanation()
         )
     }
@@ -294,6 +294,11 @@ fn column_width(measure: Measure) -> usize {
         Measure::I | Measure::Difference => POINTS_COLUMNS,
         Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,
     }
+}
+
+/// Returns the strata in words, such as `whole tasks`.
+pub(crate) fn strata_in_words(strata: Strata) -> String {
+    strata.name().replace('_', " ")
 }
 
 /// Formats an interval: a rate in percent, `[3.5, 12.0]`, or a difference in points,

@@ -9,7 +9,7 @@ use paired::{NotInOneOrder, compared_looks, push_wrapped};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
-use crate::sequential::percent_text;
+use crate::sequential::{percent_text, strata_in_words};
 
 /// The confidence sequences of A − B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -119,7 +119,7 @@ impl SequentialComparison {
              configurations, and is computed from the first configurations, complete in both \
              campaigns, in the order of seed {} (rounds of {})",
             self.seed,
-            self.strata.name()
+            strata_in_words(self.strata)
         )
     }
 
@@ -164,5 +164,6 @@ fn order(analysis: &Analysis) -> Result<&Stop, NoCommonOrder> {
 }
 
 fn describe_order(order: &Stop) -> String {
-    format!("seed {} in rounds of {}", order.seed, order.strata.name())
+    let strata = strata_in_words(order.strata);
+    format!("seed {} in rounds of {strata}", order.seed)
 }

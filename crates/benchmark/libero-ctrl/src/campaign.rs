@@ -182,13 +182,23 @@ impl CampaignSpec {
                 }
             }
             Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
-                if let Rollouts::SuiteFile(file) = &self.rollouts {
-                    file.check()?;
-                }
+                let defined_by = match &self.rollouts {
+                    Rollouts::SuiteFile(file) => {
+                        file.check()?;
+                        "suite_file"
+                    }
+                    _ => "variants",
+                };
                 let (execution, stops) = (&self.execution, self.stop.is_some());
                 let (realisation, replicates) = (self.realisation, self.replicates);
-                let excluded =
-                    VariantsError::excluded(realisation, replicates, self.record, execution, stops);
+                let excluded = VariantsError::excluded(
+                    defined_by,
+                    realisation,
+                    replicates,
+                    self.record,
+                    execution,
+                    stops,
+                );
                 if let Some(error) = excluded {
                     return Err(error.into());
                 }

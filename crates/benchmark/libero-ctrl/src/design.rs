@@ -131,9 +131,12 @@ pub enum DesignError {
         level: Level,
     },
     /// An upper bound of the design's number of rows exceeds [`MAX_ROWS`].
-    #[error("the design has {rows} rollouts, at most {MAX_ROWS} are possible: divide the design")]
+    #[error(
+        "the design has up to {rows} rollouts, at most {MAX_ROWS} are possible: divide the design"
+    )]
     TooLarge {
-        /// The bound: it counts all initial states of each task as nominal rollouts.
+        /// The bound: configurations with the same initial state share a nominal rollout, but are
+        /// counted separately.
         rows: usize,
     },
 }
@@ -360,8 +363,8 @@ impl Design {
         (draws_configs || self.directions == Directions::Own).then_some(self.seed)
     }
 
-    /// Returns an upper bound of the number of rows: perturbed rollouts, and nominal rollouts from
-    /// all initial states of each task.
+    /// Returns an upper bound of the number of rows: perturbed rollouts, and nominal rollouts, one
+    /// for each configuration if they start from the configurations' initial states.
     fn max_rows(&self) -> usize {
         let configs_at = |level: &Level| {
             let configs = self.configs.iter();
@@ -370,8 +373,13 @@ impl Design {
                 .count()
         };
         let config_levels: usize = self.levels.iter().map(configs_at).sum();
-        let rows_per_task =
-            config_levels * self.conditions().len() + usize::from(INIT_STATES_PER_TASK);
+        let states = usize::from(INIT_STATES_PER_TASK);
+        let nominal = match self.nominal {
+            Nominal::All => states,
+            Nominal::Eval => self.configs.len().min(states),
+            Nominal::None => 0,
+        };
+        let rows_per_task = config_levels * self.conditions().len() + nominal;
         self.tasks.len() * rows_per_task
     }
 }
@@ -554,9 +562,22 @@ mod tests {
             configs: (0..MAX_CONFIGS).collect(),
             ..Design::v0_1()
         };
+        let cases = [
+            (Nominal::All, 2_162_000),
+            (Nominal::Eval, 2_162_000),
+            (Nominal::None, 2_160_000),
+        ];
+        for (nominal, rows) in cases {
+            let design = Design {
+                nominal,
+                ..design.clone()
+            };
+            let error = design.check().expect_err("too large");
+            assert_eq!(error, DesignError::TooLarge { rows });
+        }
         let error = design.check().expect_err("too large").to_string();
         assert!(
-            error.contains("the design has 2162000 rollouts, at most 250000"),
+            error.contains("the design has up to 2162000 rollouts, at most 250000"),
             "{error}"
         );
     }

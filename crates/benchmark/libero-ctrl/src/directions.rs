@@ -25,6 +25,13 @@ pub enum Directions {
     Own,
 }
 
+impl Directions {
+    /// Returns true for [`Self::Shared`], the default, which serialised records leave out.
+    pub fn is_shared(&self) -> bool {
+        *self == Self::Shared
+    }
+}
+
 /// Part of the key of every random stream of this module; it must change whenever the drawn values
 /// change.
 const VERSION: &str = "libero-ctrl/configurations/1";

@@ -131,8 +131,9 @@ impl Delays {
         Self::weighted([(steps, 1)]).ok()
     }
 
-    /// Creates a distribution; the weights of equal delays are added. The error is a clause for the
-    /// message of [`ExecutionError`] or [`LatencyFileError`].
+    /// Creates a distribution; the weights of equal delays are added, and a sum is limited like a
+    /// weight, so that the distribution's text can be parsed. The error is a clause for the message
+    /// of [`ExecutionError`] or [`LatencyFileError`].
     fn weighted(given: impl IntoIterator<Item = (u16, u32)>) -> Result<Self, String> {
         let mut weighted = std::collections::BTreeMap::<u16, u32>::new();
         for (steps, weight) in given {
@@ -143,6 +144,12 @@ impl Delays {
                 return Err(format!("the weight {weight} is not from 1 to {MAX_WEIGHT}"));
             }
             *weighted.entry(steps).or_default() += weight;
+        }
+        let too_heavy = weighted.iter().find(|(_, weight)| **weight > MAX_WEIGHT);
+        if let (2.., Some((steps, weight))) = (weighted.len(), too_heavy) {
+            return Err(format!(
+                "the weights of delay {steps} add up to {weight}, at most {MAX_WEIGHT} is possible"
+            ));
         }
         match weighted.len() {
             0 => Err("no delay is given".to_owned()),

@@ -242,12 +242,9 @@ impl ManifestErrors {
 
 impl fmt::Display for ManifestErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let subject = if self.count == 1 {
-            "line is"
-        } else {
-            "lines are"
-        };
-        write!(f, "read manifest: {} {subject} refused", self.count)?;
+        // A line can have several errors.
+        let errors = if self.count == 1 { "error" } else { "errors" };
+        write!(f, "read manifest: {} {errors}", self.count)?;
         for LineError { line, problem } in &self.listed {
             write!(f, "\n  line {line}: {problem}")?;
         }
@@ -410,6 +407,7 @@ mod tests {
         assert_eq!(errors.count(), 1);
         assert_eq!(errors.listed()[0].line, 3);
         let message = errors.to_string();
+        assert!(message.starts_with("read manifest: 1 error\n"), "{message}");
         assert!(message.contains(expected), "{message}");
     }
 
@@ -462,6 +460,13 @@ mod tests {
             |row| row.init_id += 1,
             "line 7: spatial/t0/combination/L1/c00: initial states differ from those of its \
              configuration in line 1",
+        );
+        check(
+            |row| {
+                row.init_id += 1;
+                row.execution = "hold:3".parse().expect("an execution model");
+            },
+            "read manifest: 2 errors\n  line 7: ",
         );
         check(
             |row| row.perturbation.robot.as_mut().expect("all axes").eef_dx_m *= -1.0,

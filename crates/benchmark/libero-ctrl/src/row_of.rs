@@ -7,7 +7,7 @@ use crate::design::{Design, Nominal};
 use crate::expansion::clean_row;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
-use crate::suite::INIT_STATES_PER_TASK;
+use crate::suite::{INIT_STATES_PER_TASK, Suite};
 
 /// Error: no rollout of the protocol has this id.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -29,7 +29,12 @@ pub struct NoSuchRow {
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
     if id.variant().is_some() {
-        let remedy = "it is a rollout of LIBERO's family, which `worker variants` runs";
+        let remedy = match id.task().suite() {
+            Suite::Own => {
+                "it is a rollout of a suite file, which `worker variants --suite-file` runs"
+            }
+            _ => "it is a rollout of LIBERO's family, which `worker variants` runs",
+        };
         return Err(problem(remedy.to_owned()));
     }
     let Some(config) = id.config() else {

@@ -44,19 +44,23 @@ pub struct Variants {
     pub runnable: bool,
 }
 
-/// A field of a specification that its variants exclude.
+/// A field of a specification that its variants or its suite file exclude.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{field}` beside `variants`: {problem}")]
+#[error("`{field}` beside `{rollouts}`: {problem}")]
 pub struct VariantsError {
     /// The field.
     pub field: &'static str,
+    /// Field that defines the rollouts, `variants` or `suite_file`.
+    pub rollouts: &'static str,
     /// Reason and remedy.
     pub problem: &'static str,
 }
 
 impl VariantsError {
-    /// Returns the first field of a specification that variants exclude; `None` if all are allowed.
+    /// Returns the first field of a specification that the field `rollouts`, `variants` or
+    /// `suite_file`, excludes; `None` if all are allowed.
     pub(crate) fn excluded(
+        rollouts: &'static str,
         realisation: Realisation,
         replicates: u32,
         record: Record,
@@ -67,31 +71,35 @@ impl VariantsError {
             (
                 "realisation",
                 realisation != Realisation::Matched,
-                "variants have no random elements of LIBERO-CTRL's axes; write matched",
+                "the rollouts have no random elements of LIBERO-CTRL's axes; write matched",
             ),
             (
                 "replicates",
                 replicates > 1,
-                "the benchmarks' protocols run each variant once; write 1",
+                "its protocol runs each rollout once; write 1",
             ),
             (
                 "record",
                 record == Record::Transitions,
-                "variants have no simultaneous perturbation; write none, failures or all",
+                "the rollouts have no simultaneous perturbation; write none, failures or all",
             ),
             (
                 "stop",
                 has_stop_rule,
-                "stop rules use LIBERO-CTRL's measures, which variants do not have; leave it out",
+                "stop rules use LIBERO-CTRL's measures, which the rollouts lack; leave it out",
             ),
             (
                 "execution",
                 !execution.is_wait(),
-                "the benchmarks' protocols pause the simulation during inference; leave it out",
+                "its protocol pauses the simulation during inference; leave it out",
             ),
         ];
         let mut rules = rules.into_iter();
         let (field, _, problem) = rules.find(|(_, is_refused, _)| *is_refused)?;
-        Some(Self { field, problem })
+        Some(Self {
+            field,
+            rollouts,
+            problem,
+        })
     }
 }

@@ -21,6 +21,7 @@ fn models_are_parsed_from_their_text() {
     }
     assert_eq!(execution("hold:4*1+3*2+4*1").to_string(), "hold:3*2+4*2");
     assert_eq!(execution("hold:4*7").to_string(), "hold:4");
+    assert_eq!(execution("hold:4*1000+4*1000").to_string(), "hold:4");
 }
 
 #[test]
@@ -38,6 +39,7 @@ fn invalid_texts_are_refused_with_the_problem_and_the_valid_forms() {
         ("hold:3,rtc", "`3,rtc` is not a number"),
         ("overlap:3*0", "weight 0"),
         ("overlap:3*1001", "weight 1001"),
+        ("hold:4*1000+4*1000+3*1", "delay 4 add up to 2000"),
         ("overlap:3*1+4", "`4` has no weight"),
         (long.as_str(), "33 different delays"),
     ] {

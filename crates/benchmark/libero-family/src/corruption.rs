@@ -58,6 +58,15 @@ impl Kind {
             Self::Glass => "glass",
         }
     }
+
+    /// Returns the pictures that [`Corruption::check`] accepts, for messages.
+    const fn supported_pictures(self) -> &'static str {
+        match self {
+            Self::Motion | Self::Gaussian | Self::Glass => "pictures of one pixel or more",
+            Self::Zoom => "square pictures of at least 2 pixels a side",
+            Self::Fog => "pictures of at most 256 pixels a side",
+        }
+    }
 }
 
 /// A corruption by its number: `_noise_K` of a variant's name.
@@ -155,8 +164,10 @@ impl fmt::Display for Corruption {
 /// Error: the corruption does not support the size of the picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`, which supports square \
-     pictures of at most 256 pixels a side only; have the policy request that size", kind.name()
+    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`, which supports {}, \
+     with three bytes per pixel, only; have the policy request such a size",
+    kind.name(),
+    kind.supported_pictures()
 )]
 pub struct UnsuitedPicture {
     kind: Kind,

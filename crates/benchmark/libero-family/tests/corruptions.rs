@@ -111,7 +111,14 @@ fn pictures_of_unsupported_size_are_refused_and_unchanged() {
     let fog = Corruption::new(31).unwrap();
     let error = fog.apply(&mut large, &mut rng).unwrap_err().to_string();
     assert!(
-        error.contains("300×300") && error.contains("256"),
+        error.contains("300×300")
+            && error.contains("`fog`, which supports pictures of at most 256"),
+        "{error}"
+    );
+    let zoom = Corruption::new(21).unwrap();
+    let error = zoom.check(300, 200, 300 * 200 * 3).unwrap_err().to_string();
+    assert!(
+        error.contains("`zoom`, which supports square pictures of at least 2"),
         "{error}"
     );
     assert!(rng == initial && rgb.iter().all(|byte| *byte == 7));

@@ -12,14 +12,15 @@ pub enum WeightsError {
         bytes: usize,
     },
     #[error(
-        "the weights file's metadata gives {} as its format; this program reads {expected:?}: give \
+        "the weights file's metadata gives {} as its format; this program reads {}: give \
          weights that were exported for it",
-        .found.as_ref().map_or("nothing".to_owned(), |found| format!("{found:?}"))
+        .found.as_ref().map_or("nothing".to_owned(), |found| format!("{found:?}")),
+        .expected.map(|format| format!("{format:?}")).join(" or ")
     )]
     Format {
         /// Value of `format` in the metadata, if there is one.
         found: Option<String>,
-        expected: &'static str,
+        expected: [&'static str; 2],
     },
     #[error("the weights file's metadata has no name: export it with \"name\" in the metadata")]
     Name,

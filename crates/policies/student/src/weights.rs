@@ -37,7 +37,7 @@ impl<'a> Tensors<'a> {
             _ => {
                 return Err(WeightsError::Format {
                     found,
-                    expected: FINE,
+                    expected: [COARSE, FINE],
                 });
             }
         };

@@ -130,7 +130,7 @@ fn another_format_is_named() {
     assert_eq!(
         refusal.to_string(),
         "the weights file's metadata gives \"rollout-student/3\" as its format; this program reads \
-         \"rollout-student/2\": give weights that were exported for it"
+         \"rollout-student/1\" or \"rollout-student/2\": give weights that were exported for it"
     );
     let refusal = error_after(|weights| weights.metadata.clear());
     assert!(

@@ -71,16 +71,19 @@ impl Threshold {
 /// Finds a category, ignoring case: one of LIBERO's, or one that LIBERO-Plus or
 /// LIBERO-PRO adds.
 pub fn category(name: &str) -> Option<&'static Category> {
+    categories().find(|category| category.name.eq_ignore_ascii_case(name))
+}
+
+/// Returns the number of categories that [`category`] can find.
+pub fn category_count() -> usize {
+    categories().count()
+}
+
+fn categories() -> impl Iterator<Item = &'static Category> {
     CATEGORIES
         .iter()
         .chain(PLUS_CATEGORIES)
         .chain(PRO_CATEGORIES)
-        .find(|category| category.name.eq_ignore_ascii_case(name))
-}
-
-/// Returns the number of LIBERO's categories.
-pub fn category_count() -> usize {
-    CATEGORIES.len()
 }
 
 const fn rigid(name: &'static str, file: &'static str, rotation: Rotation) -> Category {

@@ -95,13 +95,18 @@ fn files_below(folder: &Path) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use rollout_types::AttemptId;
+
     use super::*;
 
     #[test]
     fn a_release_of_an_unknown_attempt_is_refused_and_changes_nothing() {
-        // A release whose attempt id is `\nw` with control characters, which is no id.
-        let release = b"\x0a\x05\x0a\x01w\x18\x01\x10\x02\x1a\x01e";
-        assert!(!check_calls(&script::write(4, release)));
+        let is_accepted = |attempt_id: String| {
+            let (_, release) = messages::release_of(attempt_id);
+            check_calls(&script::write(4, &release))
+        };
+        assert!(is_accepted(messages::attempt()));
+        assert!(!is_accepted(AttemptId::from_random([7; 16]).to_string()));
     }
 
     #[test]

@@ -15,14 +15,15 @@ use crate::source::decisive;
 
 /// Returns the lattice of each configuration of the explained campaign, by the configuration's
 /// simultaneous rollout. `explained` are the records of the explained campaign, `explaining` those
-/// of the explaining one. The result is empty if `explained` has a rollout and replicate twice.
+/// of the explaining one.
 ///
 /// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
 /// sample, all replicates of the explained campaign select configurations, and only the replicates
 /// of the explaining campaign decide.
 ///
 /// # Errors
-/// If the explained campaign perturbs only one axis.
+/// If the explained campaign perturbs only one axis, or `explained` has a rollout and replicate
+/// twice.
 pub fn configurations(
     explained: &[Record],
     explaining: &[Record],
@@ -33,7 +34,7 @@ pub fn configurations(
         Some(most) => Evidence::Repeated(Repeats::up_to(most)),
     };
     let explained = decisive(explained, repeats.is_some());
-    let records = Records::new(&explained).unwrap_or_default();
+    let records = Records::new(&explained).map_err(LatticeError::Duplicate)?;
     let full = records.axes().collect();
     let mut lattices = BTreeMap::new();
     for matched in records.configurations() {
@@ -63,7 +64,7 @@ fn simultaneous(task: TaskRef, level: Level, config: u16) -> Option<RolloutId> {
 /// the axes itself.
 ///
 /// # Errors
-/// If the campaign perturbs only one axis.
+/// If the campaign perturbs only one axis, or `records` has a rollout and replicate twice.
 pub fn own_configurations(
     records: &[Record],
 ) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {
@@ -84,5 +85,34 @@ impl Sample {
                 false => Strategy::Adaptive,
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use paired::Outcome;
+
+    use super::*;
+
+    #[test]
+    fn a_rollout_recorded_twice_is_refused_by_name() {
+        let record = |id: &str| Record {
+            id: id.parse().expect("an id"),
+            init_id: 6,
+            replicate: 0,
+            outcome: Outcome::from(true),
+        };
+        let mut records = vec![
+            record("goal/t0/camera/L2/c01"),
+            record("goal/t0/robot/L2/c01"),
+        ];
+        let lattices = configurations(&records, &[], None).expect("two axes");
+        assert_eq!(lattices.len(), 1);
+        records.push(record("goal/t0/robot/L2/c01"));
+        let error = configurations(&records, &[], None).expect_err("twice");
+        assert_eq!(
+            error.to_string(),
+            "explain goal/t0/robot/L2/c01: replicate 0 is recorded twice; keep one record"
+        );
     }
 }

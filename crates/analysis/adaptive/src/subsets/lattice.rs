@@ -1,7 +1,7 @@
 //! Outcomes of one configuration under subsets of the axes.
 
 use libero_ctrl::{Axis, AxisSet};
-use paired::{Matched, Outcome};
+use paired::{DuplicateRecord, Matched, Outcome};
 
 use super::evidence::{Evidence, Looks, Role, Verdict};
 use crate::outcomes::{Outcomes, Tally};
@@ -33,6 +33,9 @@ pub enum LatticeError {
         /// The campaign's axes.
         full: AxisSet,
     },
+    /// The explained campaign has a rollout and replicate twice.
+    #[error("explain {}: replicate {} is recorded twice; keep one record", .0.id, .0.replicate)]
+    Duplicate(DuplicateRecord),
     /// The allowed replicates are too few to reach a verdict about every subset.
     #[error(
         "explain with {repeats} repeats: too few to decide about subsets of {axes} axes with an \

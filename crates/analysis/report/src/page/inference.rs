@@ -1,6 +1,7 @@
 //! Statistical inference: intervals for each target, effects against the noise floor, and
 //! losses against matched nominal rollouts.
 
+use libero_ctrl::Directions;
 use maud::{Markup, html};
 use paired::{Cell, Estimate, Inference};
 
@@ -18,11 +19,18 @@ pub(super) fn tables(document: &Document) -> Markup {
             cells.filter_map(|cell| Some((analysis.label.as_str(), cell, cell.inference.as_ref()?)))
         })
         .collect();
+    let mut directions = document
+        .analyses
+        .iter()
+        .map(|analysis| analysis.report.directions);
+    let common_directions = directions
+        .next()
+        .filter(|first| directions.all(|other| other == *first));
     html! {
         @if !cells.is_empty() {
             section {
                 h2 { "Uncertainty by target" }
-                (targets(&cells))
+                (targets(&cells, common_directions))
                 (floor(&cells))
                 (losses(&cells))
             }
@@ -32,8 +40,9 @@ pub(super) fn tables(document: &Document) -> Markup {
 
 type Cells<'a> = [(&'a str, &'a Cell, &'a Inference)];
 
-/// Renders the table of measures with an interval for each target.
-fn targets(cells: &Cells<'_>) -> Markup {
+/// Renders the table of measures with an interval for each target. `directions` is the assignment
+/// of directions of all policies, `None` if they differ.
+fn targets(cells: &Cells<'_>, directions: Option<Directions>) -> Markup {
     let heads = [
         "policy",
         "level",
@@ -91,10 +100,17 @@ fn targets(cells: &Cells<'_>) -> Markup {
         p.muted {
             "95 % intervals, each of which covers the variation of its target. These tasks and \
             directions: other initial states, and chance. New tasks: other tasks of the same \
-            suites, under the same directions. New tasks and directions: other directions too; a \
-            configuration has one direction in all tasks. Nominal, matched: nominal success of the \
-            complete configurations that have a nominal outcome. Relative \
-            independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
+            suites, under the same directions. New tasks and directions: other directions too"
+            @match directions {
+                Some(Directions::Shared) => "; a configuration has one direction in all tasks",
+                Some(Directions::Own) => {
+                    "; every task has directions of its own, so that the interval about new tasks \
+                    covers both"
+                },
+                None => "",
+            }
+            ". Nominal, matched: nominal success of the complete configurations that have a \
+            nominal outcome. Relative independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
             nominal failures once."
         }
     }

@@ -203,7 +203,20 @@ fn a_row_that_contradicts_itself_or_another_is_bad() {
 #[test]
 fn a_line_longer_than_the_limit_is_refused() {
     let long = format!("{{\"rollout_id\": \"{}", "x".repeat(200_000));
-    assert!(refused(&[&long]).contains("line 1: it is longer than 65536 bytes"));
+    let message = refused(&[&long, "{"]);
+    for expected in [
+        "2 lines are bad",
+        "line 1: it is longer than 65536 bytes",
+        "line 2: ",
+    ] {
+        assert!(message.contains(expected), "{expected}: {message}");
+    }
+    // With its newline, the line is as long as the limit.
+    let longest = format!("{ROW:<65535}");
+    let folder = file(&[&longest, ""]);
+    assert_eq!(import(folder.path()).expect("read").records.len(), 1);
+    let blank = " ".repeat(65_536);
+    assert!(refused(&[&blank, ROW]).contains("line 1: it is longer than 65536 bytes"));
 }
 
 #[test]

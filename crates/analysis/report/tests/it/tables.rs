@@ -169,7 +169,7 @@ fn pandas_reads_no_parquet_column_as_objects() {
         "{output_json}"
     );
     let columns = output_json["columns"].as_object().expect("columns");
-    assert_eq!(columns.len(), 35);
+    assert_eq!(columns.len(), 36);
     let kinds = |name: &str| columns[name].to_string();
     assert_eq!(kinds("camera"), r#"["boolean",["bool"]]"#);
     assert_eq!(kinds("config"), r#"["int64",["int"]]"#);

@@ -1,5 +1,6 @@
 //! Tests of a report's wording: withheld intervals, the legend, and one term for each concept.
 
+use libero_ctrl::Directions;
 use paired::Outcome;
 use report::{Subject, figures, page};
 use serde_json::Value;
@@ -14,6 +15,30 @@ fn some_tasks(tasks: usize) -> Subject {
         .records
         .retain(|record| first.contains(&record.id.task()));
     subject
+}
+
+#[test]
+fn intervals_about_new_directions_are_explained_by_the_assignment_of_directions() {
+    let own = Subject {
+        directions: Directions::Own,
+        ..example()
+    };
+    let [shared, of_tasks] = [
+        "a configuration has one direction in all tasks",
+        "every task has directions of its own",
+    ];
+    for (subjects, words, foreign) in [
+        (vec![example()], Some(shared), of_tasks),
+        (vec![own.clone()], Some(of_tasks), shared),
+        (vec![own, example()], None, shared),
+    ] {
+        let document = document(subjects);
+        for form in [document.text(), page(&document)] {
+            let form = form.split_whitespace().collect::<Vec<_>>().join(" ");
+            assert!(words.is_none_or(|words| form.contains(words)), "{form}");
+            assert!(!form.contains(foreign), "{foreign} in {form}");
+        }
+    }
 }
 
 #[test]

@@ -427,7 +427,11 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
             serde_json::json!(["all"]),
             "`tasks` and `suite_file` both define the rollouts",
         ),
-        ("replicates", 2.into(), "write 1"),
+        (
+            "replicates",
+            2.into(),
+            "`replicates` beside `suite_file`: its protocol runs each rollout once; write 1",
+        ),
         ("suite_file", other, "`waits` is 2000: write 0 to 1000"),
     ] {
         let error = spec(&[(field, value)]).expect_err(field).to_string();
@@ -437,6 +441,11 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     let error = imported(&rows, None).expect_err("rows of a suite file");
     assert!(
         error.to_string().contains("`suite_file`: remove the row"),
+        "{error}"
+    );
+    let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
+    assert!(
+        error.to_string().contains("`worker variants --suite-file`"),
         "{error}"
     );
 }

@@ -45,6 +45,9 @@ impl BddlPath {
             problem,
         };
         let (stem, changes) = parts(path, VIEW).ok_or_else(|| invalid(Problem::Repeated))?;
+        if !changes.contains(ROBOT) {
+            return Err(invalid(Problem::Order));
+        }
         let (view, rest) = parts(changes, ROBOT).ok_or_else(|| invalid(Problem::Repeated))?;
         let rest = rest.split('.').next().unwrap_or(rest);
         let (robot, noise) = match rest.contains(NOISE) {
@@ -90,6 +93,7 @@ pub struct InvalidBddlPath {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Problem {
     Repeated,
+    Order,
     View,
     Robot,
     Noise,
@@ -100,6 +104,10 @@ impl Problem {
         match self {
             Self::Repeated => {
                 "_view_, _initstate_ or _noise_ occurs twice in it; folders must not have these \
+                 words in their names"
+            }
+            Self::Order => {
+                "_initstate_ occurs before _view_ in it and not after; folders must not have these \
                  words in their names"
             }
             Self::View => {
@@ -154,6 +162,10 @@ mod tests {
         for (path, words) in [
             ("a_view_b/c_view_0_0_100_0_0_initstate_0.bddl", "twice"),
             ("c_view_0_0_100_0_0_initstate_0_initstate_1.bddl", "twice"),
+            (
+                "c_initstate_0_view_0_0_100_0_0.bddl",
+                "_initstate_ occurs before _view_",
+            ),
             ("c_view_0_0_100_0_initstate_0.bddl", "its view"),
             ("c_view_0_0_0_0_0_initstate_0.bddl", "its view"),
             ("c_view_0_0_100_0_0_initstate_501.bddl", "0 to 500"),

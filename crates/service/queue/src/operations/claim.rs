@@ -377,16 +377,20 @@ fn missing_files(
     {
         return None;
     }
+    let among = match waiting.len() {
+        1 => "",
+        _ => " among others",
+    };
     let files = match TaskKey::files_of(first) {
         Some(benchmark) => format!(
             "task files that this worker lacks; run `{}` on its machine",
             libero_family::fetch_command(benchmark)
         ),
         None if first.contains('+') => format!(
-            "task files that this worker lacks or has in another version, for task {first} among \
-             others; its log names the files"
+            "task files that this worker lacks or has in another version, for task \
+             {first}{among}; its log names the files"
         ),
-        None => format!("assets that this worker lacks, for task {first} among others"),
+        None => format!("assets that this worker lacks, for task {first}{among}"),
     };
     Some(format!("campaign `{campaign}` needs {files}"))
 }
@@ -424,5 +428,36 @@ fn assigned(campaign: &Campaign, job: LeasedJob) -> Assigned {
         realisation: campaign.realisation.clone(),
         execution: campaign.execution.clone(),
         record: campaign.record.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_files_are_described_by_a_task_and_whether_others_wait() {
+        let tasks = ["libero_goal/3", "libero_goal/4"];
+        let waiting = tasks.map(|task| WaitingTask {
+            task: task.to_owned(),
+            first_unit: 0,
+            leased: 0,
+        });
+        let mut request = ClaimRequest {
+            worker: WorkerId("a".to_owned()),
+            claim: String::new(),
+            warm_task: None,
+            lacking_tasks: tasks.map(str::to_owned).into(),
+        };
+        let campaign = CampaignName::parse("c").expect("a name");
+        let one = "campaign `c` needs assets that this worker lacks, for task libero_goal/3";
+        let missing = |waiting: &[WaitingTask], request: &ClaimRequest| {
+            missing_files(&campaign, waiting, request)
+        };
+        assert_eq!(missing(&waiting[..1], &request).as_deref(), Some(one));
+        let several = format!("{one} among others");
+        assert_eq!(missing(&waiting, &request), Some(several));
+        request.lacking_tasks.remove(tasks[1]);
+        assert_eq!(missing(&waiting, &request), None);
     }
 }

@@ -140,17 +140,17 @@ pub(crate) async fn siblings(
         Json<Provenance>,
     );
     let rows: Vec<Row> = sqlx::query_as(concat!(
-        "SELECT min(s.id), s.rollout_id, r.worker_id, ",
+        "SELECT min(j.id), j.rollout_id, r.worker_id, ",
         digests!(),
         ", r.realised, ",
         provenance!(),
-        " FROM job s
-         JOIN result r ON r.job_id = s.id
+        " FROM job j
+         JOIN result r ON r.job_id = j.id
          JOIN provenance v ON v.id = r.provenance_id
-         WHERE s.campaign_id IN
+         WHERE j.campaign_id IN
                  (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
-             AND s.task = ?2 AND s.init_id = ?3 AND s.state = 'committed'
-         GROUP BY s.rollout_id, r.first_frame_digest = '', v.renderer, v.fingerprint,
+             AND j.task = ?2 AND j.init_id = ?3 AND j.state = 'committed'
+         GROUP BY j.rollout_id, r.first_frame_digest = '', v.renderer, v.fingerprint,
              v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
          ORDER BY 1",
     ))

@@ -110,8 +110,12 @@ pub(super) fn commit() -> EncodedCall {
 }
 
 pub(super) fn release() -> EncodedCall {
+    release_of(attempt())
+}
+
+pub(super) fn release_of(attempt_id: String) -> EncodedCall {
     let request = wire::ReleaseRequest {
-        attempt_id: attempt(),
+        attempt_id,
         reason: wire::release_request::Reason::SlotCrashed.into(),
         error: "e".into(),
         answered_queries: Some(1),
