@@ -58,7 +58,7 @@ class ComputedUnivla:
 
 
 class ComputedPredvla:
-    """Replaces PredVLA's networks by a running mean."""
+    """Replaces PredVLA's network, and its correction, an episode's memory, by a running mean."""
 
     parameters, stride = 0, 4
 

@@ -2,7 +2,8 @@
 //!
 //! tonic drops a call's future when its client disconnects. If a change were dropped between the
 //! database's COMMIT and the notifications after it, it would be stored but wake no task: a
-//! derived campaign would get no rollouts until another job settles.
+//! campaign whose rollouts are chosen from another campaign's outcomes would get none until another
+//! job settles.
 
 use std::future::Future;
 use std::sync::{Mutex, PoisonError};

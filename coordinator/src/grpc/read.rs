@@ -32,7 +32,8 @@ const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
 /// Largest measurement of a result, in seconds, millimetres or degrees; bounded so that sums stay
 /// finite.
 const MAX_MEASURED: f64 = 1e9;
-/// Most values of one realised axis; the metric axes have at most a few dozen.
+/// Most values of one realised axis; the metric axes, which have numeric parameters, have at most a
+/// few dozen.
 const MAX_REALISED_VALUES: usize = 1_024;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {

@@ -174,8 +174,8 @@ async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_ma
 
 #[tokio::test]
 async fn a_replicate_with_other_realised_values_is_refused() {
-    let once = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
-    let (_bench, mut worker, leases) = leases_of(once).await;
+    let twice = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
+    let (_bench, mut worker, leases) = leases_of(twice).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], shifted).await;

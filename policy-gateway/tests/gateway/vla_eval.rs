@@ -254,7 +254,7 @@ async fn a_connection_that_breaks_in_a_query_is_an_outage() {
 async fn other_servers_and_other_versions_are_recognised() {
     type Greeting = fn(&str, u64) -> Answer;
     let cases: [(Greeting, &str); 4] = [
-        // The first message of openpi's servers.
+        // Stands for the metadata that openpi's servers send first: it is no HELLO.
         (
             |_, _| {
                 let Answer::Message(metadata) = message("none", map(vec![]), 0) else {

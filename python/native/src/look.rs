@@ -55,7 +55,7 @@ impl Look {
 
     /// Renders the kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1
     /// for the background; row 0 is the bottom. Sites are transparent, as in frames, unlike
-    /// in `MuJoCo`'s segmentation. A burner glows if it glowed at the observation.
+    /// in `MuJoCo`'s segmentation, except the site of a burner that glowed at the observation.
     fn segmentation<'py>(
         &self,
         py: Python<'py>,

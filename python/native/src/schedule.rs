@@ -9,7 +9,7 @@ use crate::error::{invalid, value};
 use crate::state::shaped;
 
 /// Number of control steps until a response takes effect, and the commands scheduled for the next
-/// steps, [n, 7].
+/// steps, [n, 7]: the first, up to that number, are executed regardless of the response.
 type Query<'py> = (u32, Bound<'py, PyArrayDyn<f64>>);
 
 /// Queries and commands of one rollout whose responses take effect late, as in a campaign's rollout
@@ -45,8 +45,7 @@ impl Schedule {
         self.execution.to_string()
     }
 
-    /// True under real-time chunking: a query includes the commands that are executed until its
-    /// response takes effect.
+    /// True under real-time chunking: the policy is sent the commands of the query, too.
     #[getter]
     fn is_rtc(&self) -> bool {
         self.execution.is_rtc()

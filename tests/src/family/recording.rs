@@ -26,7 +26,7 @@ pub struct Recording {
     pub prompt: Option<String>,
     /// SHA-256 of the BDDL file's sentence, as the original's parser reads it.
     pub sentence: Option<String>,
-    /// States, camera and the generator's number, by kind.
+    /// States, camera pose, and the next number of NumPy's generator, by kind.
     pub numbers: BTreeMap<String, Vec<f64>>,
 }
 
@@ -79,8 +79,9 @@ impl Found {
         &mut self.0[index]
     }
 
-    /// Adds a line of `states.txt`. Two kinds are left out: `noise`, which belongs to pictures of
-    /// 256 × 256, and `reset-only`, which belongs to fifteen waits.
+    /// Adds a line of `states.txt`. Two kinds are left out: `noise`, the generator's next number
+    /// after corrupted pictures of 256 × 256, and `reset-only`, the state after a reset and fifteen
+    /// control steps without action.
     fn add_states(&mut self, line: &str) -> Option<()> {
         let (name, rest) = line.split_once(' ')?;
         let (kind, numbers) = rest.split_once(' ')?;

@@ -39,7 +39,7 @@ impl Search {
     }
 
     /// Records a trial. `saved` is true if lifting at `query` saves the rollout and the placebo
-    /// does not.
+    /// (nothing lifted, the robot nudged) does not.
     pub(super) fn record(&mut self, query: usize, saved: bool) {
         self.tried.insert(query, saved);
     }

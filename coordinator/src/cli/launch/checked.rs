@@ -1,4 +1,4 @@
-//! Validation of values that are written into a script; errors name the flag.
+//! Validation of values that are written into a script; errors name the flag or the path.
 
 use std::path::{Path, PathBuf, absolute};
 

@@ -1,6 +1,6 @@
 //! The figures, as SVG. Each is a panel of one fixed width, so that a page can
 //! set panels side by side if there is room and below one another if there is
-//! not, without scaling text.
+//! not, without scaling text; a wide figure takes a row of its own.
 //!
 //! Colour never carries meaning alone: transitions have marks, measures have
 //! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,

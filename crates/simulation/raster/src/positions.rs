@@ -4,16 +4,16 @@ use crate::lanes::{F, Floats as _, I, LANES};
 
 /// Subpixel units in a pixel; positions are snapped to these units.
 pub(crate) const SUBPIXELS: i32 = 256;
-/// Limit of a corner's distance from the picture, subpixel units. Only corners that are so close to
-/// the eye that their position is unreliable lie beyond this limit. The product of two such
-/// distances fits in 64 bits.
+/// Limit of the magnitude of a corner's x and y in the picture, subpixel units. Only corners that
+/// are so close to the eye that their position is unreliable lie beyond this limit. The product of
+/// two such coordinates fits in 64 bits.
 pub(crate) const MAX_COORDINATE: i32 = 1 << 24;
 
 /// Largest number of positions of a cluster: as many as a byte can index, so that indices need no
 /// bounds check.
 const CAPACITY: usize = 256;
 
-/// Positions of a cluster in the picture, eight numbers per row: x, y and depth in pixels, snapped
+/// Positions of a cluster in the picture, eight numbers per row: x and y in pixels, depth, snapped
 /// x and y as bits, and the bits of the planes of [`clip`](crate::clip) that the position lies
 /// beyond. One load reads a whole row.
 pub(crate) struct Positions {

@@ -54,7 +54,8 @@ class Options:
     device: str = "cuda"
     #: Queries answered in one forward pass, for policies that support batches.
     max_batch: int = 1
-    #: Actions of a chunk that are executed; None takes the checkpoint's number.
+    #: Actions of a chunk that are executed; None takes LIBERO-CTRL's number for a checkpoint of
+    #: the catalogue, else the checkpoint's own.
     execute: int | None = None
     #: Image slots by camera ("scene", "wrist"), if the slot names do not determine them.
     image_keys: Mapping[str, str] | None = None

@@ -50,8 +50,8 @@ const PLACEBO: [usize; 3] = [3, 4, 5];
 
 impl Excess {
     /// Computes the excess over the complete configurations of the level and the placebo.
-    /// `None` if the level or the placebo has no complete configuration, or if their axes
-    /// differ.
+    /// `None` if the level or the placebo has no complete configuration, or if the numbers of
+    /// their axes differ.
     pub(crate) fn of(
         matched: &[Matched],
         placebo: &[Matched],

@@ -56,7 +56,7 @@ impl CampaignLook {
         let is_known =
             |strata: &BTreeMap<_, Stratum>| strata.values().all(|stratum| stratum.known > 0.0);
         levels.retain(|_, strata| is_known(strata));
-        // An interval about new tasks is about the average over suites of any size.
+        // An interval about new tasks gives every suite the same weight, whatever its size.
         let has_equal_weights = stop.rule.is_about_new_tasks();
         let level_estimates = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
             let weight = |stratum: &Stratum| {

@@ -1,4 +1,5 @@
-//! Tables of a campaign of LIBERO's family.
+//! Tables of a campaign of LIBERO's family. A full stop at the end of a head is not shown: it makes
+//! [`table`] align the column as text.
 
 use maud::{Markup, html};
 

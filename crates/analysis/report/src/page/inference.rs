@@ -1,5 +1,6 @@
 //! Statistical inference: intervals for each target, effects against the noise floor, and
-//! losses against matched nominal rollouts.
+//! losses against matched nominal rollouts. A full stop at the end of a head marks a column of text
+//! and is not shown.
 
 use libero_ctrl::Directions;
 use maud::{Markup, html};
@@ -109,8 +110,10 @@ fn targets(cells: &Cells<'_>, directions: Option<Directions>) -> Markup {
                 },
                 None => "",
             }
-            ". Nominal, matched: nominal success of the complete configurations that have a \
-            nominal outcome. Relative independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
+            ". b / S_conj: emergent failures among the configurations that succeed under every axis \
+            alone. c / (1 − S_conj): compensated successes among the others. Nominal, matched: \
+            nominal success of the complete configurations that have a nominal outcome. Relative \
+            independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
             nominal failures once."
         }
     }

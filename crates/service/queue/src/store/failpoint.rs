@@ -31,7 +31,7 @@ pub enum Step {
     FinishRemoval,
     /// Jobs are taken out of quarantine, or quarantined because an operator skips them.
     RetryJobs,
-    /// Jobs are added to a derived campaign.
+    /// Jobs are added to a derived campaign: one that explains another or measures its thresholds.
     Derive,
     /// A campaign ends early.
     Stop,
