@@ -15,7 +15,7 @@ use queue::clock::SystemClock;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use terminal::{number, reader_is_gone};
-use tokio::net::TcpListener;
+use tokio::net::TcpSocket;
 use tokio::signal::unix::{SignalKind, signal};
 use transport::{Security, SecurityError, ServerArguments};
 
@@ -23,6 +23,9 @@ use super::command::{CommandError, failure, print_line, usage};
 
 /// Heartbeats per lease duration, so that a lease survives a few lost heartbeats.
 const HEARTBEATS_PER_LEASE: u32 = 6;
+
+/// Most connections that wait to be accepted.
+const BACKLOG: u32 = 1024;
 
 #[derive(Args, Debug)]
 pub(super) struct ServeArguments {
@@ -73,18 +76,16 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
     transport::raise_file_limit();
+    let place = arguments.listen;
+    let unusable = || format!("listen on {place}: choose another address with --listen");
+    let socket = bind(place).with_context(unusable)?;
     let (tls_note, scheme) = match security.is_encrypted() {
         true => (" over TLS", "https"),
         false => ("", "http"),
     };
     let coordinator = Coordinator::open(config(&arguments, security)?).await?;
-    // Bound only now, since orchestrators take an open port for a coordinator that is ready.
-    let listener = TcpListener::bind(arguments.listen).await.with_context(|| {
-        format!(
-            "listen on {}: choose another address with --listen",
-            arguments.listen
-        )
-    })?;
+    // Only now, since orchestrators take an open port for a coordinator that is ready.
+    let listener = socket.listen(BACKLOG).with_context(unusable)?;
     let address = listener
         .local_addr()
         .context("read the listening address")?;
@@ -115,6 +116,21 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     // A closed standard output does not turn a clean shutdown into a failure.
     let _ = print_line("stopped");
     Ok(())
+}
+
+/// Reserves the address, at which clients are refused until the socket listens: an address in use is
+/// reported before a database is created.
+fn bind(address: SocketAddr) -> std::io::Result<TcpSocket> {
+    let socket = if address.is_ipv4() {
+        TcpSocket::new_v4()?
+    } else {
+        TcpSocket::new_v6()?
+    };
+    // Without it, a restarted coordinator is refused its address until earlier connections have
+    // left the state TIME_WAIT.
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    Ok(socket)
 }
 
 /// Returns the page's URL. An unspecified address such as 0.0.0.0 is replaced by `HOST`, since a

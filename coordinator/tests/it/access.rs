@@ -331,6 +331,22 @@ fn non_loopback_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     assert!(!folder.path().join("data").exists());
 }
 
+#[test]
+fn an_address_in_use_is_named_before_a_database_is_created() {
+    let (folder, serve) = Serve::anew();
+    let address = serve.url.trim_start_matches("http://");
+    let data = folder.path().join("second");
+    let data = data.to_str().expect("UTF-8");
+    let message = &fail(
+        coordinator(&["serve", "--listen", address, "--data", data]),
+        1,
+    );
+    for words in [address, "choose another address with --listen"] {
+        assert!(message.contains(words), "{message}");
+    }
+    assert!(!folder.path().join("second").exists());
+}
+
 /// Regression: on a shared machine, every user could call a coordinator that listened
 /// on loopback, delete its campaigns and set its policies' endpoints.
 #[test]
