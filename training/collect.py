@@ -97,10 +97,10 @@ class Tally:
             f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
             f"{self.frames:,} frames ({self.frames / seconds:,.0f}/s)",
             f"{len(results):,} episodes",
-            "success with the expert % " + _rates(guided),
+            "success in per cent: with the expert " + _rates(guided),
         ]
         if alone:
-            parts.append("student alone % " + _rates(alone))
+            parts.append("student alone " + _rates(alone))
         return "  ".join(parts)
 
     def student_outcomes(self) -> dict[str, list[int]]:
@@ -156,8 +156,8 @@ class NewestStudent:
 class Group:
     """Environments that step together, and the episodes that run in them.
 
-    Two groups alternate on the processor's cores: while one group's
-    environments step, the other's frames are shrunk and stored.
+    The groups, two by default, share the processor's cores: while one group's
+    environments step, the frames of another are shrunk and stored.
     """
 
     def __init__(
@@ -443,7 +443,7 @@ def collect(arguments: argparse.Namespace) -> None:
     """Collects for ``--seconds`` seconds, start included."""
     until = time.monotonic() + arguments.seconds
     if arguments.driver == "student" and arguments.weights is None:
-        raise SystemExit("collect with --driver student: name the student's file with --weights")
+        raise SystemExit("--driver student needs weights: name the student's file with --weights")
     device = torch.device(arguments.device)
     if device.type == "cpu":
         torch.set_num_threads(1)
@@ -451,7 +451,7 @@ def collect(arguments: argparse.Namespace) -> None:
     weights = arguments.weights if arguments.driver == "student" else None
     newest_student = NewestStudent(weights, device)
     wordings = [draw(task, WORDINGS, arguments.seed) for task in TASK_NAMES]
-    # A resumed run must not repeat the scenes of earlier runs.
+    # Part of the random seed, so that a resumed run does not repeat the placements of earlier runs.
     run = next_number(arguments.into)
     outcomes = read_outcomes(arguments.failures) if arguments.failures else {}
     tasks = tasks_of_environments(arguments.envs, arguments.tasks, outcomes)
@@ -511,7 +511,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
     parser.add_argument(
         "--driver", choices=["expert", "student"], default="expert",
-        help="expert: the expert drives, mostly disturbed; student: student and expert in turns",
+        help="expert: the expert drives, in most episodes with noise and pushes added to its"
+        " actions; student: student and expert take turns",
     )  # fmt: skip
     parser.add_argument(
         "--weights", type=Path,

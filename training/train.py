@@ -37,7 +37,8 @@ GRIPPER_WEIGHT = 0.1
 WARM_UP = 200
 """Steps in which the learning rate rises to its maximum."""
 EMA = 0.999
-"""Weight of the previous running mean of the weights in the next; the new weights have the rest."""
+"""Decay of the exponential moving average of the network's weights, per step; smaller in the first
+steps, see ``_update_mean``."""
 MAX_GRADIENT = 1.0
 """Largest norm of the gradient, which is clipped."""
 REPORT_SECONDS = 20.0
@@ -83,7 +84,7 @@ class Trainer:
         self.step = 0
         self.trained_seconds = 0.0
         self.spent_seconds = 0.0
-        """Time spent on loading, seconds, summed over all calls."""
+        """Time spent on loading, seconds, summed over all resumptions of the run."""
         self._network = Network().to(self._device)
         self._network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._mean = copy.deepcopy(self._network).requires_grad_(False).eval()
@@ -212,8 +213,8 @@ class Trainer:
         except Exception as error:
             if not self._is_compiled or self.step > 0:
                 raise
-            # Any failure of the compiler is caught. Training without the compiler is slower, with
-            # the same result.
+            # Any error of the first step is attributed to the compiler; other errors recur in the
+            # retry. Training without the compiler is slower, with the same result.
             print(f"trains without torch.compile: {type(error).__name__}: {str(error)[:300]}")
             self._losses, self._is_compiled = Losses(self._network), False
             return self._compute_loss(*inputs)
@@ -281,7 +282,7 @@ def train(arguments: argparse.Namespace) -> None:
         flush=True,
     )
     trainer.prepare(library)
-    # The time of loading is subtracted from the training time, so that a stage ends on schedule.
+    # The time of loading is subtracted from the training time, so that a run ends after --seconds.
     earlier = trainer.trained_seconds
     trainer.spent_seconds += time.monotonic() - start
     length = max(seconds - trainer.spent_seconds - earlier, 1.0)
@@ -334,8 +335,9 @@ def main() -> None:
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of shards")
     parser.add_argument("--run", type=Path, required=True, help="folder of checkpoint and weights")
     parser.add_argument(
-        "--seconds", type=float, default=300.0, help="duration of all calls, start included"
-    )
+        "--seconds", type=float, default=300.0,
+        help="total time of a run, with start-up, summed over interruptions",
+    )  # fmt: skip
     parser.add_argument(
         "--stop-after", type=float, metavar="SECONDS",
         help="stop after this time with a checkpoint, from which the same command resumes",

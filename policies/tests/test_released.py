@@ -30,6 +30,7 @@ def released():
 
 
 def scene(client):
+    """Returns a synthetic observation for the described policy."""
     described = Description.from_message(client.describe())
     return to_message(fake_observation(described))
 

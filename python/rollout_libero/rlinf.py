@@ -7,7 +7,7 @@ each environment, which renders and sends every observation. With this module, t
 simulate, and render only the last observation of each chunk, which is the policy's input.
 
 If a run saves videos or collects data, every step is rendered, which is slow: set
-``save_video: False`` for training.
+``video_cfg.save_video`` and ``data_collection.enabled`` to ``False`` for training.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ def register() -> None:
         return
     from rlinf.envs.libero import libero_env
 
-    if not getattr(libero_env.LiberoEnv, "is_together", False):
-        libero_env.LiberoEnv = together(libero_env.LiberoEnv, rows)
+    if not getattr(libero_env.LiberoEnv, "simulates_in_process", False):
+        libero_env.LiberoEnv = in_process_subclass(libero_env.LiberoEnv, rows)
 
 
-def together(base: Any, rows: type[Rows]) -> Any:
+def in_process_subclass(base: Any, rows: type[Rows]) -> Any:
     """Returns a subclass of RLinf's ``LiberoEnv`` that simulates in one process, with ``rows`` in
     place of RLinf's processes."""
 
     class LiberoEnv(base):  # type: ignore[misc]
         """RLinf's LIBERO, simulated by ``rollout_libero``."""
 
-        is_together = True
+        simulates_in_process = True
 
         def _init_env(self) -> None:
             parameters = self.get_env_fn_params()
@@ -56,7 +56,8 @@ def together(base: Any, rows: type[Rows]) -> Any:
             if draws_all:
                 print(
                     "rollout_libero.rlinf: videos are saved or data is collected, so every step is "
-                    "rendered: set video_cfg.save_video to False for speed"
+                    "rendered: for speed, set video_cfg.save_video and data_collection.enabled to "
+                    "False"
                 )
             self.env = rows(parameters, threads=_threads(), draws_all=draws_all)
 

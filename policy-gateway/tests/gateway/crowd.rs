@@ -178,8 +178,8 @@ async fn wait_for_count(count: &AtomicUsize, expected: usize) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_query_whose_caller_has_disconnected_is_never_computed() {
-    // Of eight queries, all are at a server without batches; two batches are at a server with
-    // batches, and the remaining queries wait in the gateway.
+    // Of eight queries, the gateway sends all at once to a server without batches. To a server with
+    // batches, it sends two batches; the remaining queries wait in the gateway.
     for (max_batch, calls) in [(1, 8), (2, 2)] {
         let policy = SlowServer {
             max_batch,

@@ -416,8 +416,9 @@ class OperatorServiceServicer(object):
     """
 
     def CreateCampaign(self, request, context):
-        """Expands a campaign into jobs, in one transaction. If the name exists, the same
-        specification adds nothing, and a different specification is refused.
+        """Expands a campaign into jobs: in one transaction, or, if it is large, in batches, until
+        the last of which it is hidden. If the name exists, the same specification adds nothing,
+        and a different specification is refused.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -13,7 +13,8 @@ pub enum Axis {
 /// A random orientation: one uniform number for each angle, between two bounds, rad.
 ///
 /// LIBERO builds a movable object's quaternion as x y z w and passes it to MuJoCo, which
-/// reads w x y z. A "rotation about x by θ" is therefore a rotation about z by π − θ in the scene.
+/// reads w x y z. In the scene, a "rotation about x by θ" is therefore a rotation about z by π − θ;
+/// one about y or z is a rotation by π, about an axis in the x–z or y–z plane that depends on θ.
 /// The sampled orientations are as MuJoCo reads them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rotation {

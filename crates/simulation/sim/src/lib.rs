@@ -3,9 +3,9 @@
 //!
 //! The behaviour follows hf-libero 0.1.4 with robosuite 1.4.0.
 //!
-//! All `unsafe` code of the workspace is in this crate, except a matrix product in `student`: in
-//! [`mujoco`], in the OpenGL calls of [`render`], and in the mapping of scene files. It is behind
-//! safe types, and every block states why it is sound.
+//! All `unsafe` code of the workspace, except a matrix product in `student`, is in this crate: in
+//! [`mujoco`], in the OpenGL calls and thread-bound values of [`render`], and in the mapping of
+//! scene files. It is behind safe types, and every block states why it is sound.
 
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 

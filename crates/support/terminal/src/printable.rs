@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-/// Replaces control characters other than line feeds and tabs, and marks that change the reading
-/// direction, by `\u{fffd}`.
+/// Replaces control characters other than line feeds and tabs, and Unicode's bidirectional
+/// embeddings, overrides and isolates, by `\u{fffd}`.
 ///
 /// An error of a policy or worker, or text from a foreign archive, could contain escape sequences
 /// that set the clipboard, change the window title, or overwrite the line above.

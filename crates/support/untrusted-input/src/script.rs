@@ -16,7 +16,8 @@ pub(crate) struct Call<'a> {
 }
 
 /// Parses an input. Every input is valid: a message that is longer than the rest of the input ends
-/// with the input.
+/// with the input, an incomplete header at the end is ignored, and [`MORE`] without a preceding
+/// call begins a call.
 pub(crate) fn read(mut input: &[u8]) -> Vec<Call<'_>> {
     let mut calls: Vec<Call<'_>> = Vec::new();
     while let [number, low, high, rest @ ..] = input {

@@ -27,7 +27,8 @@ def get_libero_path(query_key: str) -> str:
     of a removed installation does no harm. Otherwise the default folder is used, whose files are
     fetched at first use.
 
-    Raises KeyError for another key, FileNotFoundError if the files are unavailable.
+    Raises KeyError for another key, FileNotFoundError if the files are unavailable, ValueError if
+    the configuration file is not YAML.
     """
     configured = _configured()
     if query_key not in _KEYS and query_key not in configured:

@@ -219,13 +219,13 @@ pub(crate) fn search(
     }
 }
 
-/// Returns true if every campaign with the axes `full` runs the subset `set`, which then has
-/// no axis, one axis or all axes.
+/// Returns true if `set` has no axis, one axis or all of the axes `full`: every campaign with these
+/// axes, as the source of a search, runs these subsets.
 pub(crate) fn is_of_source(set: AxisSet, full: AxisSet) -> bool {
     set.len() < 2 || set == full
 }
 
-/// Returns a configuration with the outcomes of the subsets that every campaign runs.
+/// Returns a configuration's lattice with the outcomes of the subsets that every campaign runs.
 pub(crate) fn source(
     full: AxisSet,
     evidence: Evidence,
