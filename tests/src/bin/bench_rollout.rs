@@ -59,9 +59,9 @@ struct Arguments {
     /// programs that use the wall clock.
     #[arg(long)]
     wall: bool,
-    /// An archive with `actions`, repeated if they are too few, and the `state`
-    /// that they start from. Without it: smooth motion from the first
-    /// evaluation state.
+    /// A NumPy archive (.npz) with `actions`, repeated if they are too few, and
+    /// the `state` that they start from. Without it: smooth motion from the
+    /// first evaluation state.
     #[arg(long)]
     actions: Option<PathBuf>,
     /// Folder with the unpacked packages of robosuite and LIBERO.
@@ -395,8 +395,11 @@ impl Bench {
                 1.0 - needed / phases.total()
             })
             .collect();
-        let shares = Spread::from_values(&shares).context("there is a rollout")?;
-        let last = timers.last().context("there is a rollout")?;
+        let shares =
+            Spread::from_values(&shares).context("compute the shares: no rollout was timed")?;
+        let last = timers
+            .last()
+            .context("report the frames: no rollout was timed")?;
         Ok(json!({
             "rollouts": rollouts,
             "steps": steps,

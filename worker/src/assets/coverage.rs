@@ -34,7 +34,7 @@ impl Coverage {
     /// verified at use.
     ///
     /// # Errors
-    /// If the task files cannot be read.
+    /// If the task files cannot be read, or need a model that is unknown or not LIBERO's.
     pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
             categories: Models::default(),

@@ -16,7 +16,7 @@ use super::config::Identity;
 use super::link::Link;
 use crate::message::{Evidence, Failure, Finished};
 
-/// How a rollout ended.
+/// Outcome of a rollout.
 #[derive(Debug)]
 pub(crate) enum Ending {
     /// The rollout has a result.
@@ -64,7 +64,7 @@ impl Delivery {
 }
 
 impl Answer {
-    /// Logs the answer, unless the coordinator accepted the report.
+    /// Logs a late or refused report, a quarantine, and the delay before a rollout is tried again.
     pub(crate) fn log(&self, label: &str) {
         match self {
             Self::Committed(answer) => match answer.verdict() {

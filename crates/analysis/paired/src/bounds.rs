@@ -102,7 +102,7 @@ struct Ranges {
 
 impl Bounds {
     /// Computes the bounds over configurations of one level and replicate; `None` if no
-    /// rollout is quarantined.
+    /// configuration without a missing rollout has a quarantined one.
     pub fn of(configurations: &[Matched]) -> Option<Self> {
         let (mut n, mut affected) = (0, 0);
         let mut ranges = Ranges::default();

@@ -21,7 +21,8 @@ pub enum Subject {
     Pro(ProSuite),
     /// A sentence of LIBERO-Para for a task of LIBERO.
     Para(&'static Paraphrase),
-    /// A task of a suite of a suite file. The file's rows have its files and rules.
+    /// A task of a suite file, named by its suite. The field `own` of its manifest row names the
+    /// task's files and the rules of its rollouts.
     Own(VariantName),
 }
 
@@ -68,7 +69,7 @@ impl Case {
     ///
     /// # Errors
     /// If no case has the row's id, the protocol is unknown or belongs to another benchmark, or the
-    /// row is of a suite file, which has no named protocol.
+    /// row is of a suite file, whose protocol is not a benchmark's.
     pub fn of_row(row: &ManifestRow) -> Result<(Self, Protocol), SelectionError> {
         let case = Self::of_id(row.id)?;
         let protocol: Protocol = row.protocol.as_deref().unwrap_or_default().parse()?;

@@ -6,7 +6,8 @@
 //! inside the firewall. `Origin` and `Sec-Fetch-…` headers, which no page can omit or forge,
 //! distinguish such requests from a program's. A page also cannot, without the server's consent,
 //! use HTTP/2 without TLS, a content type like gRPC's, or a header like `Authorization`. Calls
-//! require all of these, so that no page can make a call.
+//! require HTTP/2 and gRPC's content type, and no `Origin` or `Sec-Fetch-Site` header, so that
+//! no page can make a call.
 
 use std::net::IpAddr;
 

@@ -17,8 +17,8 @@ pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
-/// Shifts that multiply by the number of lattice points across a pair of pixels, and by the number
-/// across a row of pixels.
+/// Shifts that multiply by the number of lattice points across the width of a pair of pixels, and
+/// across the height of a row of pixels.
 const PAIR_SHIFT: i32 = (2 * POINTS_PER_PIXEL).ilog2() as i32;
 const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 
@@ -217,6 +217,7 @@ impl LongEdge {
         let (dx, dy) = (y - next_y, x - next_x);
         let [from_x, from_y] = pixel.map(|pixel| i64::from(pixel) * i64::from(SUBPIXELS));
         let value = dx * (x - from_x) - dy * (y - from_y);
+        // 1 if the edge owns the samples exactly on it (top-left rule), see `setup::owns_samples`.
         let owned = i64::from(dx < 0 || dx == 0 && dy > 0);
         let block = i64::from(BLOCK * POINTS_PER_PIXEL);
         Self {

@@ -23,7 +23,8 @@ impl Element {
         }
     }
 
-    /// Parses a document; an error gives the position of the defect.
+    /// Parses a document. A syntax error has its position; an error about nesting or namespaces has
+    /// none.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let document = roxmltree::Document::parse(text).map_err(|error| error.to_string())?;
         Self::from_node(document.root_element(), 0)

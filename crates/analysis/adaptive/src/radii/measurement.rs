@@ -125,8 +125,8 @@ impl Measurement {
         next(outcomes, &self.searches[&ray.condition])
     }
 
-    /// Returns the rollouts to run next, in order; empty if every threshold is found or all
-    /// needed rollouts are requested.
+    /// Returns the rollouts to run next, in order; empty if every threshold is found, all
+    /// needed rollouts are requested, or the budget is used up.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
         let requested: u32 = self.rays.values().map(Outcomes::requested).sum();
         let budget_left = self

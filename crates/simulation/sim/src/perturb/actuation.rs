@@ -1,5 +1,5 @@
-//! The actuation axis: distorts actions between the policy and the controller. The gripper is never
-//! changed.
+//! The actuation axis: distorts actions between the policy and the controller. The gripper
+//! component is not distorted, only clipped to [−1, 1].
 
 use libero_ctrl::ActuationDistortion;
 use libero_ctrl::numpy::DefaultRng;

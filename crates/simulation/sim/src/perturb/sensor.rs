@@ -130,8 +130,9 @@ impl SensorStage {
         frame.rgb.copy_from_slice(&picture.to_bytes());
     }
 
-    /// Returns the drawn elements to store with the result: the blur's angle, and the first four
-    /// noise values of each camera's first picture.
+    /// Returns the drawn elements to store with the result: the blur's angle, and four noise values
+    /// per camera: in the `matched` realisation the first of the camera's first picture, in the
+    /// `reference` realisation the first of the stream that both cameras share.
     pub fn realised(&self) -> Vec<f64> {
         let mut realised = vec![self.motion_angle];
         for source in FrameSource::ALL {
@@ -364,7 +365,8 @@ fn replicate_ends(padded: &mut [f64], row: &[f64], margin: usize) {
     }
 }
 
-/// Returns n samples of a line through the centre of an n × n kernel, normalised.
+/// Returns a line through the centre of an n × n kernel: the distinct elements among n samples,
+/// normalised.
 fn motion_kernel(length_px: f64, angle: f64) -> LineKernel {
     let size = length_px.round_ties_even() as usize;
     let centre = (size as f64 - 1.0) / 2.0;
