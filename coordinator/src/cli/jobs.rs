@@ -156,7 +156,7 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         return match (arguments.json, is_last) {
             (true, _) => json::print(&listed),
             (false, true) => Ok(()),
-            (false, false) => Ok(print_line("… and more rollouts: pass a larger --limit")?),
+            (false, false) => Ok(print_line("… and more: --limit shows them")?),
         };
     }
 }
