@@ -84,11 +84,8 @@ pub fn legend(reports: &[&Report]) -> String {
         );
     }
     let all: Vec<&Cell> = cells().collect();
-    let mut directions = reports.iter().map(|report| report.directions);
-    let common_directions = directions
-        .next()
-        .filter(|first| directions.all(|other| other == *first));
-    for (symbol, meaning) in inference_table::meanings(&all, common_directions) {
+    let directions = Report::common_directions(reports.iter().copied());
+    for (symbol, meaning) in inference_table::meanings(&all, directions) {
         entries.push((symbol, meaning.to_owned()));
     }
     let replication = reports.iter().flat_map(|report| &report.replication);

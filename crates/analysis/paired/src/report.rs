@@ -71,6 +71,18 @@ pub struct Report {
     pub bootstrap: Bootstrap,
 }
 
+impl Report {
+    /// Returns the assignment of directions of all these reports; `None` if they differ, or if
+    /// there is no report.
+    pub fn common_directions<'a>(
+        reports: impl IntoIterator<Item = &'a Self>,
+    ) -> Option<Directions> {
+        let mut directions = reports.into_iter().map(|report| report.directions);
+        let first = directions.next()?;
+        directions.all(|other| other == first).then_some(first)
+    }
+}
+
 /// Nominal rollouts of one replicate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Nominal {

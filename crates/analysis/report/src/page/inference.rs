@@ -4,7 +4,7 @@
 
 use libero_ctrl::Directions;
 use maud::{Markup, html};
-use paired::{Cell, Estimate, Inference};
+use paired::{Cell, Estimate, Inference, Report};
 
 use crate::document::Document;
 use crate::page::tables::table;
@@ -20,18 +20,13 @@ pub(super) fn tables(document: &Document) -> Markup {
             cells.filter_map(|cell| Some((analysis.label.as_str(), cell, cell.inference.as_ref()?)))
         })
         .collect();
-    let mut directions = document
-        .analyses
-        .iter()
-        .map(|analysis| analysis.report.directions);
-    let common_directions = directions
-        .next()
-        .filter(|first| directions.all(|other| other == *first));
+    let directions =
+        Report::common_directions(document.analyses.iter().map(|analysis| &analysis.report));
     html! {
         @if !cells.is_empty() {
             section {
                 h2 { "Uncertainty by target" }
-                (targets(&cells, common_directions))
+                (targets(&cells, directions))
                 (floor(&cells))
                 (losses(&cells))
             }
