@@ -14,8 +14,8 @@ DENSITY = 100
 # Extent of cabinets and of the stove, for the placement sampler.
 CHEST = Extent(bottom=-0.045, top=0.045, radius=0.045, site_size=0.05)
 
-# Mass in kg and moment of inertia in kg m² that LIBERO gives to everything that slides or turns:
-# large, so that pushed parts move slowly.
+# Mass in kg and moment of inertia in kg m² that LIBERO gives to the cabinets' drawers and to the
+# stove's knob: large, so that pushed parts move slowly.
 HEAVY = (3, 1)
 
 HALF_ABOUT_Y = (0, 0, 1, 0)
