@@ -377,8 +377,8 @@ fn pin() -> Pin {
     }
 }
 
-/// Returns the report of a rollout with a random outcome. Digests and realised values equal those
-/// of the other rollouts from the same initial state.
+/// Returns the report of a rollout with a random outcome. Its digests depend on the initial state
+/// only, and its realised values on the perturbation only, since the queue compares them.
 fn outcome(
     worker: &WorkerId,
     job: &Assigned,
@@ -389,7 +389,8 @@ fn outcome(
     let mut realised = Realised::default();
     for axis in row.perturbation.axes() {
         let parameters = row.perturbation.values(axis);
-        // The lighting axis has this number of elements in a scene with four lights.
+        // Every axis gets about as many elements as the lighting axis has in a scene with four
+        // lights.
         realised.add(axis, parameters, vec![0.1; 48]);
     }
     CommitReport {

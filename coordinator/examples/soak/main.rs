@@ -145,7 +145,7 @@ async fn run(arguments: &Arguments) -> Result<()> {
 fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     let spec = |name: &str, share: f64| {
         let designs = (arguments.jobs as f64 * share / DESIGN as f64).round();
-        // Two tasks suffice for less than one full design.
+        // If the share is less than half a design, the campaign has two tasks only.
         let tasks = match designs {
             0.0 => json!(["libero_object/0", "libero_object/1"]),
             _ => json!([
@@ -168,7 +168,7 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     };
     let measured = spec("measured", 0.55);
     let mut stops = spec("stops", 0.15);
-    // Ten further configurations in place of each replicate; a design has at most 1,000.
+    // Ten configurations replace each replicate; a design has at most 1,000 configurations.
     let configs = (stops["replicates"].as_u64().unwrap_or(1) * 10).min(1_000);
     stops["configs"] = json!((0..configs).collect::<Vec<_>>());
     stops["replicates"] = json!(1);
