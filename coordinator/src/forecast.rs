@@ -77,7 +77,7 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
     ));
     if !forecast.unmeasured_suites.is_empty() {
         lines.push(format!(
-            "{}: not measured, taken to be as fast",
+            "{}: not measured, assumed to be as fast as the rest",
             forecast.unmeasured_suites.join(", ")
         ));
     }
@@ -193,7 +193,7 @@ mod tests {
             "about 3h20m on the 2 workers connected now (16 slots, 16 cores), if they run\n  \
              nothing else\n  \
              measured on 200 recent rollouts of pi05\n  \
-             libero_10, libero_goal: not measured, taken to be as fast\n  \
+             libero_10, libero_goal: not measured, assumed to be as fast as the rest\n  \
              a rollout takes 12.5 s: physics 40 %, drawing 20 %, policy 30 % (125 ms a\n    \
              query), waiting 10 %; mean of 180 rollouts\n  \
              bottleneck: slots, which wait for the policy while cores are idle. More slots\n    \

@@ -7,8 +7,8 @@ use crate::words::duration_text;
 /// Video size per control step, bytes. Measured: 1.2 to 2.3 thousand in four rollouts of 78 to 111
 /// steps (two tasks, the real assets and the built-in ones).
 const VIDEO_BYTES_PER_STEP: f64 = 2_300.0;
-/// Time to simulate, draw and encode a control step of a video on one core, s. Measured: 0.04 to
-/// 0.07, and up to 0.12 with sensor corruption (docs/PERFORMANCE.md, "What a film costs").
+/// Time to simulate, draw and encode a control step of a video on one core, s: that of a busy core
+/// with sensor corruption. docs/PERFORMANCE.md, "What a film costs", has shorter times.
 const FILMING_SECS_PER_STEP: f64 = 0.12;
 /// Size of a stored action, bytes: seven 32-bit numbers.
 const ACTION_BYTES_PER_STEP: f64 = 28.0;

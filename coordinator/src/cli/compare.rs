@@ -14,8 +14,8 @@ pub(super) struct CompareArguments {
     #[command(flatten)]
     sources: Sources,
     /// Fail unless confidence sequences, which stay valid however often they are looked at, can be
-    /// computed: both campaigns were created with `--stop` and ran in the same order. Without this
-    /// flag, confidence sequences are reported whenever they can be computed.
+    /// computed. They require that both campaigns were created with `--stop` and ran in the same
+    /// order. Without this flag, they are reported whenever they can be computed.
     #[arg(long)]
     sequential: bool,
     /// Report the number of configurations after which a rule about the `difference` was met, such

@@ -330,8 +330,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     print_video_estimate(&campaign)
 }
 
-/// Prints the execution model of the rollouts unless it is `wait`, and first `unknown_length`, the
-/// warning that the length of the policy's answers is unknown.
+/// Prints `unknown_length`, the warning that the length of the policy's answers is unknown, and
+/// then the execution model of the rollouts unless it is `wait`.
 fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
     if let Some(unknown_length) = unknown_length {
         print_line(&wrapped("", 2, unknown_length))?;

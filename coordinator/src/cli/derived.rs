@@ -26,7 +26,8 @@ pub(super) struct DerivedCampaign<'a> {
     pub(super) name: &'a str,
     /// Subcommand that creates and shows the campaign.
     pub(super) command: &'a str,
-    /// Singular noun for a subject of the campaign: `transition` or `threshold`.
+    /// Singular noun for the items that the campaign explains or measures: `transition` or
+    /// `threshold`.
     pub(super) subject: &'a str,
     pub(super) rollouts: Rollouts,
     /// Rollouts to film; `None` stands for the setting of the source campaign.

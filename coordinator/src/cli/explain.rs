@@ -39,8 +39,9 @@ pub(super) struct ExplainArguments {
     /// Run every subset, not only those that are needed to find the minimal ones.
     #[arg(long)]
     exhaustive: bool,
-    /// For a stochastic policy: maximum number of replicates for the verdict on a subset, at least
-    /// 12 with six axes, not counting the outcomes of CAMPAIGN. If omitted, one rollout decides.
+    /// For a stochastic policy: maximum number of replicates for the verdict on a subset, not
+    /// counting the outcomes of CAMPAIGN. With six axes, N must be at least 12. If omitted, one
+    /// rollout decides.
     #[arg(long, value_name = "N", value_parser = number(2..=MAX_REPEATS, "replicates"))]
     repeats: Option<u32>,
     /// Subsets to film: `none`; `transitions`, those that show the explanation, filmed afterwards

@@ -178,7 +178,7 @@ fn describe_level(planned: &PlannedLevel) -> String {
     let level = match planned.level == planned.assumed_level {
         true => planned.level.to_string(),
         false => format!(
-            "{} (assumed as at {})",
+            "{} (outcomes assumed as at {})",
             planned.level, planned.assumed_level
         ),
     };

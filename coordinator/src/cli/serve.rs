@@ -84,7 +84,8 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         false => ("", "http"),
     };
     let coordinator = Coordinator::open(config(&arguments, security)?).await?;
-    // Only now, since orchestrators take an open port for a coordinator that is ready.
+    // The socket listens only once the coordinator is ready, which orchestrators infer from an open
+    // port.
     let listener = socket.listen(BACKLOG).with_context(unusable)?;
     let address = listener
         .local_addr()
@@ -118,16 +119,16 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     Ok(())
 }
 
-/// Reserves the address, at which clients are refused until the socket listens: an address in use is
-/// reported before a database is created.
+/// Binds a socket that does not listen yet, so that an address in use is reported before a database
+/// is created.
 fn bind(address: SocketAddr) -> std::io::Result<TcpSocket> {
     let socket = if address.is_ipv4() {
         TcpSocket::new_v4()?
     } else {
         TcpSocket::new_v6()?
     };
-    // Without it, a restarted coordinator is refused its address until earlier connections have
-    // left the state TIME_WAIT.
+    // Without this option, a restarted coordinator is refused its address until earlier
+    // connections have left the state TIME_WAIT.
     socket.set_reuseaddr(true)?;
     socket.bind(address)?;
     Ok(socket)

@@ -104,7 +104,7 @@ fn details(status: &CampaignStatus) -> String {
             false => "by the next rollout that a worker claims".to_owned(),
         };
         lines.push(format!(
-            "  tried again  {when}; `coordinator campaign resume {}` tries it at once",
+            "  policy retry {when}; `coordinator campaign resume {}` retries at once",
             status.campaign
         ));
     }

@@ -31,8 +31,8 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
     }
     if rule.clauses().iter().any(is_certain_at_the_end) {
         lines.push(
-            "a complete run shows this with certainty, unless the numbers of emergent failures and \
-             compensated successes are equal; an early end saves rollouts and proves no more"
+            "a complete run shows with certainty whether emergent failures and compensated \
+             successes are equally many; an early end proves no more, but saves rollouts"
                 .to_owned(),
         );
     }
@@ -113,7 +113,7 @@ mod tests {
             lines[2]
                 .ends_with("share of changed outcomes over all 400 configurations is not 5 points")
         );
-        assert!(lines[3].starts_with("a complete run shows this with certainty"));
+        assert!(lines[3].starts_with("a complete run shows with certainty"));
         assert!(lines[4].contains("these 400 configurations only"));
         let rule = "I excludes 0 for new tasks and R_d excludes 0.05 for new tasks";
         let lines = explain_rule(&rule.parse().expect("a rule"), 400);

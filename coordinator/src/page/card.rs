@@ -243,7 +243,7 @@ fn goal(result: &ResultLine) -> String {
             at_end,
             at_most,
         } = goal;
-        format!("{at_end} of {predicates} predicates held at the end, {at_most} at most together")
+        format!("{at_end} of {predicates} predicates held at the end, at most {at_most} at once")
     };
     result.goal().map(describe).unwrap_or_default()
 }
