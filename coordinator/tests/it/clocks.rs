@@ -28,7 +28,7 @@ const LEASE_MS: i64 = 30_000;
 const INSTANTS: [(&str, &str, Option<i64>); 20] = [
     ("artifact", "stored_ms", Some(0)),
     ("campaign", "created_ms", Some(0)),
-    // An unsuitable result is not charged if its lease is older than this instant.
+    // A result that does not fit the pin is not charged if its lease is older than this instant.
     ("campaign", "pinned_ms", Some(0)),
     ("campaign", "state_since_ms", Some(0)),
     ("divergence", "reported_ms", Some(0)),
@@ -48,7 +48,7 @@ const INSTANTS: [(&str, &str, Option<i64>); 20] = [
     ("policy", "resume_ms", Some(LONGEST_WAIT_MS)),
     ("result", "committed_ms", Some(0)),
     ("stop", "stopped_ms", Some(0)),
-    // Decides whether a lease was cut off with its worker.
+    // Decides whether a lease expired because its worker was silent, which is not charged.
     ("worker", "heartbeat_ms", Some(0)),
     // Decides whether a worker is alive.
     ("worker", "last_seen_ms", Some(0)),

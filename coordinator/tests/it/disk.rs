@@ -91,7 +91,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");
 }
 
-/// The log is on the disk of the database: lines that cannot be written are lost, and nothing else.
+/// The log is on the disk of the database. While the disk is full, log lines are lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -222,7 +222,7 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let child = serve(folder.path(), &point);
     let mut serve = Serve::wait_until_listening(child);
     if serve.is_ready() {
-        // Returns the error of the call during which the process is killed.
+        // Fails at the call during which the process is killed.
         let _ = call_everything(&serve).await;
     }
     let began = Instant::now();

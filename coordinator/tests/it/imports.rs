@@ -199,7 +199,7 @@ async fn counts(folder: &Path) -> (i64, i64) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted() {
     let mut source = Bench::with(&large_spec()).await;
-    // Some results are in the second transaction.
+    // Some results belong to the second part of the jobs.
     source.run(520, "").await;
     let filmed = source.worker.claim_one().await;
     assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);

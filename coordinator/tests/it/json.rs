@@ -185,7 +185,10 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let listed = ids(&["--condition", name]);
         assert_eq!(listed.len(), 2);
-        assert!(listed.iter().all(|keys| keys.contains(id)), "{listed:?}");
+        assert!(
+            listed.iter().all(|rollout| rollout.contains(id)),
+            "{listed:?}"
+        );
         assert_eq!(listed, ids(&["--condition", id]));
     }
     for (flag, value) in [
