@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::harness::{Bench, rollout_id, small_spec, with};
 
-/// Time after which the first and the second back-off of an outage (1 s, 2 s) are over.
+/// Time after which the first back-off of an outage, 1 s, is over.
 const PAST_FIRST_SECS: u64 = 2;
 
 fn spec_of(name: &str, policy: &str) -> serde_json::Value {
@@ -270,7 +270,7 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
     }
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
-        // The interval is longer than the longest back-off, and shorter than twice that back-off.
+        // Longer than the longest back-off of a policy, 60 s.
         bench.advance(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;

@@ -366,7 +366,8 @@ async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     assert_eq!(bench.status("paired").await.leased, 1, "the lease is kept");
 }
 
-/// A result with more control steps than its rollout may take would be paired and reported.
+/// Without this check, a result with more control steps than its row allows would be paired and
+/// reported.
 #[tokio::test]
 async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
     for (steps, clipped, verdict, words) in [

@@ -178,7 +178,7 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
     }
 }
 
-/// A description has 64 settings at most; under real-time chunking a worker adds four.
+/// A policy's description has 64 settings at most; under real-time chunking a worker adds four.
 #[tokio::test]
 async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     let bench = Bench::start().await;

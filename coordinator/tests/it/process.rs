@@ -24,7 +24,7 @@ pub(crate) struct Serve {
 }
 
 impl Serve {
-    /// Starts the program on a new folder, which lasts as long as the first value.
+    /// Starts the program on a new folder, deleted when the first returned value is dropped.
     pub(crate) fn anew() -> (TempDir, Serve) {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let serve = Serve::start(folder.path());

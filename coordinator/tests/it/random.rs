@@ -5,7 +5,7 @@
 //! longer held.
 //!
 //! A failing sequence is printed after shrinking. Its seed is stored as a line `cc …` in
-//! `proptest-regressions` beside this file; the next run replays this sequence first.
+//! `coordinator/tests/proptest-regressions`; the next run replays this sequence first.
 
 mod pure_core;
 mod real_queue;

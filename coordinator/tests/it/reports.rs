@@ -281,7 +281,7 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     fits_a_terminal(table);
 }
 
-/// Regression: with four configurations, the terminal was full of symbols.
+/// Regression: the default report was full of symbols such as `R_e`, even for four configurations.
 #[test]
 fn the_default_report_is_short_sentences() {
     let output = coordinator(&["report", "--from", EXAMPLE]);

@@ -146,7 +146,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let running = status(&serve, "early");
     assert_eq!(running["state"], "running");
     assert_eq!(running["early_stop"]["used"], Value::Null);
-    // Before the stop, the report has intervals for every look.
+    // Before the stop, the report has the confidence sequences so far.
     let report = printed(&serve, &["report", "early", "--json"]);
     let sequential = &report["reports"][0]["sequential"];
     assert_eq!(sequential["has_stopped"], false);
@@ -254,8 +254,8 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     create(&serve, folder.path(), &spec("early"));
     assert_eq!(status(&serve, "early")["state"], "stopped");
 
-    // Transitions among the results that count are explained and their thresholds measured,
-    // although some rollouts will never have an outcome.
+    // The transitions and thresholds of the configurations that count are all explained and
+    // measured, although some rollouts will never have an outcome.
     let explained = derived(&serve, &mut worker, &["explain", "early"]).await;
     assert_eq!(explained["explained"], explained["transitions"]);
     let report = printed(&serve, &["report", "early", "--json"]);
@@ -422,7 +422,7 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
         let after = cell["met_after"].as_u64().expect("a met rule");
         assert!((2..20).contains(&after), "{cell}");
     }
-    // The result is also printed as text without being requested.
+    // The text contains the sequential comparison even without `--sequential`.
     let comparison = serve.command(&["compare", "strong", "weak"]);
     let words = text(&comparison.stdout);
     assert!(

@@ -16,7 +16,8 @@ use crate::process::{Serve, succeed, text};
 
 /// Variable with the path of the S3 server for tests: `moto_server` of the package `moto[server]`.
 const SERVER: &str = "ROLLOUT_S3_SERVER";
-/// Longest wait until a film is stored: the mirror pauses while the storage fails.
+/// Longest wait until a film is stored; while the storage fails, the coordinator pauses up to 60 s
+/// between retries.
 const PATIENCE: Duration = Duration::from_secs(90);
 
 /// An S3 server that keeps objects in memory; killed when dropped.

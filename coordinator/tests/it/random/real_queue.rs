@@ -119,8 +119,8 @@ fn campaign() -> CampaignName {
     CampaignName::parse("random").expect("a name")
 }
 
-/// Executes one event; `number` tells the id of its claim from those of concurrent events. A later
-/// event may have the same number again: its claim then repeats the earlier one.
+/// Executes one event; `number` distinguishes the id of its claim from those of concurrent events.
+/// A later claim of the same worker may get the same number; it then repeats the earlier claim.
 async fn apply(
     queue: &Queue,
     clock: &ManualClock,
