@@ -144,8 +144,8 @@ impl Measurement {
         let mut requests: Vec<(Ray, Level)> = requests.collect();
         // Sorted by the number of the configuration first, so that early results cover all tasks.
         requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
-        // The sample fits the budget, so that this removes requests only if rollouts return
-        // from quarantine after their brackets were halved without them.
+        // The sample fits the budget. Requests are removed only if quarantined rollouts were
+        // retried after their brackets had been halved without their outcomes.
         requests.truncate(budget_left as usize);
         requests
     }

@@ -39,8 +39,8 @@ pub struct Finding {
     pub threshold: Threshold,
     /// Radii beyond the threshold that succeed, so that the ray is not monotone.
     pub recovers_at: Vec<Level>,
-    /// True if no outcome at a radius of the grid is missing. If one is, a failure may still appear
-    /// at a smaller radius.
+    /// True if no outcome at a radius of the grid is missing. An outcome that is still missing may
+    /// be a failure at a smaller radius.
     pub is_grid_complete: bool,
 }
 

@@ -158,7 +158,8 @@ impl Repeats {
     }
 
     /// Returns the looks at a subset. The first batch is large enough that equal outcomes
-    /// decide, if `most` allows it: earlier looks would use significance level and decide nothing.
+    /// decide, if `most` allows it: earlier looks would spend significance level and decide
+    /// nothing.
     pub fn looks(&self, role: Role) -> Looks {
         // A one-sided test at a level rejects as one side of a two-sided test at twice that level.
         let level = match role {

@@ -125,6 +125,6 @@ fn a_real_transition_is_claimed_with_its_minimal_pair() {
             .eq(["camera+robot"])
     };
     let count = (0..200).filter(is_claimed).count();
-    // Not all 200, because some transitions form by chance and are not confirmed by the repeats.
+    // Fewer than 200, because some transitions form by chance and are not confirmed by the repeats.
     assert!(count >= 170, "{count} of 200");
 }
