@@ -18,8 +18,8 @@ const PERMUTATIONS: u32 = 1999;
 /// Simultaneous success by direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DirectionTest {
-    /// Simultaneous success under each direction, over all tasks, by the number of its
-    /// configurations.
+    /// Simultaneous success under each direction, over all tasks. The key is the number that the
+    /// direction's configurations have in every task.
     pub rates: BTreeMap<u16, f64>,
     /// p-value of the hypothesis that success is the same under all directions: the share of
     /// permutations of outcomes within tasks under which the directions' rates spread at least as

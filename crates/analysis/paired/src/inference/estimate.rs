@@ -29,7 +29,7 @@ pub struct Estimate {
     pub new_tasks: Option<Interval>,
     /// Interval for new tasks of the same suites and new directions.
     pub new_tasks_and_directions: Option<Interval>,
-    /// Standard error for new tasks; absent if `new_tasks` is.
+    /// Standard error for new tasks; absent with too few tasks or if the variance is 0.
     pub standard_error: Option<f64>,
     /// Degrees of freedom of `standard_error`.
     pub df: Option<f64>,
@@ -125,9 +125,8 @@ fn around(
 }
 
 /// Returns the complementary log-log interval value^exp(±t·√V / (value·|ln value|)); `None`
-/// without variance or if the value is 0 or 1. In 6 to 10 % of simulated
-/// campaigns, an interval on the log scale missed a product of six rates close to 1, nearly always
-/// from above.
+/// without variance or if the value is 0 or 1. In 6 to 10 % of simulated campaigns of few tasks, an
+/// interval on the log scale missed a product of six rates close to 1.
 ///
 /// Source: J. D. Kalbfleisch and R. L. Prentice, The Statistical Analysis of Failure Time
 /// Data (1980), section 1.3, for survival curves, which are also products of shares.

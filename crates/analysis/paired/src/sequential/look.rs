@@ -66,7 +66,7 @@ impl Look {
         let interval = self.intervals.get(&clause.measure());
         interval.is_some_and(|interval| match *clause {
             Clause::Width(_, width) => interval.width() < width,
-            // A look has a single target, see `Stop`.
+            // A campaign's rule has one target, its configurations or new tasks; so has the look.
             Clause::Excludes(_, value) | Clause::ExcludesForNewTasks(_, value) => {
                 interval.excludes(value)
             }

@@ -228,8 +228,8 @@ impl Mean {
         };
         let is_kept = |index: &i64| e_value(*index) * self.alpha < 1.0;
         let [low, high] = self.kept;
-        // E-values are convex in the candidate, so that the kept candidates have no gaps. If
-        // none is kept, the interval had already missed the mean and stays unchanged.
+        // E-values are convex in the candidate, so that the kept candidates have no gaps. If none
+        // is kept, the true mean is ruled out, now or before, and the interval stays unchanged.
         if let Some(least) = (low..=high).find(is_kept) {
             let greatest = (least..=high).rev().find(is_kept).unwrap_or(least);
             self.kept = [least, greatest];

@@ -52,8 +52,8 @@ impl ConfidenceSequence {
         let least = self.possible[0];
         let is_kept = |total: &i64| e_values.at((total - least) as usize) * self.alpha < 1.0;
         let [low, high] = self.totals;
-        // E-values are convex in the total, so that the kept totals have no gaps. If none is
-        // kept, the interval had already missed the total and stays unchanged.
+        // E-values are convex in the total, so that the kept totals have no gaps. If none is kept,
+        // the true total is ruled out, now or before, and the interval stays unchanged.
         if let Some(low) = (low..=high).find(is_kept) {
             let high = (low..=high).rev().find(is_kept).unwrap_or(low);
             self.totals = [low, high];

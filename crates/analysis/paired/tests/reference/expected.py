@@ -93,8 +93,8 @@ def expected(tasks, rng):
 
 
 def random_tasks(rng):
-    """Returns tasks of unequal difficulty, axes with correlated failures, and simultaneous
-    perturbation that is harder or easier than the axes alone."""
+    """Returns random outcomes of tasks. Tasks differ in difficulty, failures of the axes are
+    correlated, and simultaneous perturbation is harder or easier than the axes alone."""
     ease = rng.normal(rng.uniform(0.5, 2.5), 0.8, size=rng.integers(4, 41))
     shift = rng.uniform(-1.5, 1.0)
     tasks = []

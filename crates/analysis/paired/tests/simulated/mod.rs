@@ -448,7 +448,7 @@ pub(crate) struct NetEffect {
 
 impl NetEffect {
     /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance. A
-    /// further share of configurations, the size of the effect of their task, changes in the
+    /// further share of configurations, equal to the size of their task's effect, changes in the
     /// direction of this effect.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
