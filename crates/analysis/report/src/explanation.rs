@@ -43,8 +43,7 @@ pub struct Findings {
     pub waiting: u64,
     /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
-    /// Explanation of each configuration of which a subset of two or more axes, but not all, was
-    /// run.
+    /// Explanation of each configuration that ran under a proper subset of two or more axes.
     pub configurations: Vec<Explained>,
 }
 

@@ -13,7 +13,7 @@ const ALPHAS: [f64; 3] = [0.5, 0.0, 1.0];
 /// PRIDE with one weight of the content words.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Pride {
-    /// Weight of the content words; 1 less that of the structure.
+    /// Weight of the content words; the weight of the structure is 1 − `alpha`.
     pub alpha: f64,
     /// Successes, each weighted by the distance of its sentence from the task's instruction, per
     /// cent of the sum of all distances.

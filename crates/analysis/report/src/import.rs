@@ -29,8 +29,8 @@ const MAX_ABOUT_BYTES: u64 = 64 << 10;
 const MAX_NAMED: usize = 10;
 /// Largest number of rows in a file: ten replicates of the largest design.
 const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
-/// Largest file, bytes; more than [`MAX_FILE_ROWS`] rows of a few hundred bytes need. Without
-/// a limit, reading a sparse file or a device takes hours or never ends.
+/// Largest file, bytes; [`MAX_FILE_ROWS`] rows of a few hundred bytes need less. Without a limit,
+/// reading a sparse file or a device takes hours or never ends.
 const MAX_FILE_BYTES: u64 = 4 << 30;
 
 /// A file that cannot be read as results.
