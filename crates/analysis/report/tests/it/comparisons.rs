@@ -39,8 +39,8 @@ fn campaign(policy: &str) -> Subject {
     }
 }
 
-/// Returns a campaign that fails where the index of the row is a multiple of thirteen, and succeeds
-/// where it is a multiple of seventeen.
+/// Returns [`campaign`] with other outcomes: rollouts at multiples of 17 succeed, and the rest of
+/// those at multiples of 13 fail.
 fn altered(policy: &str) -> Subject {
     let mut subject = campaign(policy);
     for (index, record) in subject.records.iter_mut().enumerate() {
@@ -374,7 +374,7 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
 
 #[test]
 fn the_strata_of_a_sequential_comparison_are_named_in_words() {
-    let in_order = |mut subject: Subject| {
+    let with_stop_rule = |mut subject: Subject| {
         subject.early_stop = Some(EarlyStop {
             stop: Stop {
                 rule: "I excludes 0".parse().expect("a rule"),
@@ -385,7 +385,10 @@ fn the_strata_of_a_sequential_comparison_are_named_in_words() {
         });
         subject
     };
-    let compared = compare(in_order(campaign("first")), in_order(altered("second")));
+    let compared = compare(
+        with_stop_rule(campaign("first")),
+        with_stop_rule(altered("second")),
+    );
     let text = compared.expect("comparable").text();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(text.contains("(rounds of whole tasks)"), "{text}");

@@ -376,6 +376,7 @@ fn the_prospect_has_the_repeats_of_every_subset_and_too_few_repeats_are_refused(
         |repeats| prospect(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
     assert_eq!(rollouts(None), Ok((12, 12 * 56)));
     assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
-    let error = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % divided by 56 subsets");
+    let error =
+        rollouts(Some(11)).expect_err("the p-value of 11 equal repeats, 2⁻¹⁰, is above 5 % / 56");
     assert!(error.to_string().contains("allow 12 or more"), "{error}");
 }
