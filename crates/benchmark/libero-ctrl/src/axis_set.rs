@@ -93,8 +93,8 @@ impl FromIterator<Axis> for AxisSet {
 
 impl Ord for AxisSet {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        // The smaller set comes first. Of two sets of equal size, the set comes first that has the
-        // lowest bit in which they differ, that is, the earliest axis that the other set lacks.
+        // The smaller set comes first. Between sets of equal size, the earliest axis that only one
+        // of them contains decides: the set with this axis comes first.
         let by_axes = || other.0.reverse_bits().cmp(&self.0.reverse_bits());
         self.len().cmp(&other.len()).then_with(by_axes)
     }

@@ -120,11 +120,11 @@ pub enum DesignError {
         /// The level.
         level: Level,
     },
-    /// The latency axis has no whole number of control steps at a level.
+    /// The delay of the latency axis at a level is not a positive whole number of control steps.
     #[error(
-        "axis `latency` delays responses by whole control steps, half as many as the radius, which \
-         is impossible at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or \
-         remove it from `axes`"
+        "axis `latency` delays responses by half the radius in control steps, which is not a \
+         positive whole number at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, \
+         or remove it from `axes`"
     )]
     Delay {
         /// The level.
@@ -302,8 +302,8 @@ impl Design {
         self.axes.iter().copied().collect()
     }
 
-    /// Returns the perturbed conditions: each axis alone, latency, the subsets and, if there are
-    /// two of the six axes or more, their combination.
+    /// Returns the perturbed conditions: each axis alone, latency, the subsets and, if the design
+    /// has two or more of the six axes, their combination.
     pub fn conditions(&self) -> Vec<Condition> {
         let mut conditions: Vec<Condition> =
             self.axes.iter().copied().map(Condition::Single).collect();

@@ -242,7 +242,7 @@ impl ManifestErrors {
 
 impl fmt::Display for ManifestErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // A line can have several errors.
+        // The number of errors, which may exceed that of lines: a line can have several.
         let errors = if self.count == 1 { "error" } else { "errors" };
         write!(f, "read manifest: {} {errors}", self.count)?;
         for LineError { line, problem } in &self.listed {

@@ -46,11 +46,11 @@ pub struct Changes {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OwnTask {
-    /// Folder of the task files in the folder of the sources.
+    /// Folder of the task files, relative to the folder of a worker's option `--sources`.
     pub folder: String,
-    /// Path of the BDDL file in the folder.
+    /// Path of the BDDL file, relative to `folder`.
     pub bddl: String,
-    /// Path of the initial states in the folder.
+    /// Path of the initial states, relative to `folder`.
     pub states: String,
     /// State at the start of the rollout.
     pub start: Beginning,

@@ -3,7 +3,8 @@
 
 use std::fmt;
 
-/// State of the scene and the gripper at the end of the control step, without lag.
+/// State of the scene and the gripper at the end of the control step, without the lag of frames and
+/// robot readings.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Privileged {
     /// Objects, fixtures, and region sites.
@@ -16,7 +17,7 @@ pub struct Privileged {
     pub grip_pos: [f64; 3],
     /// Orientation of that site, world frame, w x y z.
     pub grip_quat_wxyz: [f64; 4],
-    /// Distance of the finger joints, m; 0 is closed, 0.08 open.
+    /// Distance between the fingers, m: 0 is closed, 0.08 open.
     pub gripper_opening: f64,
 }
 
@@ -33,10 +34,10 @@ pub struct Entity {
     pub pos: [f64; 3],
     /// Orientation, world frame, w x y z.
     pub quat_wxyz: [f64; 4],
-    /// Half extents of the world-aligned bounding box, m: that of the collision geometry,
-    /// or of the site itself.
+    /// Half extents, m: of the world-aligned bounding box of the collision geometry, or of the site
+    /// along its own axes.
     pub half_extents: [f64; 3],
-    /// Centre of the bounding box, world frame, m.
+    /// Centre of this box, world frame, m.
     pub centre: [f64; 3],
 }
 

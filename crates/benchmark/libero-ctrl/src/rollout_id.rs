@@ -95,8 +95,8 @@ impl RolloutId {
         self.condition
     }
 
-    /// Returns the level of perturbation; L0 in clean rollouts and those of the placebo
-    /// level.
+    /// Returns the level of perturbation; L0 in clean rollouts, those of the placebo level, and
+    /// those of LIBERO's family.
     pub const fn level(&self) -> Level {
         self.level
     }

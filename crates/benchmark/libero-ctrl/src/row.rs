@@ -161,10 +161,13 @@ pub enum RowError {
         /// The row's radius.
         given: Option<f64>,
     },
-    /// The delay of a latency row is not that of its level.
+    /// The delay of a latency row is not that of its level, or its level has none.
     #[error(
-        "read row {id}: `execution` is {given}, write the delay of its level: {}",
-        expected.as_ref().map_or("L1, L2, L3 or an even radius".to_owned(), Execution::to_string)
+        "read row {id}: `execution` is {given}, {}",
+        expected.as_ref().map_or_else(
+            || "but its level has no delay: choose L1, L2, L3 or an even radius".to_owned(),
+            |model| format!("write the delay of its level: {model}"),
+        )
     )]
     Latency {
         /// The row's id.
@@ -207,7 +210,7 @@ pub enum RowError {
         /// True if the row has a task.
         is_given: bool,
     },
-    /// A path of a suite file's task leaves the folder of the sources.
+    /// A path of a suite file's task leaves its folder.
     #[error(
         "read row {id}: `own` has the path `{path}`; write a relative path with / and without . \
          and .."
@@ -261,8 +264,8 @@ struct FlatRow {
     perturb: Map<String, Value>,
 }
 
-/// Returns the reference's name of the part of the benchmark: `clean` for nominal rollouts, `eval`
-/// for all others.
+/// Returns the reference's value of the column `split`: `clean` for nominal rollouts, `eval` for
+/// all others.
 fn split(condition: Condition) -> &'static str {
     match condition {
         Condition::Clean => "clean",

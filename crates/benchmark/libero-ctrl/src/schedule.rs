@@ -6,8 +6,9 @@
 //! query is due after `execute` actions, or after the last action of a shorter response. Under
 //! `overlap`, action i belongs to step t + i, so that the first N actions are dropped; with L
 //! actions in the response, the next query is due at t + max(N, min(execute, L − N)): after
-//! `execute` steps, or earlier, so that the next response takes effect before the current response
-//! ends, but never while a response is pending. When no action remains, the arm holds still.
+//! `execute` steps, or earlier, so that the next response takes effect no later than the current
+//! response ends, but never while a response is pending. When no action remains, the arm holds
+//! still.
 
 use crate::execution::Execution;
 use crate::suite::TaskRef;

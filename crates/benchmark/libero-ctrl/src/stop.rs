@@ -28,11 +28,13 @@ pub struct Stop {
     pub strata: Strata,
 }
 
-/// Strata of the random order: each round of the order has one configuration of each stratum.
+/// Strata of the random order: each round of the order has one configuration of each stratum or,
+/// with [`Self::WholeTasks`], one whole task of each stratum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
-    /// A stratum per suite: narrower intervals, unless tasks of a suite differ very much.
+    /// A stratum per suite: narrower intervals than with [`Self::Tasks`], unless tasks of a suite
+    /// differ very much.
     #[default]
     Suites,
     /// A stratum per task.

@@ -52,7 +52,7 @@ impl Randomness {
     }
 }
 
-/// A ChaCha key with random access to every draw.
+/// A ChaCha key, which gives an independent generator for every step and lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MatchedStream {
     key: [u8; 32],

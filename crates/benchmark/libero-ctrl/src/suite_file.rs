@@ -57,7 +57,8 @@ impl SuitePrompt {
 pub struct SuiteFile {
     /// Name of the benchmark.
     pub name: String,
-    /// Folder of the task files in the folder of the sources; `suites/NAME` if not given.
+    /// Folder of the task files, relative to the folder of a worker's option `--sources`;
+    /// `suites/NAME` if not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<String>,
     /// State at the start of a rollout.
@@ -101,7 +102,7 @@ pub struct FileSuite {
 pub struct FileTask {
     /// Name of the task's files, without folder and ending.
     pub name: String,
-    /// Prompt; `None` for the prompt of the suite file's source, [`SuiteFile::prompt`].
+    /// Prompt; `None` if it comes from the source [`SuiteFile::prompt`].
     pub prompt: Option<String>,
     /// Further conditions.
     pub changes: Changes,
@@ -261,14 +262,14 @@ impl SuiteFile {
         Ok(())
     }
 
-    /// Returns the folder of the task files in the folder of the sources.
+    /// Returns the folder of the task files, as in [`OwnTask::folder`].
     pub fn folder(&self) -> String {
         let default_folder = || format!("suites/{}", self.name);
         self.folder.clone().unwrap_or_else(default_folder)
     }
 
     /// Returns the SHA-256 of the file's content, hex, which does not depend on the formatting of
-    /// the file and the number of trials.
+    /// the file or the number of trials.
     pub fn digest(&self) -> String {
         let content = Self {
             trials: 0,

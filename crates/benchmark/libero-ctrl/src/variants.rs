@@ -20,7 +20,7 @@ pub struct Variants {
     /// Names of variants of LIBERO-Plus; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<String>,
-    /// Suites, of LIBERO for LIBERO-Plus and of LIBERO-PRO for LIBERO-PRO; empty for all.
+    /// Suites: LIBERO's for LIBERO-Plus, LIBERO-PRO's for LIBERO-PRO; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suites: Vec<String>,
     /// Dimensions of LIBERO-Plus; empty for all.
@@ -57,8 +57,8 @@ pub struct VariantsError {
 }
 
 impl VariantsError {
-    /// Returns the first field of a specification that the field `rollouts`, `variants` or
-    /// `suite_file`, excludes; `None` if all are allowed.
+    /// Returns the error for the first field that a specification with `rollouts` (`variants` or
+    /// `suite_file`) must not have; `None` if all are allowed.
     pub(crate) fn excluded(
         rollouts: &'static str,
         realisation: Realisation,

@@ -104,7 +104,8 @@ fn before_comma(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }
 
-/// Formats the valid choices, "one of `a`, `b`", "`a` or `b`" or "`a`", after `word`.
+/// Rewords serde's list of valid choices, such as one of `a`, `b`, or `a` or `b`, and writes it
+/// after `word`.
 fn choice(word: &str, valid: &str) -> String {
     match (word, valid.strip_prefix("one of ")) {
         ("write", Some(several)) => format!("write one of {several}"),
@@ -117,7 +118,7 @@ fn choice(word: &str, valid: &str) -> String {
     }
 }
 
-/// Names the value given: "string \"x\"", "integer `7`", "map", "null".
+/// Rewords serde's description of the value given, such as string "x", integer `7`, map or null.
 fn value(given: &str) -> String {
     for kind in ["string ", "integer ", "floating point ", "boolean "] {
         if let Some(value) = given.strip_prefix(kind) {
@@ -131,7 +132,7 @@ fn value(given: &str) -> String {
     }
 }
 
-/// Names the kind of value expected; `expected` is often a Rust type's name.
+/// Rewords serde's description of the value expected, which is often a Rust type's name.
 fn kind(expected: &str) -> String {
     match expected {
         "u8" => "a whole number, 0 to 255,".to_owned(),

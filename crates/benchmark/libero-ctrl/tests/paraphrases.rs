@@ -248,7 +248,7 @@ fn the_orthography_is_that_of_the_canonical_instructions() {
 }
 
 #[test]
-fn a_higher_level_is_not_shorter_in_words_on_average() {
+fn a_higher_level_has_more_words_on_average() {
     let words = |level| -> usize {
         let of_level = sentences().filter(|sentence| sentence.level == level);
         of_level

@@ -67,7 +67,7 @@ fn the_references_seeds_of_a_configuration_differ_between_conditions() {
 }
 
 #[test]
-fn no_two_rollouts_of_the_design_share_a_matched_stream() {
+fn no_two_single_axis_rollouts_share_a_matched_stream() {
     let rows = rows();
     let mut streams = Vec::new();
     for row in &rows {

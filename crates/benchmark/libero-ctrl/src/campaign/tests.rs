@@ -232,7 +232,10 @@ fn delays_of_fractional_steps_or_with_another_execution_model_are_refused() {
     };
     let latency = serde_json::json!(["latency"]);
     let error = refused(latency.clone(), serde_json::json!(["r3"]), "wait");
-    assert!(error.contains("half as many as the radius"), "{error}");
+    assert!(
+        error.contains("half the radius in control steps"),
+        "{error}"
+    );
     let error = refused(latency, serde_json::json!(["L1"]), "hold:2");
     assert!(
         error.contains("axis `latency` with `execution` hold:2"),
