@@ -114,8 +114,8 @@ impl Case {
         }
     }
 
-    /// Returns the rollout's id. `benchmark` is that of the id; a rollout of a suite file has none
-    /// and ignores it.
+    /// Returns the rollout's id. `benchmark` is the benchmark that the id names; a rollout of a
+    /// suite file ignores it.
     pub fn id(&self, benchmark: Benchmark) -> RolloutId {
         let change = match self.subject {
             Subject::Plus(entry) => entry.variant.change.label(),

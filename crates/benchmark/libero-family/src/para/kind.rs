@@ -146,7 +146,7 @@ impl Kind {
     }
 
     /// Returns the short name in rollout ids: `obj_habitual`, `act_hint`, or `habitual_hint` for
-    /// other words for the object and for the action.
+    /// [`Self::Both`].
     pub(crate) fn label(self) -> String {
         match self {
             Self::Object(words) | Self::Action(words) => {

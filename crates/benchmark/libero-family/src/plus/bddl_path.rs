@@ -1,5 +1,5 @@
-//! Paths of BDDL files as LIBERO-Plus' environments read them: the name of a file that need not
-//! exist can tell the camera's view, the arm's posture and the corruption of the pictures.
+//! Paths of BDDL files as LIBERO-Plus' environments read them: the file's name can encode the
+//! camera's view, the arm's posture and the corruption of the pictures; such a file need not exist.
 
 use crate::corruption::Corruption;
 
@@ -7,13 +7,13 @@ use super::camera::View;
 use super::start::ROBOTS;
 use super::variant::number;
 
-/// Marks of a path that tells changes; the environments look for them in the whole path.
+/// Marks of a path that encodes changes; the environments look for them in the whole path.
 const VIEW: &str = "_view_";
 const ROBOT: &str = "_initstate_";
 const NOISE: &str = "_noise_";
 
-/// A BDDL file and the changes that its path tells. A path may tell several changes at once, which
-/// no variant of the benchmark does.
+/// A BDDL file and the changes that a path encodes. A path may encode several changes at once, but
+/// every variant of the benchmark has only one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BddlPath {
     /// Path of the file to be opened.
@@ -30,7 +30,7 @@ impl BddlPath {
     /// Parses a path.
     ///
     /// # Errors
-    /// If the path tells changes that the benchmark's environments do not know.
+    /// If the path encodes changes that the benchmark's environments do not know.
     pub fn parse(path: &str) -> Result<Self, InvalidBddlPath> {
         if !(path.contains(VIEW) && path.contains(ROBOT)) {
             return Ok(Self {
@@ -77,7 +77,7 @@ fn parts<'a>(text: &'a str, mark: &str) -> Option<(&'a str, &'a str)> {
     (!after.contains(mark)).then_some((before, after))
 }
 
-/// Error: a path tells changes that LIBERO-Plus' environments do not know.
+/// Error: a path encodes changes that LIBERO-Plus' environments do not know.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read the changes in the path {path}: {}; the path ends in \
@@ -126,7 +126,7 @@ mod tests {
     use crate::plus::inventory;
 
     #[test]
-    fn paths_of_all_variants_tell_their_changes() {
+    fn paths_of_all_variants_encode_their_changes() {
         for entry in inventory() {
             let variant = entry.variant;
             let suite = variant.task.suite();
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_may_tell_several_changes_or_none() {
+    fn a_path_may_encode_several_changes_or_none() {
         let all =
             BddlPath::parse("a/b_view_1_15_110_2_358_initstate_19_noise_50.bddl").expect("valid");
         assert_eq!(all.file, "a/b.bddl");
