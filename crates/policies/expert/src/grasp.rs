@@ -11,8 +11,8 @@ use crate::world::{Entity, Solid, World};
 /// Largest width of a body that is pinched across, m: the hand opens to 0.08 m, minus a
 /// margin on both sides.
 const PINCH_WIDTH_M: f64 = 0.072;
-/// Depth of the grip point below an object's top when pinching, m: the palm is 35 mm
-/// above the grip point.
+/// Depth of the grip point below an object's top when pinching, m: less than the height of the
+/// palm above the grip point, see [`HAND`].
 const PINCH_DEPTH_M: f64 = 0.025;
 /// Depth of the grip point below an object's top when gripping a rim, m.
 const RIM_DEPTH_M: f64 = 0.014;
@@ -166,8 +166,8 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
 
 /// Returns the best grasp of `object` for the current position of the hand: ranked like
 /// [`choices`], with penalties on the distance from the hand and on a change from `earlier`, so
-/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, is
-/// ranked last.
+/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, has a
+/// high penalty.
 ///
 /// `None` if there is no grasp.
 pub(crate) fn nearest(

@@ -75,11 +75,11 @@ impl Expert {
         Ok(motion::servo(&world, &self.motion, &command))
     }
 
-    /// Reports that the robot did not execute the last action. The next action is then
-    /// replanned from the state alone: the remaining goals, the held object and the phase of
-    /// its skill. Without this call, the other controller's steps would count as the expert's
-    /// own, and a hand that the other controller holds still would be mistaken for a hand that an
-    /// object has stopped.
+    /// Reports that the robot did not execute the last action. The next action is then replanned:
+    /// the expert derives the remaining goals, the held object and the phase of its skill from the
+    /// state and the hand's motion, and keeps only the last grasp and hold of its plan. Without
+    /// this call, the other controller's steps would count as the expert's own, and a hand that the
+    /// other controller holds still would be mistaken for a hand that an object has stopped.
     pub fn interrupt(&mut self) {
         self.is_interrupted = true;
     }
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn an_expert_interrupted_at_every_step_succeeds() {
-        // An interrupted expert derives the phase of its skill from the state alone.
+        // An interrupted expert derives the phase of its skill from state and motion.
         assert!(succeeds(250, |_, action| Some(action)));
     }
 

@@ -21,8 +21,8 @@ const UNIT_RAD: f64 = 0.5;
 /// Gain of the position error, which stiffens the spring. The controller is critically damped at a
 /// gain of 1; a gain of 2 still settles without visible overshoot.
 const POSITION_GAIN: f64 = 2.0;
-/// Number of steps by which the position is extrapolated, to damp the stiffer spring and
-/// the delay of a step.
+/// Number of steps by which the position is extrapolated, to damp the stiffer spring and to
+/// compensate the delay of a step.
 const LOOKAHEAD_STEPS: f64 = 1.5;
 /// Distance from the point between the fingertips to their lower end, m (Panda hand of
 /// robosuite 1.4.0).

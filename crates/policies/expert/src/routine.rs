@@ -1,5 +1,5 @@
 //! Manipulation without carrying: drawers, the stove's knob, the microwave's door, and
-//! flat objects that are pushed. Each manipulation is a short sequence of stages, whose poses
+//! flat objects that are dragged. Each manipulation is a short sequence of stages, whose poses
 //! follow the mechanism as it moves. Bounding boxes do not show the movable part of a fixture, so
 //! the necessary dimensions of LIBERO's fixture models are constants here.
 
@@ -83,7 +83,7 @@ pub(crate) enum RoutineTask {
     TurnKnob { stove: String },
     /// Close this microwave.
     PushDoor { microwave: String },
-    /// Push a flat object to a region.
+    /// Drag a flat object to a region.
     Drag { object: String, region: String },
 }
 

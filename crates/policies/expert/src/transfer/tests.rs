@@ -115,7 +115,7 @@ fn each_attempt_takes_the_next_grasp() {
     assert_ne!(chosen[0], chosen[1]);
 }
 
-/// Returns the scene with the hand at the best grasp of the can, which is turned by `turned` rad.
+/// Returns the scene with the hand at the best grasp of the can, but rotated by `turned` rad.
 fn hand_at_grasp(turned: f64) -> KinematicScene {
     let mut scene = scene();
     let world = scene.world();
