@@ -46,7 +46,7 @@ pub fn open(spec: &BackendSpec, access: &Access) -> Result<Arc<dyn Backend>, Unu
     })
 }
 
-/// Reason why a back-end cannot be created. Reads after "failed to …".
+/// Reason why a back-end cannot be created. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum UnusableBackend {
     /// The certificate authority or the token cannot be read.

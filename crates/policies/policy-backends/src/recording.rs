@@ -229,7 +229,7 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     }
 }
 
-/// Reason why recordings cannot be used. Reads after "failed to …".
+/// Reason why recordings cannot be used. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum RecordingError {
     /// The file or folder cannot be read.

@@ -26,7 +26,7 @@ use crate::{
 /// Largest message of a server, bytes. The longest chunk of actions has 58 kB, and metadata and
 /// HELLO are shorter; a decoded message takes up to forty times as much memory as its bytes.
 const MAX_MESSAGE_BYTES: usize = 1 << 20;
-/// Longest wait for handshake and first message: a server may not answer while it computes.
+/// Longest wait for handshake and first message, which a server may delay while it computes.
 const GREETING_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// URL schemes of a kind of server.

@@ -68,7 +68,7 @@ fn shipped(weights: &[u8]) -> Arc<Network> {
     Arc::new(Network::from_safetensors(weights).expect("tests load the shipped weights"))
 }
 
-/// Reason why a weights file cannot be used. Reads after "failed to …".
+/// Reason why a weights file cannot be used. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum WeightsFileError {
     /// The file cannot be read.

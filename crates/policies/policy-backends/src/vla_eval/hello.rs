@@ -23,7 +23,7 @@ const STATE: [StateField; 4] = [
     StateField::GripperPos,
 ];
 /// Parameters of vla-eval's LIBERO benchmark that a campaign sets, whatever the server requests.
-/// The benchmark ignores unknown parameters.
+/// Parameters that the benchmark does not know are ignored, as in the benchmark.
 const CAMPAIGN_PARAMETERS: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
 /// Length to which the recorded value of a setting is truncated, bytes; the digest covers the whole
 /// HELLO.

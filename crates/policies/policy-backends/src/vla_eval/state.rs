@@ -67,9 +67,9 @@ fn unflipped_axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
     [x, y, z].map(|number| (number * 2.0 * w.acos() / sine) as f32)
 }
 
-/// Returns the quaternion x y z w of a rotation matrix, starting from its largest component
-/// (Shepperd's method). That choice determines the sign, and so the direction of a half turn's
-/// axis; the pose of LIBERO's hand is close to a half turn.
+/// Returns the quaternion x y z w of a rotation matrix, computed from w if the trace is positive,
+/// otherwise from the largest of x, y and z, which is then positive. That choice determines the
+/// direction of a half turn's axis; the pose of LIBERO's hand is close to a half turn.
 fn quaternion_of([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64; 4] {
     let trace = xx + yy + zz;
     if trace > 0.0 {
