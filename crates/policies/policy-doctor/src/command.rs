@@ -79,7 +79,7 @@ pub struct Doctor {
     options: CommonOptions,
 }
 
-/// Reason why a command failed. Reads after "failed to …".
+/// Reason why a command failed. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum CommandError {
     /// The token or the certificate authority cannot be used.

@@ -153,8 +153,8 @@ async fn compare_paired(
         servers,
         seeds: &seeds,
         floor: [REPEATABLE; 7],
-        // No change to the observations makes different noise equal, so only single changes are
-        // tried.
+        // If the servers' noise differs, no change to the observations makes the answers equal, so
+        // that a search for several changes would be in vain.
         allows_several: !is_random,
     };
     let unchanged = fit(&pair.a, &pair.b, &setup.floor);

@@ -133,7 +133,7 @@ impl Fit {
 }
 
 /// Returns the simplest map from `first` to `second` whose remaining difference is within `limit`;
-/// if no map is, the best map without a shift.
+/// if there is none, the best map without a shift.
 pub(crate) fn fit(first: &Answers, second: &Answers, limit: &Limit) -> Fit {
     let aligned = fit_at_shift(first, second, 0, limit);
     if aligned.explains && aligned.is_identity() {

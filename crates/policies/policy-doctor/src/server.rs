@@ -178,7 +178,7 @@ async fn in_time<T>(
     })
 }
 
-/// Reason why servers cannot be compared or diagnosed. Reads after "failed to …".
+/// Reason why servers cannot be compared or diagnosed. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ExaminationError {
     /// The address, the credentials, the weights or the recordings (`replay:FOLDER`) of a route

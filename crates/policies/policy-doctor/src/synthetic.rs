@@ -142,7 +142,8 @@ fn privileged(hand: &Hand, index: usize) -> PrivilegedState {
     state
 }
 
-/// Object on the table. Lengths are shares of the frame's width, from the lower left.
+/// Object on the table. Positions, from the frame's lower left corner, and sizes are shares of the
+/// frame's side.
 struct TableObject {
     centre: [f64; 2],
     half: [f64; 2],

@@ -131,8 +131,8 @@ impl Variant {
         }
     }
 
-    /// Returns true if applying the variant twice changes nothing, so that applying it to either
-    /// server's observations has the same result.
+    /// Returns true if applying the variant twice changes nothing, so that it explains the same
+    /// difference whether it is applied to A's or to B's observations.
     pub(crate) fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),

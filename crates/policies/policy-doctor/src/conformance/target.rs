@@ -10,7 +10,7 @@ pub(super) const QUERIES: u32 = 5;
 /// Server and policy to check.
 #[derive(Clone, Debug)]
 pub struct Target {
-    /// `http://HOST:PORT` or `grpc://HOST:PORT`.
+    /// `grpc://HOST:PORT` or `http://HOST:PORT`; over TLS, `https://HOST:PORT`.
     pub url: String,
     /// Name of the policy; empty selects the only policy of the server.
     pub policy: String,
@@ -20,12 +20,12 @@ pub struct Target {
     pub access: Access,
 }
 
-/// Reason why a server cannot be checked. Reads after "failed to …".
+/// Reason why a server cannot be checked. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ConformanceError {
     /// The URL is not a policy server's address.
     #[error(
-        "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
+        "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https://HOST:PORT \
          over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
          server of vla-eval"
     )]

@@ -1,5 +1,5 @@
-//! A policy with a pipeline like that of real policies, in which tests plant mistakes: its chunks
-//! of actions are a smooth function of frames by position, state, instruction and noise.
+//! A policy with a pipeline like that of real policies, in which tests plant mistakes. Its actions
+//! are a smooth function of pixels, weighted by position, of state, instruction and noise.
 
 use std::{
     collections::HashMap,
