@@ -92,8 +92,8 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
 ///
 /// # Errors
 /// If the protocol version differs, the name is empty, a text or the settings cannot be stored in a
-/// result, a rollout cannot execute the horizon or chunk, a camera or reading does not exist or is
-/// requested twice, or there are too many or too large frames.
+/// result, the horizon or the number of executed actions is out of range, a camera or reading does
+/// not exist or is requested twice, or there are too many or too large frames.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse {
         protocol_version,

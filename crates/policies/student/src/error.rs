@@ -110,8 +110,8 @@ pub enum QueryError {
         value: String,
     },
     #[error(
-        "query {query}: the network's answer is not finite: give readings in metres as the \
-         network was trained on, or weights that do not overflow"
+        "query {query}: the network's answer is not finite: give readings in metres, as in \
+         training, or weights that do not overflow"
     )]
     Answer {
         /// Index of the query, counted from 0.

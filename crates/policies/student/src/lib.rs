@@ -84,7 +84,7 @@ mod weights;
 pub const LIBERO: &[u8] = include_bytes!("../weights/student.safetensors");
 /// Weights trained on LIBERO's own assets in randomly perturbed scenes.
 pub const LIBERO_RANDOMISED: &[u8] = include_bytes!("../weights/student-randomised.safetensors");
-/// Weights trained on the built-in boxes in unperturbed scenes, for tests without a network.
+/// Weights trained on the built-in boxes in unperturbed scenes, for tests that download no assets.
 pub const BOXES: &[u8] = include_bytes!("../weights/student-boxes.safetensors");
 
 pub use error::{QueryError, WeightsError};

@@ -1,4 +1,4 @@
-//! Preprocessing of pictures: halves the resolution and splits it into three planes.
+//! Preprocessing of pictures: halves the resolution and separates the colours into three planes.
 
 use crate::query::PICTURE_SIDE;
 
