@@ -59,12 +59,12 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
         (
             "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps', 279)
              WHERE id = (SELECT max(id) FROM job)",
-            &["its specification gives it another `max_steps`"],
+            &["the campaign's specification gives it another `max_steps`"],
         ),
         (
             "UPDATE job SET manifest_row = json_set(manifest_row, '$.num_steps_wait', 4294967295)
              WHERE id = (SELECT max(id) FROM job)",
-            &["its specification gives it another `num_steps_wait`"],
+            &["the campaign's specification gives it another `num_steps_wait`"],
         ),
         (
             "INSERT INTO campaign_task SELECT id, 'libero_object/1' FROM campaign;

@@ -1,7 +1,6 @@
 //! Expansion of a campaign's specification into the rows of the job table, and the digest of the
-//! specification. The crates `libero-ctrl` and `libero-family` define the contents of manifest rows
-//! and their order: in a design paired units, that is, a configuration's nominal rollout and then
-//! its perturbed ones.
+//! specification. The crates `libero-ctrl` and `libero-family` define the contents and the order of
+//! manifest rows: in a design, a configuration's nominal rollout is followed by its perturbed ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 

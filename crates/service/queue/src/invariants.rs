@@ -74,8 +74,8 @@ pub const INVARIANTS: [Invariant; 20] = [
         query: "SELECT format('row %s of %s refers to no row of %s', rowid, \"table\", parent)
          FROM pragma_foreign_key_check",
     },
-    // A campaign has all the jobs that it was expanded into, each place in its order of jobs once,
-    // unless the campaign is being created or deleted.
+    // A campaign has all the jobs that it was expanded into, each at a place of its own in the
+    // order of jobs, unless the campaign is being created or deleted.
     Invariant {
         name: "expansion_is_whole",
         query: "SELECT format('campaign %s was expanded into %d jobs and has %d, in %d places',

@@ -271,8 +271,8 @@ impl Queue {
     /// change once. Attempts in progress continue.
     pub fn hold_leasing(&self, reason: Option<String>) {
         let has_changed = self.shared.hold.send_if_modified(|held| {
-            // The text of the reason may change whenever the free space of a filling disk is
-            // measured.
+            // Compares only whether there is a reason: its text may change with every measurement
+            // of a filling disk's free space.
             let is_changed = held.is_some() != reason.is_some();
             held.clone_from(&reason);
             is_changed

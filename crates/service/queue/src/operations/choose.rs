@@ -10,8 +10,8 @@ use crate::store::StoreError;
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant};
 
-/// Candidate jobs read beyond the number requested, because some waiting jobs have failed on the
-/// machine whose worker claims a job.
+/// Candidate jobs read beyond the number requested, because some waiting jobs avoid the machine
+/// whose worker claims a job.
 const SPARE_CANDIDATES: usize = 8;
 
 /// A worker's request for one job.
@@ -53,7 +53,7 @@ impl Context<'_> {
         pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        // A job that has failed on a machine goes to another machine, if there are enough.
+        // With enough machines, a job that failed too often avoids the machines of its failures.
         let avoids_failed_machine =
             self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let mut grants: Vec<(usize, Grant)> = Vec::new();
@@ -120,7 +120,7 @@ impl Context<'_> {
         pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        // A job that has failed on a machine goes to another machine, if there are enough.
+        // With enough machines, a job that failed too often avoids the machines of its failures.
         let avoids_failed_machine =
             self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let limit = room.min(pending.len()) + SPARE_CANDIDATES;
@@ -166,7 +166,7 @@ impl Context<'_> {
         campaign: &Campaign,
         pending: &mut Vec<PendingClaim<'_>>,
     ) -> Result<Option<(usize, Grant, String)>, StoreError> {
-        // A job that has failed on a machine goes to another machine, if there are enough.
+        // With enough machines, a job that failed too often avoids the machines of its failures.
         let avoids_failed_machine =
             self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;

@@ -23,7 +23,7 @@ use crate::store::jobs::NamedAttempt;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
 /// Longest time after a policy's pause for which a job that could not reach the policy yields to
-/// other jobs. Workers may claim a few seconds after the pause ends.
+/// other jobs, whose workers may claim them only a few seconds after the pause ends.
 const MAX_YIELD: Duration = Duration::from_secs(10);
 
 /// The writing transaction, rolled back on drop.

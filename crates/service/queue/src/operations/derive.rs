@@ -2,8 +2,8 @@
 //!
 //! Derived jobs are a pure function of the outcomes, and jobs are only ever added. They are
 //! therefore recomputed after every settled job and at every start, which also repairs interrupted
-//! work. A campaign whose own and whose source's outcomes are unchanged since the last pass is
-//! skipped, so a finished campaign costs one row a pass.
+//! work. A campaign is skipped if its own outcomes and its source's are unchanged since the last
+//! pass, so a finished campaign costs one row a pass.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;

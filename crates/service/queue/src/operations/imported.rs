@@ -46,10 +46,11 @@ pub enum RowProblem {
     },
     #[error("its `{column}` is not that of its manifest row")]
     Column { column: &'static str },
-    #[error("its specification has no such rollout")]
+    #[error("the campaign's specification has no such rollout")]
     Unspecified,
     #[error(
-        "its specification gives it another `{column}`; import it with the release that wrote it"
+        "the campaign's specification gives it another `{column}`; import the archive with the \
+         release that wrote it"
     )]
     Altered { column: String },
     #[error("the `realised` of its result cannot be read ({problem})")]
@@ -76,8 +77,9 @@ pub enum WorkerProblem {
 /// derive from the outcomes of another campaign.
 type Expansion = Option<(BTreeMap<RolloutId, ManifestRow>, u32)>;
 
-/// Returns the first job, result or worker, of a database that holds one campaign, that contradicts
-/// the campaign's specification or the bounds of this program; `None` if there is none.
+/// Checks the jobs, results and workers of a database that holds one campaign. Returns the first
+/// contradiction with the campaign's specification or the bounds of this program; `None` if there
+/// is none.
 pub(super) async fn contradiction(
     view: &mut SqliteConnection,
     campaign: CampaignId,

@@ -359,7 +359,7 @@ mod tests {
         let rate = speed.rate.expect("cores are known");
         assert_eq!(rate.bottleneck, Bottleneck::Slots);
         assert_eq!(forecast.secs, Some(250.0));
-        // A rollout occupies a core for five of its ten seconds.
+        // A rollout occupies a core for five of its ten seconds: the waiting second counts, too.
         assert_eq!(
             (rate.enough_slots, speed.enough_slots_secs),
             (8, Some(125.0))

@@ -18,15 +18,15 @@ pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
 /// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
-/// Number of a job's attempts cut off with their worker (whose heartbeats stopped) from which each
-/// such attempt is followed by a back-off, so that other jobs get the remaining workers.
+/// From this number on, each attempt of a job that is cut off with its worker (whose heartbeats
+/// stopped) is followed by a back-off, so that other jobs get the remaining workers.
 pub const SILENCES_UNTIL_BACKOFF: u32 = 3;
-/// Number of a job's attempts cut off with their worker at which the job is quarantined, since it
-/// probably crashes its workers: network failures would have to hit this job that often, each time
-/// until its worker counts as gone.
+/// Attempts of one job that were cut off with their worker after which the job is quarantined,
+/// since it probably crashes its workers: otherwise, network failures would have to hit this job
+/// that often, each lasting until the worker counts as gone.
 pub const MAX_SILENCES: u32 = 10;
-/// Number of a job's attempts that lost their policy from which each such attempt is followed by a
-/// back-off, so that other jobs run while the policy is available.
+/// From this number on, each attempt of a job that loses its policy is followed by a back-off, so
+/// that other jobs run while the policy is available.
 pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
 /// Attempts of one job that lost their policy after which the job runs only as the policy's single
 /// lease, and only when no other job of the policy waits. The schema's index `job_alone` uses the

@@ -123,7 +123,7 @@ impl PolicyHealth {
     #[must_use]
     pub fn with_lone_probe(&self, attempt: AttemptId, reason: String) -> PolicyHealth {
         PolicyHealth {
-            // The store's CHECK constraints require an outage of a policy that is not available.
+            // The store's CHECK constraints require `outages` > 0 unless the policy is available.
             outages: self.outages.max(1),
             state: PolicyState::Probing { attempt, reason },
             ..*self

@@ -12,8 +12,8 @@ use crate::ids::WorkerId;
 /// Axes that affect the first observation. The others change later observations, actions or the
 /// instruction.
 const IN_FIRST_FRAME: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
-/// Axes realised without random values: their realisation follows from the parameters and the
-/// initial state alone, under both realisations.
+/// Axes without random values: the parameters and the initial state alone determine the realised
+/// values, whether the campaign's realisation is `matched` or `reference`.
 const WITHOUT_RANDOM_VALUES: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// Requirements of a campaign on one of its results.

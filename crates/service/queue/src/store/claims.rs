@@ -44,8 +44,8 @@ pub(crate) struct Candidate {
     task: String,
     /// Place in the campaign's order of jobs.
     pub(crate) unit_order: i64,
-    /// Machines on which the job failed, JSON; `None` below the number of failures from which
-    /// [`has_failed_on`](Self::has_failed_on) applies.
+    /// Machines on which the job failed, JSON; `None` if the job has fewer than
+    /// [`MAX_CHARGED_ATTEMPTS`] charged failures.
     failed_on: Option<String>,
 }
 
@@ -95,8 +95,8 @@ pub(crate) struct Term {
 }
 
 impl Candidate {
-    /// Returns true if the job has failed on this machine, and so often that it should run on
-    /// another.
+    /// Returns true if the job should run on another machine: it has at least
+    /// [`MAX_CHARGED_ATTEMPTS`] charged failures, one of them on this machine.
     pub(crate) fn has_failed_on(&self, machine: &str) -> bool {
         let failed_on = self.failed_on.as_deref().unwrap_or("[]");
         let failed_on: Vec<&str> = serde_json::from_str(failed_on).unwrap_or_default();

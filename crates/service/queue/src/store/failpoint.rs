@@ -41,7 +41,8 @@ pub enum Step {
 /// `After:Commit`, or `After:Commit:n` for the n-th time that it is reached.
 pub const FAILPOINT_VARIABLE: &str = "COORDINATOR_DIE_AT";
 
-/// Environment variable that names a background task that panics when it starts: `the sweep`.
+/// Environment variable that names a background task, such as `the sweep`, that is to panic when it
+/// starts.
 pub const PANIC_VARIABLE: &str = "COORDINATOR_PANIC_IN";
 
 /// Panics if [`PANIC_VARIABLE`] names this task.

@@ -16,7 +16,7 @@ use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, PolicyId, WorkerId};
 use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, OutcomeKey};
 
-/// Key of matched rollouts: one campaign, one scene, one initial state.
+/// Key of matched rollouts: campaign, task and initial state.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx_macros::FromRow)]
 pub(crate) struct InitialState {
     #[sqlx(rename = "campaign_id")]

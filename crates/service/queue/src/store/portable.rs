@@ -41,8 +41,8 @@ const JOB: (&str, &str) = ("job_id", "m.new");
 /// Error text stored with an attempt that was in progress when its campaign was copied.
 const MOVED: &str = "the campaign was copied while this attempt ran";
 
-/// Tables copied row by row, in order. `CROSS JOIN` makes SQLite start from the copied jobs, which
-/// may be a small part of all jobs.
+/// Tables whose rows are copied, in order. `CROSS JOIN` makes SQLite start from the copied jobs,
+/// which may be a small part of all jobs.
 const COPIED: [TableCopy; 10] = [
     TableCopy {
         table: "campaign_task",
