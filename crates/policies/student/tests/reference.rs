@@ -87,14 +87,14 @@ fn data<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, count: usize) -> &
 /// Returns pictures with row 0 at the bottom, as in the protocol.
 fn pictures(file: &SafeTensors<'_>, name: &str, count: usize) -> Vec<Vec<u8>> {
     let pictures = data(file, name, Dtype::U8, count).chunks(PICTURE_BYTES);
-    let turn = |picture: &[u8]| {
+    let flip = |picture: &[u8]| {
         picture
             .rchunks(PICTURE_SIDE * 3)
             .flatten()
             .copied()
             .collect()
     };
-    pictures.map(turn).collect()
+    pictures.map(flip).collect()
 }
 
 fn rows<const WIDTH: usize>(file: &SafeTensors<'_>, name: &str, count: usize) -> Vec<[f32; WIDTH]> {

@@ -6,7 +6,7 @@ use std::fmt;
 use libero_ctrl::{RendererKind, Wanted};
 use serde::{Deserialize, Serialize};
 
-/// Prefix of the version names of this project's renderer.
+/// Name of this project's renderer, up to its version.
 pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 
 /// Name of the setting that holds the asset pack on which a policy was trained.
@@ -72,7 +72,7 @@ pub struct Provenance {
     pub program_version: String,
 }
 
-/// Digests that two rollouts of one initial state must share, SHA-256, hex.
+/// Digests by which the rollouts of one initial state are compared, SHA-256, hex.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Digests {
     /// Digest of the composed MJCF.

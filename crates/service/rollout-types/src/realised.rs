@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn values_1e_9_apart_agree_and_values_1e_6_apart_differ_at_any_magnitude() {
-        // Includes values that lie on a rounding edge at any number of digits.
+        // Includes values half-way between multiples of 1e-9, at which rounded values would differ.
         for at in [0.0, 0.5e-9, 0.3, 1.0 - 0.5e-9, -2.5, 4.999_999_999_5, 1e3] {
             for direction in [1.0, -1.0] {
                 let near = values(&[7.0, at + direction * 1e-9]);

@@ -89,9 +89,8 @@ pub struct IkResidual {
 /// Packed motion of a rollout's robot, as sent and stored: little endian, without padding.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Motion {
-    /// Position of the site between the fingertips, at rest and after every
-    /// control step of the policy: x, y, z in the world frame, tenths of a
-    /// millimetre, 16 bits each.
+    /// Position of the site between the fingertips, after settling and after every control step of
+    /// the policy: x, y, z in the world frame, tenths of a millimetre, 16 bits each.
     pub path: Vec<u8>,
     /// Action of every control step, clipped into [-1, 1]: seven 32-bit floats each; empty unless
     /// the campaign stores actions.

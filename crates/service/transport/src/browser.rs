@@ -1,5 +1,5 @@
 //! Gate rules for browsers: session ids in cookies, because browsers do not send `Authorization` on
-//! their own; refusals as pages and text instead of gRPC statuses; and protection against
+//! their own; refusals as redirects and text instead of gRPC statuses; and protection against
 //! cross-site requests from other pages in the same browser.
 //!
 //! A browser sends requests on behalf of any page that its user visits, with cookies and from

@@ -6,8 +6,8 @@
 //! A server on a loopback address requires no token and accepts the user that started it, whom the
 //! kernel distinguishes from other users; `--insecure-loopback` accepts all local users. On any
 //! other address it must have a certificate and tokens, or the flag `--insecure`. Tokens come from
-//! a file or the environment, never from an argument, which process lists show; they are stored as
-//! digests, compared in constant time, and never logged. A browser stores a session id instead of a
+//! a file or the environment, never from an argument, which process lists show; they are compared
+//! as digests, in constant time, and never logged. A browser stores a session id instead of a
 //! token; the id gives access to pages for some hours, and to no call.
 
 #![forbid(unsafe_code)]
