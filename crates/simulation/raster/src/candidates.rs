@@ -70,8 +70,9 @@ impl Candidates {
             }
             let (x, y) = corners.snapped();
             let ([x0, x1], [y0, y1]) = (extent(&x), extent(&y));
-            // Columns and rows of samples are a quarter of a pixel (64 subpixel units) apart, from
-            // 32 units on. Each row of a pixel contains one sample, and so does each column.
+            // Columns and rows of samples are a quarter of a pixel (64 subpixel units) apart, and
+            // the first is at 32 units. Each row of a pixel contains one sample, and so does each
+            // column.
             let (column0, column1) = (
                 ((x0 + splat(31)) >> 6i32).max(left),
                 ((x1 - splat(32)) >> 6i32).min(right),
@@ -85,7 +86,7 @@ impl Candidates {
             let column_of_row = sample_column(row0);
             // The constant has two bits per column of a pixel: the row of the column's sample.
             let row_of_column = (splat(0x72) >> ((column0 & three) << 1i32)) & three;
-            // Discards triangles within one row or column of samples that miss its samples.
+            // Discards triangles that reach one row or column of samples but none of its samples.
             let one_row =
                 row0.equals(row1) & ((column_of_row - column0) & three).gt(column1 - column0);
             let one_column =

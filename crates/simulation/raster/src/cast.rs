@@ -1,6 +1,6 @@
-//! Lookups in a light's shadow map, and the geoms that darken them. Of the map's texels, usually
-//! some millions, a picture looks up some ten thousands, so the map itself is never drawn: every
-//! triangle is compared with the lookups that it covers.
+//! Lookups in a light's shadow map, and the geoms that darken them. A picture looks up only tens of
+//! thousands of the map's texels, of which there are usually millions, so the map itself is never
+//! drawn: every triangle is compared with the lookups that it covers.
 
 use crate::clip::{self, Clipping, Viewport};
 use crate::instance::{self, Instance, View};
@@ -11,14 +11,14 @@ use crate::place::sides_beyond;
 use crate::positions::{MAX_COORDINATE, SUBPIXELS};
 use crate::scene::Scene;
 
-/// Texels that the map has on each side of the viewport, so that no shadow touches the map's
-/// border, whose texels stand for everything beyond the map.
+/// Width of the map's border around the viewport, texels. The border's texels stand for everything
+/// beyond the map, so no shadow may touch them.
 const BORDER: f32 = 1.0;
 /// Largest depth in the map, which has 24 bits.
 const FULL_DEPTH: f32 = 16_777_215.0;
 /// Offset of a triangle's depths away from the light: a multiple of the largest change of depth
-/// from one texel to the next, plus a constant. For the constant, MuJoCo requests four of the
-/// smallest resolvable differences, each of which llvmpipe takes as two units of depth.
+/// from one texel to the next, plus a constant. For the constant, MuJoCo passes four units to
+/// `glPolygonOffset`; llvmpipe takes each as two units of the map's depth.
 const OFFSET_FACTOR: f32 = -1.5;
 const OFFSET: f32 = -8.0 / FULL_DEPTH;
 /// Texels on a side of a cell, as a power of two.
@@ -99,7 +99,7 @@ impl Lookups {
         }
     }
 
-    /// Returns for each fragment true if the light reaches it: the fragment has a lookup, which no
+    /// Returns true for each fragment that the light reaches: the fragment has a lookup that no
     /// triangle darkens.
     pub(crate) fn lit(&self, fragments: usize) -> Vec<bool> {
         let mut lit = vec![false; fragments];

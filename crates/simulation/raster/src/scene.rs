@@ -21,7 +21,7 @@ pub enum Shape {
     Ellipsoid,
     /// Cylinder of radii x, y and half length z.
     Cylinder,
-    /// Capsule of radii x, y and half length z, to which the half spheres at its ends add.
+    /// Cylinder of radii x, y and half length z, with a half sphere added at each end.
     Capsule,
 }
 

@@ -145,7 +145,7 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// Id of the last record before the first fragment. Differs from [`NOTHING`], so that pixels
+/// Value of [`Listing::id`] before the first fragment. Differs from [`NOTHING`], so that pixels
 /// without a triangle do not match it.
 const NO_RECORD: u32 = NOTHING - 1;
 

@@ -1,4 +1,4 @@
-//! Light of lights that cast shadows. MuJoCo first draws opaque geoms in the light of all other
+//! Lighting by lights that cast shadows. MuJoCo first draws opaque geoms in the light of all other
 //! lights. Then each light that casts shadows is added where its depth map has nothing nearer to
 //! the light. Lookups in the map are neither filtered nor made per sample: a triangle in a pixel is
 //! either lit or dark.
@@ -102,7 +102,7 @@ fn add(
     }
 }
 
-/// Returns the view from a light, in which its map is drawn.
+/// Returns the view from a light, which determines the texels and depths of its shadow map.
 fn view(light: &Light, shadows: Shadows, camera: &Camera) -> View {
     let depths = [camera.near, camera.far];
     let (projection, orthographic) = match light.kind {
