@@ -224,8 +224,8 @@ fn size_table(
     full_size: [f64; 3],
     friction: [f64; 3],
 ) -> Result<(), String> {
-    /// Distances of each leg from the table's edges along x and y, m. The signs tell the edges: at
-    /// positive or negative x and y.
+    /// Distances of each leg from the table's edges along x and y, m: from the edge at positive x
+    /// or y if the number is positive, from the edge at negative x or y if it is negative.
     const LEG_INSET: [[f64; 2]; 4] = [[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]];
     const LEG_RADIUS: f64 = 0.025;
     let half = full_size.map(|extent| extent / 2.0);

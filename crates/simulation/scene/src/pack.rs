@@ -92,7 +92,7 @@ impl AssetPack {
         }
     }
 
-    /// Opens a custom folder as a target for LIBERO's assets. The folder need not exist.
+    /// Opens a given folder as the target of a fetch of LIBERO's assets. The folder need not exist.
     pub fn into_folder(dir: &Path) -> Self {
         let dir = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned());
         Self::libero(dir, false)
@@ -145,7 +145,8 @@ impl AssetPack {
         self.verified.as_ref()
     }
 
-    /// Returns true for the pack `libero`, whose files are fetched on demand.
+    /// Returns true if the pack was opened as `libero`, so that its files are fetched on demand;
+    /// false for a given folder, even if it holds LIBERO's files.
     pub fn is_managed(&self) -> bool {
         self.is_managed
     }

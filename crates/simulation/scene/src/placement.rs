@@ -237,8 +237,8 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // If the object's radius, by which a range was shortened at both ends, exceeds half of
-            // it, its bounds are in reverse order; LIBERO nevertheless draws between them.
+            // A range was shortened by the object's radius at both ends. If the radius exceeds half
+            // of the range, the bounds are in reverse order; LIBERO still draws between them.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],

@@ -26,8 +26,8 @@ impl AssetPack {
     }
 
     /// Verifies the files of tasks, and fetches missing or altered files from the origin that the
-    /// environment variables set. Does nothing for a pack that is not managed, since its files
-    /// belong to its owner.
+    /// environment variables set. Does nothing for a pack that is not managed, since its owner
+    /// provides the files.
     ///
     /// # Errors
     /// If files cannot be fetched. Received files are kept.
