@@ -20,7 +20,8 @@ pub struct Sources {
 impl Sources {
     /// Opens the folder after checking that its parts exist.
     pub fn open(dir: &Path) -> Result<Self, SceneError> {
-        // The path is made absolute, since MuJoCo resolves relative file names differently.
+        // The path is made absolute, since MuJoCo does not resolve relative file names against the
+        // current folder.
         let sources = Self {
             dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
         };

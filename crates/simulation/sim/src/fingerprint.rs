@@ -1,6 +1,6 @@
 //! Fingerprint of a slot's arithmetic: a digest over a fixed motion of a small scene, the algebra
 //! of the arm's controller, functions of the C library, and two frames. Slots with equal
-//! fingerprints simulate and render with equal bits; a processor, C library, driver or build that
+//! fingerprints compute this sample with equal bits; a processor, C library, driver or build that
 //! rounds differently gives another fingerprint. The fingerprint excludes the asset pack. Equal
 //! fingerprints are no proof: computations that the scene does not exercise may differ.
 

@@ -65,7 +65,7 @@ impl FromStr for Renderer {
     }
 }
 
-/// A renderer that is ready to draw, on the thread that opened it:
+/// A renderer that is ready to draw. It cannot leave the thread that opened it:
 ///
 /// ```compile_fail,E0277
 /// let drawer = sim::Drawer::Software;

@@ -25,7 +25,7 @@ pub struct Snapshot {
 }
 
 impl Environment {
-    /// Resets without an initial state: draws all poses from NumPy's legacy generator in the
+    /// Resets without an initial state: draws all poses from NumPy's legacy generator in
     /// LIBERO's order, with the arm in its reset posture, new controllers and time 0; then observes
     /// once.
     ///

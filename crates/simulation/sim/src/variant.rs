@@ -31,7 +31,7 @@ pub enum Start {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct VariantStart {
-    /// Pose of `agentview`; `None` for LIBERO's pose, which is not rounded.
+    /// Pose of `agentview`, rounded as in LIBERO-Plus; `None` for LIBERO's own pose, unrounded.
     pub view: Option<View>,
     /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
     pub posture: Option<[f64; ARM_JOINTS]>,

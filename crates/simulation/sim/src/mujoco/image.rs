@@ -38,8 +38,8 @@ pub(crate) struct ModelImage<'a> {
 }
 
 impl Model {
-    /// Serialises the compiled model without its texels, which only OpenGL uses and which are most
-    /// of the model. `None` if the arrays do not have the expected layout, or the texels are
+    /// Serialises the compiled model without its texels, which are most of the model and are stored
+    /// in texture files. `None` if the arrays do not have the expected layout, or the texels are
     /// already missing.
     pub(crate) fn image(&self) -> Option<ModelImage<'_>> {
         let compiled = self.compilation().structure();

@@ -89,7 +89,7 @@ mod tests {
         let factors = colour(0.7, -0.3);
         let luminance: f64 = factors.iter().zip(LUMINANCE).map(|(f, l)| f * l).sum();
         assert!((luminance - 1.0).abs() < 1e-15);
-        assert!(factors[0] > factors[2], "warm light is redder than blue");
+        assert!(factors[0] > factors[2], "warm light has more red than blue");
     }
 
     #[test]

@@ -85,7 +85,8 @@ impl GlCanvas {
         Ok(depth)
     }
 
-    /// Renders the visible geoms, by their ids in segmentation images.
+    /// Renders the object at the centre of each pixel, which MuJoCo's segmentation image gives as a
+    /// geom's id.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,

@@ -61,7 +61,7 @@ impl SoftwareCanvas {
         self.draw_on_canvas(view, raster::Canvas::depths)
     }
 
-    /// Renders the visible geoms.
+    /// Renders the object at the centre of each pixel.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,
