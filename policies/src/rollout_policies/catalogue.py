@@ -53,8 +53,8 @@ class Entry:
         return not isinstance(self.checkpoint, str)
 
     def lists(self, checkpoint: str | None) -> bool:
-        """Returns True if the command line's checkpoint is one of this entry's; None, which selects
-        the entry's checkpoint, is, too."""
+        """Returns True if the command line's checkpoint is one of this entry's, or is None, which
+        selects the entry's."""
         if isinstance(self.checkpoint, str):
             return checkpoint in (None, self.checkpoint)
         return checkpoint is None or checkpoint in self.checkpoint.values()

@@ -69,8 +69,8 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
 
 
 def _subfolder(snapshot: Path, folder: str | None, name: str) -> Path:
-    """Returns the only folder in a snapshot whose path ends in `folder`; the snapshot if that is
-    None."""
+    """Returns the only folder in a snapshot whose path ends in `folder`; the snapshot itself if
+    `folder` is None."""
     if folder is None:
         return snapshot
     parts = Path(folder).parts

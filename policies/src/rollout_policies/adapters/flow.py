@@ -42,7 +42,7 @@ class FlowPolicy(Policy):
     def load(cls, entry: Entry, options: Options, *, kind: str, **overrides: Any) -> FlowPolicy:
         """Loads a checkpoint of a lerobot policy type; see `LerobotModel.load`."""
         model = LerobotModel.load(entry, options, kind=kind, **overrides)
-        model.chunk_in_real_time()
+        model.enable_real_time_chunking()
         config = model.config
         execute = executed_actions(
             entry, options, chunk=config.chunk_size, from_checkpoint=config.n_action_steps

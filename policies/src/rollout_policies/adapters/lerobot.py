@@ -189,7 +189,7 @@ class LerobotModel:
         config = getattr(self.config, "rtc_config", None)
         return config is not None and config.enabled
 
-    def chunk_in_real_time(self) -> None:
+    def enable_real_time_chunking(self) -> None:
         """Enables real-time chunking if lerobot's policy supports it: guidance of the flow makes a
         chunk continue the actions that are executed during inference. Uses the checkpoint's
         settings, else lerobot's. Answers to queries without such actions keep the same bits."""
