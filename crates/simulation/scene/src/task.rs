@@ -45,8 +45,8 @@ impl TaskFiles {
         }
     }
 
-    /// Returns the files of a LIBERO-Plus variant: LIBERO's own or, where the variant differs, those
-    /// that `worker assets fetch --suite libero-plus` fetched.
+    /// Returns the files of a LIBERO-Plus variant: LIBERO's own or, where the variant differs, the
+    /// files that `worker assets fetch --suite libero-plus` fetched.
     pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
         let libero_files = Self::of_task(sources, variant.task);
         let (suite, stem) = (variant.task.suite(), variant.bddl_stem());

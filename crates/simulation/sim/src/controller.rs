@@ -31,9 +31,9 @@ pub const SUBSTEPS: usize = 25;
 /// Goal displacement of a full-scale action: m, rad (`osc_pose.json`).
 const TRANSLATION_SCALE: f64 = 0.05;
 const ROTATION_SCALE: f64 = 0.5;
-/// Stiffness of the end-effector's pose, 1/s²; damping is critical.
+/// Stiffness of the end-effector's pose, 1/s²; the pose is critically damped.
 const STIFFNESS: f64 = 150.0;
-/// Stiffness of the null-space posture, 1/s²; damping is critical.
+/// Stiffness of the null-space posture, 1/s²; the posture is critically damped.
 const POSTURE_STIFFNESS: f64 = 10.0;
 /// Change of a finger's position per simulation step, as a share of half its range.
 const GRIPPER_RAMP: f64 = 0.01;

@@ -399,7 +399,8 @@ impl Bytes<'_> {
         }
     }
 
-    /// Reads the quality of shadows. Large maps give no new kinds of lookups.
+    /// Reads the quality of shadows. The map's size is small or invalid, because larger valid maps
+    /// give no new kinds of lookups.
     fn shadows(&mut self) -> Shadows {
         Shadows {
             size: match self.byte() {
