@@ -3,10 +3,10 @@
     python launch.py --connect http://login1:7411 --max-workers 16
 
 A worker is an actor with a `sim` resource and a CPU for each slot, so it runs on nodes
-started with `ray start --resources '{"sim": N}'`, N at a time. The number of requested
-actors follows the coordinator's queue; Ray's autoscaler adds nodes for actors that find
-no room. Workers without work for `--idle-secs` end by themselves. A lost node takes its
-workers with it, and replacements are requested.
+started with `ray start --resources '{"sim": N}'`, at most N per node. The number of
+requested actors follows the coordinator's queue; Ray's autoscaler adds nodes for actors
+that find no room. Workers without work for `--idle-secs` end by themselves. A lost
+node takes its workers with it, and replacements are requested.
 """
 
 from __future__ import annotations
