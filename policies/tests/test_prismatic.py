@@ -93,7 +93,7 @@ def upstream(monkeypatch):
     for name, parts in modules.items():
         monkeypatch.setitem(sys.modules, name, module_of(**parts))
     monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda folder: None)
-    # The result with OpenVLA-OFT's own transformers, in which tokens attend to later tokens.
+    # Reports that tokens attend to later tokens, as in OpenVLA-OFT's own transformers.
     monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: True)
 
 
@@ -215,7 +215,7 @@ def test_a_transformers_with_another_attention_is_refused(oft, monkeypatch):
 
 
 class Pool(torch.nn.Linear):
-    """MAPBlock with other widths."""
+    """Replaces MAPBlock, with other widths."""
 
     def __init__(self, n_latents, vis_dim, embed_dim, n_heads):
         super().__init__(2, 2)

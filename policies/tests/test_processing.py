@@ -93,7 +93,7 @@ def test_plain_shrinking_equals_torch_without_antialias():
     ]
 
 
-def test_the_study_crops_univla_s_frames_to_whole_pixels():
+def test_univlas_frames_in_the_study_are_cropped_to_whole_pixels():
     study_pixels = study_frame(pattern(256))
     assert study_pixels.shape == (224, 224, 3)
     assert study_pixels[100, :3].tolist() == [[90, 46, 132], [98, 28, 188], [105, 42, 161]]

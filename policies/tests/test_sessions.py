@@ -41,7 +41,7 @@ def test_the_end_of_an_episode_calls_end_and_releases_its_memory(serving):
     client.reset("a")
     client.infer("a")
     client.end("a")
-    # Queued after the end, which is not awaited.
+    # `End` returns before the policy's `end` is called. This Reset is queued after that call.
     client.reset("b")
     assert policy.ended == [("a", "of a")]
     assert [episode.memory for episode in policy.episodes] == [None, "of b"]

@@ -166,7 +166,7 @@ def played_by_vla_eval(server, instruction, **params):
         connection = Connection(f"ws://{server}")
         await connection.connect(benchmark=BENCHMARK)
         task = {"name": instruction, "suite": SUITE, "task_id": 3, "episode_idx": 0}
-        # The episode ends before the observation after the last step, which is not simulated.
+        # The episode ends with its last step, because no observation after that step is simulated.
         runner = SyncEpisodeRunner()
         benchmark.check_done = lambda step: len(benchmark.executed) == STEPS
         await runner.run_episode(benchmark, task, connection, max_steps=STEPS)
@@ -225,8 +225,8 @@ def test_the_server_receives_the_messages_of_vla_evals_own_benchmark(
     assert set(ours[:, 6]) == {-1, 1}
 
     expected = messages(expected_file)
-    # The gateway requests the description before every Reset, and uses its connection for the
-    # episode.
+    # The gateway requests the description before every Reset, and uses the connection of that
+    # request for the episode.
     hello, *episode = messages(received)
     assert [line["type"] for line in episode] == [line["type"] for line in expected][1:]
     start, *observations, end = expected[1:]
@@ -262,7 +262,7 @@ def test_frames_are_sent_in_each_image_format(program, received, form, sent):
 
 def test_execute_in_the_address_executes_the_servers_chunks(program, received):
     with serving(received) as server:
-        # vla-eval's own client accepts chunks only from a server that hands them out one by one.
+        # vla-eval's own client takes one action per answer: a server must split its chunks.
         with pytest.raises(Exception, match="Action dimension mismatch: got 6"):
             played_by_vla_eval(server, "answer a chunk")
         with gateway(program, server) as client:
