@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 use policy_backends::{Cause, shorten::shorten};
 use rollout_types::Waits;
 
-/// Waits for a server that could not be reached: a recovered server is in use again within the
-/// longest wait.
+/// Waits between probes of a server that could not be reached. A recovered server is in use again
+/// within the longest wait.
 pub const WAITS: Waits = Waits {
     first: Duration::from_millis(100),
     longest: Duration::from_secs(5),
 };
-/// Waits for a server that is out for any other reason.
+/// Waits between probes of a server that is out for any other reason.
 pub const BROKEN_WAITS: Waits = Waits::USUAL;
 /// Longest time for a probing session to produce an answer before another session may probe.
 pub const PROBE_TIMEOUT: Duration = Duration::from_secs(60);

@@ -12,7 +12,7 @@ use walk::{Credentials, OPERATOR, Table, calls_of, guarded, is_call, open, walk}
 /// The gateway's access table; it has no log-in page.
 const TABLE: Table = (resource, None);
 
-/// Paths; true if a call needs no token.
+/// Returns paths, each with true if its calls need no token.
 fn paths() -> Vec<(String, bool)> {
     let proto = include_str!("../../../proto/rollout/policy/v1/policy.proto");
     let calls = calls_of(proto).into_iter();

@@ -31,7 +31,7 @@ struct Shared {
     backend: Arc<dyn Backend>,
     watch: Arc<Watch>,
     answer_within: Duration,
-    /// Waiting queries, and the largest batch size that the last query came with.
+    /// Waiting queries, and the limit on the batch size that the last query was given.
     queue: Mutex<(Queue<Query>, usize)>,
     changed: Notify,
 }

@@ -80,7 +80,7 @@ impl Pool {
     }
 
     /// Returns the longest wait of a Reset for another session to end: 20 s if answers may take 50
-    /// s, so that the Reset completes within a worker's 60 s.
+    /// s, which leaves the Reset itself 40 s of a worker's time limit of 60 s.
     pub fn reset_timeout(&self) -> Duration {
         let longest = self
             .replicas

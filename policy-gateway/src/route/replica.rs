@@ -158,7 +158,7 @@ impl Replica {
     }
 
     /// Returns the longest time of a query in the queue: 55 s if answers may take 50 s, which is
-    /// below a worker's 60 s.
+    /// below a worker's time limit of 60 s.
     fn queue_timeout(&self) -> Duration {
         self.answer_within * 11 / 10
     }
