@@ -167,7 +167,7 @@ class Scene:
 class Snapshot:
     """Everything that the next step depends on, including the scripted expert."""
 
-class Look:
+class CapturedView:
     """Camera views at the time of an observation, in a few kilobytes, rendered on demand. Pictures
     are bit-identical to those that the `Simulation` would have rendered at that time, even if it
     has been closed since."""
@@ -249,7 +249,7 @@ class Simulation:
         """Kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1 for the
         background."""
 
-    def look(self) -> Look:
+    def capture(self) -> CapturedView:
         """Captures the current camera views for rendering on demand."""
     def planes(self) -> tuple[float, float, float]:
         """Returns the model's extent, m, and the distances of the cameras' near and far planes, as
@@ -322,9 +322,9 @@ class Batch:
         expert: NDArray[np.bool_] | None = None,
         past_success: bool = False,
     ) -> dict[str, Any]:
-        """Starts a rollout in each simulation for which `starts` has a start. Every other
-        simulation executes its actions, [simulations, steps, 7]: at most as many as `limits` has
-        for it, and none after a success.
+        """Starts a rollout in each simulation whose entry in `starts` is a start. Every other
+        simulation executes its actions, [simulations, steps, 7], at most as many as its entry in
+        `limits`, and none after a success.
 
         A start is JSON: a manifest row; or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`
         with optional `perturbed`; or `{"legacy_seed": SEED, "rounds": N, "settle_steps": N,

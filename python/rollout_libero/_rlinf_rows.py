@@ -144,7 +144,7 @@ class Rows:
         """Returns observations. When a frame is first read, the frames of all rows are rendered on
         threads."""
         instant = _Instant(
-            [self._rows.simulations[row].look() for row in rows],  # type: ignore[union-attr]
+            [self._rows.simulations[row].capture() for row in rows],  # type: ignore[union-attr]
             [self._frame_change(row) for row in rows],
             self._size,
             self._pool.map,
@@ -208,12 +208,12 @@ class _Instant:
 
     def __init__(
         self,
-        looks: list[Any],
+        views: list[Any],
         frame_changes: list[Callable[[Frames], Frames]],
         size: tuple[int, int],
         parallel_map: Callable[..., Any],
     ) -> None:
-        self._looks = looks
+        self._views = views
         self._frame_changes = frame_changes
         self._size = size
         self._parallel_map = parallel_map
@@ -222,11 +222,11 @@ class _Instant:
     def frames(self, at: int) -> Frames:
         """Returns an environment's frames."""
         if self._frames is None:
-            self._frames = list(self._parallel_map(self._draw, self._looks, self._frame_changes))
+            self._frames = list(self._parallel_map(self._draw, self._views, self._frame_changes))
         return self._frames[at]
 
-    def _draw(self, look: Any, change: Callable[[Frames], Frames]) -> Frames:
-        return change({key: look.frame(camera, *self._size) for camera, key in _CAMERAS.items()})
+    def _draw(self, view: Any, change: Callable[[Frames], Frames]) -> Frames:
+        return change({key: view.frame(camera, *self._size) for camera, key in _CAMERAS.items()})
 
 
 class _LazyObservation(dict[str, Any]):

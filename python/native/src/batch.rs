@@ -140,9 +140,9 @@ impl Batch {
         })
     }
 
-    /// Starts a rollout in each environment for which `starts` has a start, JSON in a form of
-    /// [`Start::read`]; every other environment executes its actions: at most as many as `limits`
-    /// has for it, and none after a success. `actions` is [environments, steps, 7]; `render`
+    /// Starts a rollout in each environment whose entry in `starts` is a start, JSON in a form of
+    /// [`Start::read`]; every other environment executes its actions, at most as many as its entry
+    /// in `limits`, and none after a success. `actions` is [environments, steps, 7]; `render`
     /// selects the steps that are rendered and read: `last` or `all`; with `none`, the last step
     /// is read and not rendered. Returns `steps` executed and `success` of
     /// each environment, the readings by name, and the frames by camera, with row 0 at the top,

@@ -6,11 +6,11 @@
 
 mod action;
 mod batch;
+mod captured;
 mod error;
 mod fetch;
 mod generator;
 mod guarded;
-mod look;
 mod pack;
 mod plus;
 mod scene;
@@ -27,11 +27,11 @@ mod _native {
     #[pymodule_export]
     use super::batch::Batch;
     #[pymodule_export]
+    use super::captured::CapturedView;
+    #[pymodule_export]
     use super::error::{BusyError, ClosedError, FilesError, SimulationError};
     #[pymodule_export]
     use super::fetch::fetch_assets;
-    #[pymodule_export]
-    use super::look::Look;
     #[pymodule_export]
     use super::plus::{PlusPath, PlusVariant, plus_problem_parent};
     #[pymodule_export]

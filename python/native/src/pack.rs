@@ -8,7 +8,8 @@ use std::sync::{Mutex, PoisonError};
 use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
-/// Packs by name or path, folder of the sources, and true if files that LIBERO lacks are used, too.
+/// Packs by key: name or path, folder of the sources, and true if the pack also has files that
+/// LIBERO lacks.
 type Packs = HashMap<(String, PathBuf, bool), AssetPack>;
 
 static PACKS: Mutex<Option<Packs>> = Mutex::new(None);

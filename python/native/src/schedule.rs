@@ -8,12 +8,12 @@ use crate::action::{self, Numbers};
 use crate::error::{invalid, value};
 use crate::state::shaped;
 
-/// Number of control steps until a response takes effect, and the commands scheduled for the next
-/// steps, [n, 7]: the first, up to that number, are executed regardless of the response.
+/// Delay of a response, control steps, and the commands scheduled for the next steps, [n, 7]. The
+/// commands within the delay are executed regardless of the response.
 type Query<'py> = (u32, Bound<'py, PyArrayDyn<f64>>);
 
-/// Queries and commands of one rollout whose responses take effect late, as in a campaign's rollout
-/// with the same execution model.
+/// Schedule of one rollout's commands and of its queries, whose responses take effect late, as in a
+/// campaign's rollout with the same execution model.
 #[pyclass(module = "rollout_libero._native")]
 pub(crate) struct Schedule {
     execution: Execution,

@@ -10,10 +10,10 @@ use sim::mujoco::{Model, OwnArray, Values};
 use sim::{ActionFrame, Environment, ObjectKind, Renderer, Reset};
 
 use crate::action::{Numbers, WIDTH, actions};
+use crate::captured::CapturedView;
 use crate::error::{invalid, simulation};
 use crate::generator::{self, Generator};
 use crate::guarded::Guarded;
-use crate::look::Look;
 use crate::plus::PlusPath;
 use crate::scene::Scene;
 use crate::start::{Start, check_width};
@@ -286,9 +286,9 @@ impl Simulation {
     }
 
     /// Captures the current camera views for deferred rendering.
-    fn look(&self, py: Python<'_>) -> PyResult<Look> {
+    fn capture(&self, py: Python<'_>) -> PyResult<CapturedView> {
         self.state.with(py, |state| {
-            Ok(Look {
+            Ok(CapturedView {
                 captured: state.environment.capture(),
                 compiled: Arc::clone(state.environment.compiled()),
                 renderer: self.renderer,

@@ -215,7 +215,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     action = actions(1)[0]
     expected = dict(eager_env.step(action)[0])
     lazy, *_ = env.step(action)
-    look = env.env._handle.get().look()
+    view = env.env._handle.get().capture()
 
     failed: list[Exception] = []
 
@@ -231,7 +231,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     np.testing.assert_array_equal(lazy["agentview_image"], expected["agentview_image"])
     while thread.is_alive():
         # Each call draws the picture again from the recorded poses.
-        np.testing.assert_array_equal(look.frame("agentview", 32, 24), expected["agentview_image"])
+        np.testing.assert_array_equal(view.frame("agentview", 32, 24), expected["agentview_image"])
     thread.join()
     # Drawing does not block the other thread.
     assert failed == []

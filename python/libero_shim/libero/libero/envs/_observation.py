@@ -15,7 +15,7 @@ from libero.libero.envs._models import TaskModel
 from libero.libero.envs._rotations import relative_poses
 from libero.libero.envs._settings import Camera
 from libero.libero.envs._simulation import SimulationHandle
-from rollout_libero._native import Look, Scene
+from rollout_libero._native import CapturedView, Scene
 
 _ROBOT = "robot0"
 #: MuJoCo's object type numbers.
@@ -51,7 +51,7 @@ class Observer:
         """Frames of `unused` cameras are zeros and are never rendered."""
         self._handle = handle
         self._objects = [(each.name, each.root_body) for each in model.objects.values()]
-        self._pictures: dict[str, Callable[[Look], NDArray[Any]]] = {}
+        self._pictures: dict[str, Callable[[CapturedView], NDArray[Any]]] = {}
         for camera in cameras:
             self._add(camera, model, is_used=camera.name not in unused)
         proprioception = [f"{_ROBOT}_{name}" for name in _PROPRIOCEPTION]
@@ -68,7 +68,7 @@ class Observer:
         }
         self._left_out: set[str] = set()
         self._undrawn: dict[str, Undrawn] = {}
-        self._look: Look | None = None
+        self._view: CapturedView | None = None
         self._cameras = tuple(camera for camera in cameras if camera.name not in unused)
         self._read: dict[str, NDArray[Any]] = {}
 
@@ -91,7 +91,7 @@ class Observer:
     def expire(self) -> None:
         """Discards cached values after the simulation has made a new observation."""
         self._undrawn = {}
-        self._look = None
+        self._view = None
         self._read = {}
 
     def observe(self) -> Observation:
@@ -140,10 +140,10 @@ class Observer:
     def _picture(self, name: str) -> Undrawn:
         """Returns the placeholder of a picture of the current state, which is drawn when it is
         first read. All observations of this state share the placeholder."""
-        if self._look is None:
-            self._look = self._handle.get().look()
+        if self._view is None:
+            self._view = self._handle.get().capture()
         if name not in self._undrawn:
-            self._undrawn[name] = Undrawn(partial(self._pictures[name], self._look))
+            self._undrawn[name] = Undrawn(partial(self._pictures[name], self._view))
         return self._undrawn[name]
 
     def _add(self, camera: Camera, model: TaskModel, *, is_used: bool) -> None:
@@ -151,31 +151,31 @@ class Observer:
         image, depth = f"{name}_image", f"{name}_depth"
         segmentations = {kind: f"{name}_segmentation_{kind}" for kind in camera.segmentations}
         if not is_used:
-            self._pictures[image] = lambda look: np.zeros((height, width, 3), np.uint8)
+            self._pictures[image] = lambda view: np.zeros((height, width, 3), np.uint8)
             if camera.depth:
-                self._pictures[depth] = lambda look: np.zeros((height, width, 1), np.float32)
+                self._pictures[depth] = lambda view: np.zeros((height, width, 1), np.float32)
             for key in segmentations.values():
-                self._pictures[key] = lambda look: np.zeros((height, width, 1), np.int32)
+                self._pictures[key] = lambda view: np.zeros((height, width, 1), np.int32)
             return
-        self._pictures[image] = lambda look: look.frame(name, width, height)
+        self._pictures[image] = lambda view: view.frame(name, width, height)
         if camera.depth:
-            self._pictures[depth] = lambda look: look.depth(name, width, height)[..., np.newaxis]
+            self._pictures[depth] = lambda view: view.depth(name, width, height)[..., np.newaxis]
         for kind, key in segmentations.items():
             self._pictures[key] = _segmentation(camera, kind, model)
 
 
 def _segmentation(
     camera: Camera, kind: str, model: TaskModel
-) -> Callable[[Look], NDArray[np.int32]]:
-    def segments(look: Look) -> NDArray[np.int32]:
-        return look.segmentation(camera.name, camera.width, camera.height)
+) -> Callable[[CapturedView], NDArray[np.int32]]:
+    def segments(view: CapturedView) -> NDArray[np.int32]:
+        return view.segmentation(camera.name, camera.width, camera.height)
 
     if kind == "element":
-        return lambda look: _geoms(segments(look))
+        return lambda view: _geoms(segments(view))
     numbers = model.numbers(kind)
 
-    def draw(look: Look) -> NDArray[np.int32]:
-        types_and_ids = segments(look)
+    def draw(view: CapturedView) -> NDArray[np.int32]:
+        types_and_ids = segments(view)
         labels = np.zeros((*types_and_ids.shape[:2], 1), dtype=np.int32)
         for part, object_type in (("geom", _GEOM), ("site", _SITE)):
             pixels = types_and_ids[..., 0] == object_type

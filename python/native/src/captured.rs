@@ -12,7 +12,7 @@ use crate::state::{State, pairs, picture_size, shaped, with_drawer};
 
 /// Camera views at the time of an observation, rendered on demand.
 #[pyclass(frozen, module = "rollout_libero._native")]
-pub(crate) struct Look {
+pub(crate) struct CapturedView {
     pub(crate) captured: sim::CapturedView,
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) renderer: Renderer,
@@ -21,7 +21,7 @@ pub(crate) struct Look {
 }
 
 #[pymethods]
-impl Look {
+impl CapturedView {
     /// Renders a frame, [height, width, 3]; row 0 is the bottom.
     fn frame<'py>(
         &self,
@@ -74,7 +74,7 @@ impl Look {
     }
 }
 
-impl Look {
+impl CapturedView {
     /// Renders with the observed environment or, if that is busy or closed, with a new
     /// environment, so that deferred rendering never fails for these reasons.
     fn draw<T: Send>(
