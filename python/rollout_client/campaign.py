@@ -68,8 +68,9 @@ class Campaign:
     def results(self) -> pd.DataFrame:
         """Returns a row per committed rollout, by rollout id and replicate. `axis` and `level` are
         the condition: `clean` and `L0` (nominal), an axis, or `combination` (all axes). `config` is
-        missing for nominal rollouts; `ik_res_mm`, residual of the inverse kinematics, mm, unless
-        the robot was displaced; `placebo_radius` unless the rollout is perturbed at level `L0`.
+        missing for nominal rollouts. Only rollouts with a displaced robot have `ik_res_mm`, the
+        residual of the inverse kinematics, mm, and only rollouts that are perturbed at level `L0`
+        have `placebo_radius`.
         `execution` is the execution model, `wait` unless the campaign names another.
         `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
         and `goal_at_most` the largest number that held at one time; all three are missing in
@@ -89,7 +90,8 @@ class Campaign:
         condition: str | None = None,
         level: str | None = None,
     ) -> pd.DataFrame:
-        """Returns a row per rollout in any state, in the order of leasing.
+        """Returns a row per rollout in any state. All conditions of a configuration follow one
+        another.
 
         state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
         task: `libero_object/0`, or a suite. condition and level: as in rollout ids.

@@ -1,5 +1,5 @@
-"""Conversion of rows to frames with typed columns: texts are `string`, outcomes
-`boolean`, instants UTC; absent values are missing."""
+"""Conversion of rows to frames with typed columns: texts are `string`, outcomes are
+`boolean`, and instants are in UTC. Absent values become missing values of pandas."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ GIVE_ADDRESS = "give Client the address of the coordinator"
 
 @dataclass(frozen=True)
 class Finding:
-    """Finding at a coordinator's URL, with its remedy."""
+    """Description of the server at a URL, or of the failed connection to it, with a remedy."""
 
     words: str
     remedy: str

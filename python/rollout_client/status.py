@@ -38,7 +38,7 @@ class Status:
     quarantined: int
     #: Rate of the rollouts that started and were committed within the last five minutes, or since
     #: the first lease or last resume if that is later; and time in which the remaining rollouts
-    #: complete at that rate. None without such rollouts, and unless the campaign is running.
+    #: complete at that rate. None if there are no such rollouts or the campaign is not running.
     rate_per_sec: float | None
     remaining_secs: float | None
     #: Number of live workers that can run the campaign.

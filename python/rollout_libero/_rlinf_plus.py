@@ -23,8 +23,8 @@ _CORRUPTED = "agentview_image"
 class PlusRows(Rows):
     """Environments of LIBERO-Plus' variants. RLinf would start a process for each environment, with
     its own global NumPy generator; here each environment has the state of such a generator.
-    ``seed`` seeds the generators, also during a rollout; resets place objects with their numbers,
-    and the corruption of every frame draws the next numbers."""
+    ``seed`` sets these states, also during a rollout. Placements at resets and corruptions of
+    frames draw from them."""
 
     def __init__(
         self, parameters: Sequence[dict[str, Any]], *, threads: int, draws_all: bool

@@ -44,8 +44,8 @@ class Wheel(NamedTuple):
     members: tuple[tuple[str, str], ...]
     """Folders and files inside the wheel, with their destinations."""
     suite: str = ""
-    """Suite of which `worker assets fetch --suite SUITE` leaves the wheel, in a folder of that name
-    beside `folder`."""
+    """Suite for which `worker assets fetch --suite SUITE` downloads this wheel, into a folder of
+    that name beside `folder`; empty if the command does not download it."""
 
 
 _ROBOSUITE = "robosuite/models/assets/"

@@ -1,6 +1,7 @@
 """Prepares a process, and those that it spawns, to import RLinf's and LIBERO's unmodified files:
 replaces packages that these files import and do not call here, and, if the environment variable
-`LAST_OF_CHUNK` is set, makes the original LIBERO render only at the end of each chunk.
+`ROLLOUT_BENCH_LAST_OF_CHUNK` is set, makes the original LIBERO render only at the end of each
+chunk.
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ def test_successes_of_published_outcomes_are_those_of_their_file(connect):
         assert cell.rate == cell.successes / cell.n
 
 
-def test_the_first_of_two_compared_campaigns_is_a(connect, tmp_path):
+def test_a_difference_is_the_first_rate_minus_the_second(connect, tmp_path):
     rows = published_rows()
     solved = [row for row in rows if "/robot/L2/" in row["rollout_id"] and row["success"]]
     for row in solved[:30]:

@@ -207,7 +207,7 @@ def segmentations() -> Log:
 
 
 def stove() -> Log:
-    """Turns on a glowing burner, and resets with and without reloading the model."""
+    """Turns on a stove, whose burner then glows; resets with and without reloading the model."""
     log: Log = []
     for hard_reset in (False, True):
         env = make("turn_on", hard_reset=hard_reset)

@@ -1,5 +1,5 @@
-"""Regression tests: calls by which reinforcement-learning frameworks use LIBERO outside episodes,
-shortened. With the shim, each call once failed or had a different result."""
+"""Regression tests: shortened copies of calls that reinforcement-learning frameworks make to
+LIBERO. Earlier versions of the shim failed in each call, or returned a different result."""
 
 from __future__ import annotations
 

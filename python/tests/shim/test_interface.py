@@ -404,15 +404,13 @@ def test_rendering_the_current_state_does_not_shift_observations(bddl_file: str)
         env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
         env.seed(0)
         env.reset()
-        hand_positions = []
+        readings = []
         for i in range(4):
-            hand_positions.append(
-                env.step([0.5, 0.1 * i, -0.2, 0.3, 0, 0, 1])[0]["robot0_proprio-state"]
-            )
+            readings.append(env.step([0.5, 0.1 * i, -0.2, 0.3, 0, 0, 1])[0]["robot0_proprio-state"])
             if renders:
                 env.sim.render(camera_name="agentview", width=16, height=16)
         env.close()
-        return hand_positions
+        return readings
 
     np.testing.assert_array_equal(run(renders=True), run(renders=False))
 

@@ -133,7 +133,7 @@ def test_a_variant_has_fifty_states_or_one() -> None:
 @pytest.mark.parametrize(
     "variant", [name for name in recorded() if "noise" not in recorded()[name]]
 )
-def test_states_cameras_and_numbers_equal_the_originals(variant: str) -> None:
+def test_states_cameras_and_random_numbers_equal_the_originals(variant: str) -> None:
     expected = recorded()[variant]
     suite, name = variant.split("/")
     env = make(name, suite, use_camera_obs=False)
@@ -166,7 +166,7 @@ def test_states_cameras_and_numbers_equal_the_originals(variant: str) -> None:
 
 @pytest.mark.usefixtures("real_assets")
 @pytest.mark.parametrize("variant", [name for name in recorded() if "noise" in recorded()[name]])
-def test_pictures_draw_their_numbers_whether_read_or_not(variant: str) -> None:
+def test_unread_frames_draw_the_same_random_numbers_as_read_frames(variant: str) -> None:
     last = []
     for reads_all in (False, True):
         suite, name = variant.split("/")

@@ -205,7 +205,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
 def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
     rollouts = roll_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
     alone, several = rollouts["outputs"][:4], rollouts["outputs"][4:]
-    # `reset_ori` returns the observation before it sets the states; the second reset sets them.
+    # `reset_ori` returns an observation from before it sets the states; `reset` sets them first.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):
         assert first["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
         assert reset["gripper_states"].shape == (count, 2)

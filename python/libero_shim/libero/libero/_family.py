@@ -14,9 +14,9 @@ _FOLDERS = {"bddl_files": "bddl_files", "init_states": "init_files"}
 
 
 class Folders:
-    """The functions of one package that return folders, as in LIBERO's package. `package` is a file
-    in the package's folder, which is its `benchmark_root`; `fetched` returns the folder of the task
-    files, and fetches them if they are missing."""
+    """The functions of one package that return folders, as in LIBERO's package. `package` is the
+    path of a file in the folder `benchmark_root`; `fetched` returns the folder of the task files,
+    and fetches them if they are missing."""
 
     def __init__(self, benchmark: str, package: str, fetched: Callable[[], Path]) -> None:
         self._benchmark = benchmark

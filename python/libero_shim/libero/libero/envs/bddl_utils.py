@@ -65,9 +65,9 @@ def robosuite_parse_problem(
 ) -> dict[str, Any]:
     """Returns the whole contents of a file, with LIBERO's keys.
 
-    `fixtures` and `objects` map a category to its instances; `regions` a region's name,
-    target included, to its target, ranges (x and y from, x and y to, m), rotation (rad)
-    and colour; `initial_state` and `goal_state` list predicates with their arguments.
+    `fixtures` and `objects` map a category to its instances. `regions` maps `TARGET_REGION` to
+    the region's target, ranges (smallest x and y, largest x and y, m), rotation (rad) and
+    colour. `initial_state` and `goal_state` list predicates with their arguments.
     """
     sections = _sections(problem_filename)
     domain = sections.get(":domain", ["robosuite"])[-1]
