@@ -348,15 +348,15 @@ fn header(alone: bool) -> String {
 impl Totals {
     /// Adds one scene and camera; returns its line of the table.
     fn row(&mut self, place: &str, findings: &Findings) -> Result<String> {
-        let ours = Spread::from_values(&findings.ours).context("a frame is timed")?;
+        let ours = Spread::from_values(&findings.ours).context("find a timed frame")?;
         let line = format!("{place:<36} {:>8.2}", ours.median);
         if findings.theirs.is_empty() {
             return Ok(line);
         }
-        let theirs = Spread::from_values(&findings.theirs).context("a frame is timed")?;
+        let theirs = Spread::from_values(&findings.theirs).context("find a timed frame")?;
         let pairs = findings.theirs.iter().zip(&findings.ours);
         let ratios: Vec<f64> = pairs.map(|(theirs, ours)| theirs / ours).collect();
-        let ratio = Spread::from_values(&ratios).context("a frame is timed")?;
+        let ratio = Spread::from_values(&ratios).context("find a timed frame")?;
         let agreement = &findings.agreement;
         let equal = agreement.percent(agreement.equal);
         let close = agreement.percent(agreement.close);

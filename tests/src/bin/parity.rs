@@ -20,8 +20,8 @@ use tests::files::open_pack;
 /// Compare the simulator with reference data of the original LIBERO.
 #[derive(Parser)]
 struct Arguments {
-    /// Folder of reference tasks: SUITE/NN_TASK. Beside it lie `contact/` and
-    /// `sensitivity.json`, if there are any.
+    /// Folder of reference tasks: SUITE/NN_TASK. `contact/` and `sensitivity.json` beside this
+    /// folder are used if they exist.
     #[arg(long, required_unless_present = "family")]
     reference: Option<PathBuf>,
     /// Compare LIBERO-Plus, LIBERO-PRO and LIBERO-Para with the committed recordings instead.
@@ -161,12 +161,13 @@ fn select(all: Vec<ReferenceTask>, wanted: &[String]) -> Result<Vec<ReferenceTas
     wanted.iter().map(find).collect()
 }
 
-/// Heads of the columns that [`row`] fills. `names`: whether all names of the model are the same.
-/// Largest differences: `arrays` of the model, relative; `settle`, `smooth` and `contact` of joint
-/// positions, m or rad; `obs.` of readings, in their own units. `predicates`: equal truth values of
-/// all. `frames` and `within 2`: smallest shares of a frame's pixels that are equal, and within two
-/// levels. `largest`: difference of a channel, levels. The last column, without a head, is `ok` if all
-/// limits hold, else `NO`.
+/// Heads of the columns that [`row`] fills. `names`: `same` if all names of the model are equal.
+/// `arrays`: largest relative difference of the model's arrays. `settle`, `smooth`, `contact`:
+/// largest differences of joint positions, m or rad. `obs.`: largest difference of a reading, in
+/// its own unit. `predicates`: number of equal truth values, and number of all. `frames`,
+/// `within 2`: smallest shares of a frame's pixels that are equal, and that differ by at most two
+/// levels. `largest`: largest difference of a channel, levels. The last column, without a head, is
+/// `ok` if all limits hold, else `NO`.
 const HEADER: &str = "task              names arrays settle smooth contact obs.   predicates frames   within 2  largest";
 
 fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
