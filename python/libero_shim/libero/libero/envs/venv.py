@@ -430,8 +430,8 @@ class BaseVectorEnv:
         return _stack(results)
 
     def step(self, action: Any, id: _Ids = None) -> tuple[Any, ...]:
-        """Executes one control step each, with actions [n, 7]: observations, rewards,
-        dones and infos, [n] each; an info's `env_id` identifies its environment."""
+        """Executes one control step of each environment, with actions [n, 7]. Returns observations,
+        rewards, dones and infos, [n] each; an info's `env_id` identifies its environment."""
         chosen = self._choose(id)
         if len(action) != len(chosen):
             raise ValueError(
