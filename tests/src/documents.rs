@@ -6,7 +6,8 @@
 //!
 //! - `<!-- not run: REASON -->`: the block is only listed,
 //! - `<!-- needs: REQUIREMENT -->`: the block is skipped if the machine does not meet it
-//!   ([`folder::Requirement`]); paths to `../shared` need no comment,
+//!   ([`folder::Requirement`]); a block that names `../shared` has the first requirement
+//!   without a comment,
 //! - `<!-- file: NAME -->`: a block of another language is written to a file.
 
 pub mod folder;

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
-/// A module by its path from the crate's root, which is empty.
+/// A module by its path from the crate's root; the root's own path is empty.
 type Module = Vec<String>;
 /// Items imported by each module, grouped by the module that defines them.
 type Imports = BTreeMap<Module, BTreeMap<Module, BTreeSet<String>>>;

@@ -69,7 +69,8 @@ class Sample:
         self.by_direction = self.leave_out([list(by_direction.values())])
 
     def leave_out(self, strata):
-        """Returns sums without each group, its stratum scaled by g / (g - 1), and g per stratum."""
+        """Returns the sums after leaving out each group, with the rest of its stratum scaled by
+        g / (g - 1), and the number g of groups in each stratum."""
         if any(len(groups) < 2 for groups in strata):
             return None
         total, parts = self.x.sum(axis=0), []
@@ -93,7 +94,8 @@ class Sample:
         return (variance, int((sizes - 1).sum())) if np.isfinite(variance) else None
 
     def estimate(self, f, scale):
-        """`scale`: True for a share, False for a difference of shares; "product" of shares; "mean"."""
+        """`scale`: True for a share, False for a difference of shares, "product" for a product of
+        shares, "mean" for a mean without bounds."""
         with np.errstate(all="ignore"):
             value = float(f(self.x.sum(axis=0)))
             if not np.isfinite(value):

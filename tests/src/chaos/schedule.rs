@@ -8,10 +8,10 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Number of faults in a schedule.
 const FAULTS: u64 = 3;
-/// Largest number of faults in a schedule that are charged to a rollout, which are those that
-/// kill a slot while its worker runs. A third charged attempt would correctly quarantine the
-/// rollout, which is not the subject of these tests. Faults of the network, the disk, the
-/// coordinator and whole workers are never charged and therefore not limited.
+/// Largest number of charged faults in a schedule. A fault is charged to a rollout if it kills a
+/// slot while its worker runs. A third charged attempt would correctly quarantine the rollout,
+/// which is not the subject of these tests. Faults of the network, the disk, the coordinator and
+/// whole workers are never charged and therefore not limited.
 const MAX_CHARGED_FAULTS: usize = 2;
 /// Latest start of the last fault, milliseconds; the campaign is still running then.
 const LATEST_START_MS: u64 = 2_500;

@@ -4,7 +4,8 @@ use std::fmt;
 
 use pulldown_cmark::{CodeBlockKind, Event, Parser, Tag, TagEnd};
 
-/// Programs that reveal a block of commands without the language `sh`, which would not be run.
+/// Programs whose names show that a block holds commands, although it is not marked `sh` and so
+/// would not be run.
 const PROGRAMS: [&str; 11] = [
     "cargo",
     "coordinator",
@@ -163,7 +164,7 @@ fn action(
             name,
             text: text.to_owned(),
         })),
-        (_, Some(_)) => Err(error("the comment before it is for blocks marked `sh`")),
+        (_, Some(_)) => Err(error("the comment of this block is for blocks marked `sh`")),
         ("", None) if text.lines().any(is_command) => {
             Err(error("a block with commands must be marked `sh`"))
         }

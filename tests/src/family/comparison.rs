@@ -28,13 +28,13 @@ pub const MODEL_LOADS: u32 = 2;
 /// Side of the recorded pictures, pixels. Those with fog have 256, but fog draws equally many
 /// random numbers for any size.
 const SIDE: usize = 128;
-/// Pictures that the original draws and corrupts: that of the reset and those of ten waits.
+/// Pictures that the original draws and corrupts: one at the reset, and one at each of ten waits.
 const PICTURES: usize = 11;
 
 /// Differences from the original in one case.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    /// Dimension of LIBERO-Plus, ending of LIBERO-PRO's suites, or `sentences` for LIBERO-Para.
+    /// Dimension of LIBERO-Plus, last word of LIBERO-PRO's suite, or `sentences` for LIBERO-Para.
     pub group: String,
     /// Largest difference of any coordinate of a state.
     pub states: f64,
@@ -169,7 +169,7 @@ impl Comparison {
         let (subject, protocol) = match benchmark {
             Benchmark::Plus => {
                 let variant: Variant = rest.parse()?;
-                // `states.txt` has further postures of the released code.
+                // `states.txt` also has variants that only the released code accepts.
                 let Some(entry) = entry(&variant) else {
                     let lack = "not one of the benchmark's 10,030 variants";
                     return Ok(Err(Skipped(lack.to_owned())));
@@ -368,7 +368,7 @@ fn task_of(suite: ProSuite, name: &str) -> Result<TaskRef> {
     task.with_context(|| format!("{suite} has no task {name}"))
 }
 
-/// Returns the number of the task that a name of LIBERO-Para's file has.
+/// Returns the task's number in the name of a file of LIBERO-Para.
 fn number_of_task(name: &str) -> Result<usize> {
     let number = name.rsplit_once("_eval").map(|(_, rest)| rest);
     let number = number.and_then(|rest| rest.split_once("_ver"));

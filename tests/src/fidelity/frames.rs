@@ -23,7 +23,7 @@ const REFERENCE_DRIVER: &str = "llvmpipe (LLVM 15.0.6, 256 bits)";
 pub enum RendererRelation {
     /// OpenGL with the reference's driver on another machine.
     AnotherMachine,
-    /// OpenGL with another driver, or with other instructions of the processor.
+    /// OpenGL with another driver, or with the same driver and other processor instructions.
     AnotherDriver,
     /// OpenGL on the machine that recorded the reference.
     ThisMachine,
@@ -184,7 +184,7 @@ impl FrameFindings {
     }
 }
 
-/// Compares frames while the motion passes the recorded steps.
+/// Compares frames at the recorded steps of a motion.
 pub(super) struct Comparison<'a> {
     task: &'a ReferenceTask,
     drawer: &'a Drawer,
