@@ -69,7 +69,7 @@ fn one_build_of_each_dependency_serves_programs_and_tests() {
 /// Tools around the programs. They may use every crate, and no crate may use them.
 const TOOLS: [&str; 3] = ["tests", "xtask", "untrusted-input"];
 
-/// Libraries that mark a responsibility, with the crates that have it and may use the library.
+/// Libraries reserved for one responsibility, each with the crates that may use it.
 const LIBRARIES: [(&str, &[&str]); 8] = [
     ("mujoco-rs", &["sim"]),
     ("sqlx", &["queue"]),

@@ -141,7 +141,7 @@ fn workers_suspended_beyond_their_leases_lose_no_result() {
     assert_eq!(count(&fleet, "SELECT sum(stale_reports) FROM job"), 0);
 }
 
-/// Regression: three cuts quarantined running rollouts, and five stopped all workers.
+/// Regression: three outages quarantined the running rollouts, and five stopped all workers.
 #[test]
 fn repeated_network_outages_charge_neither_rollouts_nor_workers() {
     let mut fleet = Fleet::start(SlotKind::Simulated);

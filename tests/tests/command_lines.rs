@@ -11,8 +11,8 @@ const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 /// An address at which no server listens.
 const UNUSED_ADDRESS: &str = "127.0.0.1:9";
 
-/// Returns a command whose environment has only `variables`, and those with the paths of programs
-/// and libraries.
+/// Returns a command whose environment has only `variables`, and the variables with the paths of
+/// programs and libraries.
 fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Command {
     let mut command = Command::new("timeout");
     command.args(["--signal=TERM", "60"]).arg(program(name));

@@ -117,8 +117,8 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
     }
 }
 
-/// The generator draws for the picture of the reset and for every later picture, even if it is not
-/// rendered.
+/// Random numbers are drawn for the picture of the reset and for every later picture, even for one
+/// that is not rendered.
 #[test]
 fn corruption_draws_as_many_random_numbers_as_the_original() {
     let test = "corruption_draws_as_many_random_numbers_as_the_original";
@@ -287,7 +287,7 @@ fn rollouts_of_libero_para_start_as_the_originals() {
 }
 
 /// A model in the form of LIBERO-Plus' archive, as its code reads it: without an outer body. The
-/// archive's own models were not seen.
+/// archive's own models were not available.
 const ADDED_MODEL: &str = r#"<mujoco model="added">
   <asset><mesh name="shape" file="meshes/shape.obj"/></asset>
   <worldbody><body name="object">
@@ -302,8 +302,8 @@ const ADDED_SHAPE: &str = "v 0 0 0\nv 0.04 0 0\nv 0 0.04 0\nv 0 0 0.1\n\
     f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
 
 /// Checks a task's layout with the fewest added objects and the one with the most. Added objects
-/// turn by −90° about x, −180° about y and 180° about z; as MuJoCo reads these angles, the result
-/// is 90° about z.
+/// turn by −90° about x, −180° about y and 180° about z. MuJoCo reads the quaternion x y z w of
+/// these turns as w x y z, which is a turn by 90° about z.
 #[test]
 fn added_objects_are_placed_from_models_in_the_archives_form() {
     let test = "added_objects_are_placed_from_models_in_the_archives_form";

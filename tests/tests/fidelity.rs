@@ -292,8 +292,8 @@ fn the_arm_moves_as_in_the_original_with_any_asset_pack() {
             let qpos = environment.data().qpos(environment.model());
             let pairs = qpos.iter().zip(&motion.qpos[index]);
             for (ours, theirs) in pairs.chain(eef_pos.iter().zip(&motion.eef_pos[index])) {
-                // The solver handles all contacts of a scene together, so that other objects affect
-                // the arm by less than the solver's tolerance.
+                // The solver handles all contacts of a scene together, so other objects affect the
+                // arm too, by less than the solver's tolerance.
                 assert!(
                     (ours - theirs).abs() < 1e-7,
                     "{task}, step {step}: {ours} instead of {theirs}"

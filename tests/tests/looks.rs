@@ -281,8 +281,8 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
                 is_dark,
             };
             browser.set_screen(screen);
-            // Style sheets alone adapt the page to its width, except for pictures that a script
-            // scrolls to their middle once.
+            // A loaded page adapts to a new width by its style sheets alone, except for lattices,
+            // which a script scrolls to their middle only once after loading.
             if width == WIDTHS[0] || name == "explained-configuration" {
                 browser.go(&format!("{}{path}", campaigns.coordinator.url));
             }

@@ -131,8 +131,8 @@ impl ClusterCampaign {
             launch.arg("--into").arg(&scripts);
             launch.arg("--data").arg(cluster.path("campaigns"));
             #[rustfmt::skip]
-            // With one minute, Slurm ends jobs after 30 seconds, and starts them again 30 seconds later:
-            // the gateway might only run while the workers do not.
+            // With `--time 1`, Slurm ends jobs after 30 seconds, and starts them again 30 seconds
+            // later: the gateway might only run while the workers do not.
             launch.args([
                 "--assets", "primitives", "--partition", "low", "--time", "2", "--ahead-secs", "10",
                 "--workers", "2", "--slots", "1", "--drain-secs", "0",

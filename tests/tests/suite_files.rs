@@ -168,8 +168,8 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     assert_eq!(row["task"], "own/0");
     assert_eq!(row["waits"], 10);
 
-    // The unperturbed rollout of the task of which `plate` is a copy, under `plus-official`, whose
-    // rules the suite file has.
+    // Compares with the unperturbed rollout of the task that `plate` copies, under the protocol
+    // `plus-official`, whose rules the suite file repeats.
     let libero = suite.folder.path().join("libero");
     let mut command = Command::new(program("worker"));
     command.args(["variants", "--assets", "primitives", "--variant"]);
@@ -285,7 +285,8 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     );
 }
 
-/// Returns LIBERO-90 as shipped, with the first ten tasks whose objects the built-in pack has.
+/// Returns the shipped LIBERO-90, cut down to the first ten tasks whose objects the built-in pack
+/// has, one trial each and two steps.
 fn ten_of_libero_90() -> SuiteFile {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/suites/libero_90.json");
     let text = fs::read_to_string(path).expect("the shipped file");
@@ -295,7 +296,7 @@ fn ten_of_libero_90() -> SuiteFile {
     assert_eq!(suite.tasks.len(), 90);
     let sources = tests::files::sources();
     let pack = tests::files::primitives(&sources);
-    suite.tasks.retain(|task| can_show(task, &pack, &sources));
+    suite.tasks.retain(|task| composes(task, &pack, &sources));
     suite.tasks.truncate(10);
     assert_eq!(suite.tasks.len(), 10);
     file.trials = 1;
@@ -303,7 +304,7 @@ fn ten_of_libero_90() -> SuiteFile {
     file
 }
 
-fn can_show(task: &FileTask, pack: &AssetPack, sources: &Sources) -> bool {
+fn composes(task: &FileTask, pack: &AssetPack, sources: &Sources) -> bool {
     let files = TaskFiles {
         bddl: sources.bddl_file("libero_90", &task.name),
         init: sources.init_file("libero_90", &task.name),

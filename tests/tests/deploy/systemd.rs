@@ -85,7 +85,7 @@ fn units_use_only_flags_and_variables_that_programs_have() {
         assert!(!set.is_empty(), "{name}");
         for variable in set {
             let variable = variable.split('=').next().expect("a name");
-            // The parent folder of caches is a convention, not an option of the programs.
+            // The variable follows a general convention; the programs have no option for it.
             if variable == "XDG_CACHE_HOME" {
                 continue;
             }

@@ -1,6 +1,6 @@
 //! Prints every variant of every error with its whole chain of causes: no message has a raw phrase
-//! of a library, a missing part or a repeated word. A listed error with a missing variant does not
-//! compile; an error that is not listed is found in the sources.
+//! of a library, a missing part or a repeated word. A list that lacks a variant of its error does
+//! not compile, and a test searches the sources for errors without a list.
 
 mod gateway;
 mod simulation;
@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 
 use tests::phrases::raw_phrase;
 
-/// Errors that are not listed by themselves: three occur only inside listed errors, and `Outer` is
-/// of a unit test.
+/// Errors that are not listed by themselves: three occur only inside listed errors, and `Outer`
+/// belongs to a unit test.
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "MissingInput"];
 
 /// Errors whose messages are complete sentences; the messages of all others follow "failed to …".

@@ -41,7 +41,7 @@ impl NamedService for SinglePath {
     const NAME: &'static str = "rollout.coordinator.v1.OperatorService";
 }
 
-/// Servers that end when this is dropped.
+/// Set of servers, which end when the set is dropped.
 pub(crate) type Servers = JoinSet<Result<(), Error>>;
 
 /// Starts a server that implements the call of one path.
