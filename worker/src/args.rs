@@ -82,7 +82,7 @@ impl Arguments {
         };
         let checked = coordinator.map(|url| server_url(url)).transpose();
         checked.map_err(|problem| {
-            let problem = format!("--connect, or COORDINATOR_URL without it: {problem}");
+            let problem = format!("--connect, or else COORDINATOR_URL: {problem}");
             Self::command().error(ErrorKind::ValueValidation, problem)
         })?;
         Ok(arguments)
@@ -105,7 +105,7 @@ pub enum Command {
     /// until none is left; queries no policy
     Film(FilmArguments),
     /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files; with
-    /// --endpoint, runs them, and the tasks of variants unperturbed too
+    /// --endpoint, runs them and the unperturbed tasks of variants
     Variants(Box<VariantsArguments>),
     /// Lists, verifies and fetches asset packs
     Assets(AssetsArguments),

@@ -181,8 +181,8 @@ impl Provider {
         }
     }
 
-    /// Returns true if the files of a row have changed since `files` were taken, so that missing or
-    /// wrong files may have been corrected.
+    /// Returns true if the files of a row have changed since the stamps `files` were taken, so that
+    /// missing or wrong files may have been corrected.
     pub fn has_changed(&self, row: &ManifestRow, files: &FileStamps) -> bool {
         self.stamps(row) != *files
     }

@@ -229,7 +229,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     ))?;
     anyhow::ensure!(
         filmed.failed == 0,
-        "film {} more: the log says why",
+        "film {}: the log says why",
         counted(filmed.failed, "rollout")
     );
     Ok(())
@@ -393,7 +393,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     };
     let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
     let summary = match (rescued.saved_until, rescued.lost_from) {
-        (None, _) => "not saved at any tried step at which its perturbations end".to_owned(),
+        (None, _) => "not saved by ending its perturbations at any tried step".to_owned(),
         (Some(step), None) => {
             format!("saved if its perturbations end at step {step}, the policy's last query")
         }

@@ -219,14 +219,14 @@ pub enum FailureKind {
     /// The policy cannot be reached, is overloaded or has an unusable description. Not charged to
     /// the rollout.
     PolicyUnavailable,
-    /// The policy could be reached at the first query, and did not answer this or a later query.
-    /// Not charged to the rollout, unless the rollout loses its policy repeatedly.
+    /// The policy accepted the episode, but did not answer its first or a later query. Not charged
+    /// to the rollout, unless the rollout loses its policy repeatedly.
     PolicyLost {
         /// Number of queries that the policy had answered.
         answered: u32,
     },
-    /// The rollout did not begin or end for a reason of the worker: it is shutting down, the
-    /// slot's process had ended, or files could not be fetched. Not charged to the rollout.
+    /// The worker did not begin or did not finish the rollout: it is shutting down, the slot's
+    /// process had ended, or files could not be fetched. Not charged to the rollout.
     Draining,
 }
 

@@ -22,7 +22,7 @@ use transport::{
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::grpc::with_deadline;
 
-/// Longest wait for one answer. A policy that compiles itself must do so before it serves.
+/// Longest wait for one answer. A policy that compiles its network must do so before it serves.
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
 /// Longest wait for the acknowledgement of an episode's end.
 const END_DEADLINE: Duration = Duration::from_secs(2);

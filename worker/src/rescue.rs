@@ -37,8 +37,8 @@ pub enum RescueError {
     NotPerturbed(RolloutId),
     /// The rollout succeeds, so there is nothing to rescue.
     #[error(
-        "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails, \
-         with the policy and the assets with which it does"
+        "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails with \
+         this policy and these assets"
     )]
     Succeeds { id: RolloutId, steps: u32 },
     #[error(transparent)]
@@ -130,8 +130,8 @@ pub fn run(
     }
     let query_steps = query_steps.queried_at;
     tracing::info!(
-        "{id} fails; the policy was queried at {}; searching the last of them at which lifting \
-         the perturbations saves the rollout",
+        "{id} fails; the policy was queried at {}; searching for the last of them at which \
+         lifting the perturbations saves the rollout",
         terminal::counted(query_steps.len() as u64, "step")
     );
     let mut search = Search::new(query_steps.len());

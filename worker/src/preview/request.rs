@@ -44,8 +44,7 @@ pub(super) fn row(
     ManifestRow::new(id, config, init_id, perturbation)
 }
 
-/// Returns the action of a step in a sweep outwards and down, which shows gain, bias and
-/// misalignment.
+/// Returns the action of a step in a descending circle, which shows gain, bias and misalignment.
 pub(super) fn motion(step: usize) -> [f64; 7] {
     let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
     [

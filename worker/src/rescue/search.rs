@@ -18,7 +18,7 @@ pub(super) struct Search {
 /// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SearchResult {
-    /// No tried query saves the rollout; the first was tried.
+    /// No tried query saves the rollout; the first query is among the tried ones.
     NeverSaved,
     /// Lifting at `saved` saves the rollout, and lifting at the next query does not.
     SavedUntil {

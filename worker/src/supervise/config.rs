@@ -103,7 +103,7 @@ pub(super) struct Timing {
     pub(super) progress_timeout: Duration,
 }
 
-/// Time limits before registration, during which nothing is simulated.
+/// Time limits until the registration, before which nothing is simulated.
 pub(super) const TIMING_UNTIL_REGISTERED: Timing = Timing {
     heartbeat: Duration::from_secs(5),
     progress_timeout: Duration::from_secs(180),

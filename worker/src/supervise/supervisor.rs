@@ -523,8 +523,8 @@ impl Supervisor {
     }
 
     /// Handles a task's panic. If the task owned a slot's process, the process was killed with it.
-    /// If it was another task, the worker gives up, because it would renew the lease of a rollout
-    /// that waits for that task for ever.
+    /// If it was another task, the worker gives up; otherwise it would renew the lease of a rollout
+    /// for ever while the rollout waits for that task.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
         let owns = |slot: &Slot| matches!(&slot.process, Some(process) if process.task == task);
         if let Some(slot) = self.slots.iter().position(owns) {

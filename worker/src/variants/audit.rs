@@ -114,13 +114,13 @@ impl Audit {
     /// If one of the rollouts does not exist under the rules.
     pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
         let mut text = String::new();
-        let all = [(None, &self.runnable)];
+        let runnable = [(None, &self.runnable)];
         let lacking = self
             .lacking
             .0
             .iter()
             .map(|(lack, cases)| (Some(lack), cases));
-        for (lack, cases) in all.into_iter().chain(lacking) {
+        for (lack, cases) in runnable.into_iter().chain(lacking) {
             for case in cases {
                 let row = rules.row(case)?;
                 let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());

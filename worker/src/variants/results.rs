@@ -316,8 +316,8 @@ impl Tally {
 }
 
 impl fmt::Display for Tally {
-    /// Prints a table whose per cent are successes over rollouts, as in the published tables; the
-    /// last line counts all groups together.
+    /// Prints a table whose percentages are successes over rollouts, as in the published tables;
+    /// the last line counts all groups together.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,

@@ -147,7 +147,7 @@ async fn slots_end_with_a_worker_that_is_killed() {
     slots.into_iter().for_each(wait_for_the_end_of);
 }
 
-/// Rollout ids do not name the campaign, so that log lines must name it.
+/// Rollout ids do not name the campaign, so log lines must name it.
 #[tokio::test(flavor = "multi_thread")]
 async fn rollouts_of_two_campaigns_have_one_log_line_each() {
     if !ready("rollouts_of_two_campaigns_have_one_log_line_each") {

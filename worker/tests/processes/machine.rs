@@ -126,8 +126,8 @@ fn measured_slots_end_with_their_parent() {
     wait_for_the_end_of(slots[0]);
 }
 
-/// Regression: 100,000 slots were started one after the other: 5,000 processes, and no response to
-/// SIGTERM for eleven minutes.
+/// Regression: 100,000 slots were started one after the other; the worker reached 5,000 processes,
+/// and did not respond to SIGTERM for eleven minutes.
 #[test]
 fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
     if !ready("more_slots_than_the_machine_can_hold_are_refused_before_any_is_started") {

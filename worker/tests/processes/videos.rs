@@ -100,7 +100,7 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
         let commit = coordinator.message(number).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
-    // The worker tries to send each of the two videos twice.
+    // On average, four refusals are two tries for each video; the worker makes up to seven.
     coordinator.wait_for_refused_artifacts(4).await;
     coordinator.wait_for_claims(3).await;
     let log = worker.terminated();
