@@ -48,7 +48,7 @@ pub(crate) struct Options {
 /// original.
 struct Row {
     name: &'static str,
-    /// Target of the ratio or, if it has a unit, of this project's value.
+    /// Target of the ratio or, if the target has a unit, of this project's value.
     target: &'static str,
     unit: &'static str,
     /// Returns this project's value, the original's, and their ratio.

@@ -89,7 +89,7 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// How long one waits for the demo's report, `.ci/run`, and the tests of a changed line.
+    /// Waiting times for the demo's report, for `.ci/run`, and for the tests of a changed line.
     Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {

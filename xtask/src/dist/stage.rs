@@ -26,7 +26,7 @@ const SHELLS: [(&str, &str, &str, &str); 3] = [
 ];
 
 /// Extensions of the files that scenes are made from. No program reads the other files of the
-/// source folders, which together are twice as large.
+/// source folders, which together are twice as large as these.
 const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
 /// Folders of the archive for documents, and for the files that scenes are made from.
