@@ -1,5 +1,5 @@
-//! Every flag of every program with invalid values: each value is refused in this project's own
-//! words. The flags are taken from the programs' help.
+//! Every flag of every program with values that most flags refuse: each refusal is in this
+//! project's own words. The flags are taken from the programs' help.
 
 use std::path::Path;
 use std::process::{Command, Output};

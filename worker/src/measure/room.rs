@@ -62,7 +62,7 @@ fn remaining_memory(group: &Path) -> Option<u64> {
     })
 }
 
-/// Reads a field of `/proc/meminfo` or `/proc/PID/status`, converted from kibibytes to bytes.
+/// Reads a field of a text in the format of `/proc/meminfo`, converted from kibibytes to bytes.
 pub(super) fn bytes(text: &str, field: &str) -> Option<u64> {
     let value = text.lines().find_map(|line| line.strip_prefix(field))?;
     let number: u64 = value.split_whitespace().next()?.parse().ok()?;
