@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-/// Default of the free space that leasing requires, MiB: enough for the outcomes and videos of a
-/// few dozen rollouts.
+/// Default of the free space that leasing requires, MiB: enough for the outcomes and videos of
+/// more than a hundred rollouts.
 pub const DEFAULT_MIN_FREE_MIB: u64 = 256;
 
 /// Free space of a disk, and the space that leasing requires.

@@ -19,12 +19,14 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig};
 use queue::ids::shortened;
-use tokio::io::AsyncWriteExt;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 const S3: &str = "s3://";
 /// Retries of one request, and the time limit for all of them.
 const RETRIES: usize = 3;
 const RETRY_FOR: Duration = Duration::from_secs(20);
+/// Size of the parts in which a file is read and passed on, bytes.
+const COPIED_BYTES: usize = 64 * 1024;
 /// Longest quotation of the storage's error message, bytes; responses may have any length.
 const QUOTED_BYTES: usize = 500;
 
@@ -166,16 +168,27 @@ impl Storage {
         let mut from = tokio::fs::File::open(file).await.map_err(unreadable)?;
         let full_key = self.key(key);
         let mut to = BufWriter::new(self.store.clone(), full_key.clone());
-        let copied = tokio::io::copy(&mut from, &mut to).await;
-        let copied = match copied {
-            Ok(bytes) => to.shutdown().await.map(|()| bytes),
-            Err(error) => {
-                // An error of the abort is ignored; the copy's error is reported.
-                let _ = to.abort().await;
-                Err(error)
+        let mut part = vec![0; COPIED_BYTES];
+        let mut bytes = 0;
+        let copied = loop {
+            // Unlike `tokio::io::copy`, tells errors of the file from those of the storage.
+            let length = match from.read(&mut part).await {
+                Ok(0) => break Ok(()),
+                Ok(length) => length,
+                Err(error) => break Err(unreadable(error)),
+            };
+            if let Err(error) = to.write_all(&part[..length]).await {
+                break Err(self.failed("store", key, &error));
             }
+            bytes += length as u64;
         };
-        let bytes = copied.map_err(|error| self.failed("store", key, &error))?;
+        if let Err(error) = copied {
+            // An error of the abort is ignored; the copy's error is reported.
+            let _ = to.abort().await;
+            return Err(error);
+        }
+        let completed = to.shutdown().await;
+        completed.map_err(|error| self.failed("store", key, &error))?;
         let stored = self.store.head(&full_key).await;
         let stored = stored.map_err(|error| self.failed("find", key, &error))?;
         match stored.size == bytes {
@@ -335,6 +348,19 @@ mod tests {
         assert!(!into.exists());
         let fetched = storage.fetch("a.mp4", Some(1 << 20), &into).await;
         assert!(fetched.expect("an object of this size") && into.exists());
+    }
+
+    #[tokio::test]
+    async fn an_unreadable_file_is_no_error_of_the_storage() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let storage_folder = folder.path().join("storage");
+        let storage = Storage::open(&storage_folder.display().to_string()).expect("opens");
+        // A folder can be opened as a file, but not read.
+        let error = storage.put("a.mp4", folder.path()).await;
+        let error = error.expect_err("a folder is not a file");
+        assert!(matches!(error, StorageError::File { .. }), "{error}");
+        let stored = storage.read("a.mp4", None).await;
+        assert!(stored.expect("the storage works").is_none());
     }
 
     #[test]

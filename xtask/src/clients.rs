@@ -40,6 +40,8 @@ fn install(root: &Path, dir: &Path) -> Result<String> {
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there".to_owned());
     }
+    // An environment of other requirements must not count as complete if this one fails.
+    let _ = std::fs::remove_file(&stamp);
     new_environment(dir)?;
     let mut torch = pip(dir);
     torch.args([

@@ -261,11 +261,20 @@ mod tests {
     #[test]
     fn an_out_of_range_number_is_refused_by_name() {
         for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
-            let mut state = scene().state;
-            state.grip_pos[1] = number;
-            let refusal = Expert::default().act(&state).unwrap_err().to_string();
-            let expected = format!("grip_pos of 'gripper' is {number}");
-            assert!(refusal.contains(&expected), "{refusal}");
+            let valid = scene().joint("drawer_1_slide", 0.1).state;
+            let (mut position, mut joint, mut opening) = (valid.clone(), valid.clone(), valid);
+            position.grip_pos[1] = number;
+            joint.joints[0].1 = number;
+            opening.gripper_opening = number;
+            for (state, field) in [
+                (position, "grip_pos of 'gripper'"),
+                (joint, "position of 'drawer_1_slide'"),
+                (opening, "gripper_opening of 'gripper'"),
+            ] {
+                let refusal = Expert::default().act(&state).unwrap_err().to_string();
+                let expected = format!("{field} is {number}");
+                assert!(refusal.contains(&expected), "{refusal}");
+            }
         }
     }
 }

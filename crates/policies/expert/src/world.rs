@@ -86,6 +86,8 @@ const COMFORTABLE_REACH_M: f64 = 0.65;
 
 /// Largest coordinate or extent, m: LIBERO's rooms are a few metres wide.
 const LARGEST_M: f64 = 100.0;
+/// Largest position of a joint, rad or m: a knob may make some turns.
+const LARGEST_JOINT: f64 = 100.0;
 /// Largest component of a unit quaternion, with a margin for rounding.
 const LARGEST_OF_UNIT: f64 = 1.001;
 /// Largest number of objects, fixtures and regions of a scene.
@@ -115,6 +117,11 @@ impl World {
                 half: vec3(&e.half_extents, &e.name, "half_extents")?,
             });
         }
+        for (name, position) in &state.joints {
+            check_range(&[*position], LARGEST_JOINT, name, "position")?;
+        }
+        let opening = state.gripper_opening;
+        check_range(&[opening], LARGEST_M, "gripper", "gripper_opening")?;
         let grip = vec3(&state.grip_pos, "gripper", "grip_pos")?;
         let mut world = Self {
             entities,
@@ -124,7 +131,7 @@ impl World {
             grip,
             shoulder: grip + SHOULDER_FROM_REST,
             grip_quat: quat(&state.grip_quat_wxyz, "gripper")?,
-            opening: state.gripper_opening,
+            opening,
         };
         world.solids = solids(&world);
         Ok(world)

@@ -183,7 +183,7 @@ impl Security {
     /// Builds a gRPC server behind the gate.
     ///
     /// # Errors
-    /// If the certificate and the key are invalid.
+    /// If the certificate or the key is invalid.
     pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
         self.guarded(self.gate(resource, None))
     }
@@ -192,7 +192,7 @@ impl Security {
     /// path `log_in`.
     ///
     /// # Errors
-    /// If the certificate and the key are invalid.
+    /// If the certificate or the key is invalid.
     pub fn server_with_pages(
         &self,
         resource: fn(&str) -> Resource,
