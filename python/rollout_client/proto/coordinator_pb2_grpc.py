@@ -416,9 +416,9 @@ class OperatorServiceServicer(object):
     """
 
     def CreateCampaign(self, request, context):
-        """Expands a campaign into jobs: in one transaction, or, if it is large, in batches, until
-        the last of which it is hidden. If the name exists, the same specification adds nothing,
-        and a different specification is refused.
+        """Expands a campaign into jobs, in one transaction. A large campaign is expanded in batches,
+        and is hidden until the last batch. If the name exists, the same specification adds
+        nothing, and a different specification is refused.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -452,8 +452,8 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListJobs(self, request, context):
-        """Returns jobs of a campaign, page by page in paired-unit order: all conditions of one
-        configuration follow one another.
+        """Returns jobs of a campaign, page by page in the order of their creation: all conditions of one
+        configuration follow one another, except those that were added to the campaign later.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
