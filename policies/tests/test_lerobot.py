@@ -256,8 +256,8 @@ def test_a_large_tensor_that_differs_from_the_file_is_refused(altered, monkeypat
 
 
 def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
-    # If a file lacks the embedding, as the released files do, lerobot copies the head's weights
-    # into π0.5's embedding, but not into SmolVLA's.
+    # If a file of π0.5 lacks the embedding, as the released file does, lerobot copies the head's
+    # weights into it. For SmolVLA lerobot copies nothing, and such a file is refused.
     name, folder = altered
     if name not in ("smolvla", "pi05"):
         pytest.skip(f"{name} has no tied embeddings")

@@ -49,7 +49,7 @@ impl Front {
     }
 }
 
-/// Reason why no gateway can be started in front of a server. Reads after "failed to …".
+/// Reason why no gateway can be started in front of a server. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum FrontError {
     /// The address is invalid, or a TLS server has no certificate authority.

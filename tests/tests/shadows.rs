@@ -60,8 +60,8 @@ fn folder_with_scenes(pack: &Path) -> tempfile::TempDir {
     folder
 }
 
-/// Returns the text of a scene file with the case's attributes of lights. Its paths are valid one
-/// folder deeper.
+/// Returns the text of a scene file with the case's attributes of lights, for a file that lies one
+/// folder deeper: its relative paths begin with `../`.
 fn changed(text: &str, case: &Case) -> String {
     let mut text = text.replace("file=\"", "file=\"../");
     for (name, attributes) in &case.lights {
@@ -97,7 +97,7 @@ fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> 
         "{}_{}_light_sync_modified_{number}",
         problem.name, case.scene
     );
-    // The digest only identifies the pack in results, and this test stores none.
+    // `lights` is given as the pack's digest, which only appears in results; this test stores none.
     let pack = AssetPack::open_known(folder.to_str().unwrap(), sources, "lights").unwrap();
     let scene = compose(&problem, &pack, sources, ENV_SEED).unwrap();
     let mut environment = Environment::new(scene, &pack, sources).unwrap();

@@ -9,7 +9,8 @@ four kinds of clause, which ``FRAMES`` turn into sentences:
 - ``must``: a whole sentence about the objects, "the bowl belongs on the plate";
 - ``is``: the final state, "the bowl is on the plate".
 
-All entries were written from general English.
+All entries were written without looking at the paraphrases of the benchmark's language axis, which
+are held out from training.
 """
 
 from training.grammar.sentences import FRAMES

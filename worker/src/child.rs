@@ -26,7 +26,7 @@ pub(crate) fn connection() -> io::Result<(UnixStream, Stdio)> {
     Ok((parent_end, Stdio::from(OwnedFd::from(child_end))))
 }
 
-/// Describes how a process ended; reads after "the process".
+/// Describes how a process ended; the text follows the words "the process".
 pub(crate) fn explain_status(status: ExitStatus, kills: Verdict) -> String {
     match (status.code(), status.signal()) {
         (_, Some(9)) => format!("was killed by SIGKILL{}", kills.explanation()),

@@ -174,7 +174,7 @@ impl Filming<'_> {
     }
 }
 
-/// Films a rollout to `file`. The error reads after "failed to …".
+/// Films a rollout to `file`. The error follows the words "failed to".
 fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> Result<(), String> {
     let replay = Replay {
         row: &rollout.row,

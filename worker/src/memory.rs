@@ -59,7 +59,7 @@ impl OomKills {
 }
 
 impl Verdict {
-    /// Explains the cause; reads after "was killed by SIGKILL".
+    /// Explains the cause; the text follows the words "was killed by SIGKILL".
     pub(crate) fn explanation(self) -> &'static str {
         match self {
             Self::GroupLimit => {

@@ -83,8 +83,9 @@ impl VideoEncoder {
         })
     }
 
-    /// Adds a frame: RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom, as the simulator renders
-    /// it; the first camera's frame goes to the left.
+    /// Adds a frame of the video, which shows the picture of the first camera on the left and that
+    /// of the second on the right. Pictures are RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom,
+    /// as the simulator renders them.
     ///
     /// # Errors
     /// If a pane has another size, or the encoder fails.
@@ -105,7 +106,7 @@ impl VideoEncoder {
     /// Finishes the video and returns the MP4 file.
     ///
     /// # Errors
-    /// If no frame was added.
+    /// If the MP4 file cannot be built, for example because it would exceed 4 GiB.
     pub fn finish(mut self) -> Result<Vec<u8>, VideoError> {
         self.muxer.finish_in_place()?;
         Ok(self.muxer.into_writer())

@@ -10,7 +10,7 @@ use super::name::{RouteName, RouteNameError};
 /// Largest number of replicas of one checkpoint.
 pub const MAX_REPLICAS: usize = 64;
 
-/// Reason why a configuration is invalid. Reads after "failed to …".
+/// Reason why a configuration is invalid. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// No route is given.

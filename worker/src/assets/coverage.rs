@@ -70,7 +70,7 @@ impl Coverage {
         }
     }
 
-    /// Returns the reason why a task cannot be shown; reads after "failed to …".
+    /// Returns the reason why a task cannot be shown; the text follows the words "failed to".
     fn reason_not_shown(
         &mut self,
         problem: &Problem,

@@ -91,7 +91,7 @@ fn raise_open_files() -> u64 {
 }
 
 impl Machine {
-    /// Describes the resource that `slots` slots exhaust; reads after "start N slots:".
+    /// Describes the resource that `slots` slots exhaust; the text follows "start N slots:".
     fn shortage(self, slots: usize) -> Option<String> {
         let count = slots as u64;
         if slots > self.cores.saturating_mul(MAX_PER_CORE) {

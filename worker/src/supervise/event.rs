@@ -12,7 +12,7 @@ use crate::message::SlotEvent;
 /// End of a slot's process.
 #[derive(Debug)]
 pub(crate) struct ProcessEnd {
-    /// Description of the end, such as "exited with code 1"; reads after "the process".
+    /// Description of the end, such as "exited with code 1"; it follows the words "the process".
     pub(crate) description: String,
     /// The last lines that the process printed; the worker has relayed them already.
     pub(crate) last_lines: Vec<String>,

@@ -47,7 +47,8 @@ struct Slot {
     process: Option<SlotProcess>,
     /// Number of starts of the slot's process.
     starts: u64,
-    /// Assignment of the current or the last job, whose scene the process has compiled.
+    /// Assignment of the current job, or else of the last one. Claims name its task, whose scene
+    /// the slot's process has usually compiled.
     assignment: Option<Assignment>,
     /// Campaign of `assignment`.
     campaign: String,

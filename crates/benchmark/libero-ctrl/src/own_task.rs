@@ -23,7 +23,7 @@ impl Beginning {
     }
 }
 
-/// Conditions of a task that differ from LIBERO's.
+/// Settings of a task that differ from LIBERO's, and a checksum of its files.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// Camera pose as LIBERO-Plus' five numbers: horizontal and vertical angle, distance in per
@@ -42,7 +42,7 @@ pub struct Changes {
     pub sha256: Option<String>,
 }
 
-/// Files and conditions of a row of a suite file.
+/// Files and settings of a row of a suite file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OwnTask {
@@ -56,7 +56,7 @@ pub struct OwnTask {
     pub start: Beginning,
     /// Seed of the environment's generator.
     pub seed: u32,
-    /// Further conditions.
+    /// Further settings.
     #[serde(default)]
     pub changes: Changes,
 }

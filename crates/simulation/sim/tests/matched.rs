@@ -111,7 +111,7 @@ fn actions(stage: &mut ActuationStage) -> Vec<f64> {
 }
 
 fn nominal_camera() -> CameraPose {
-    // Half a turn about the axis between z and x, so that the camera looks along −x.
+    // A quarter turn about y, so that the camera looks along −x.
     let half = std::f64::consts::FRAC_1_SQRT_2;
     CameraPose {
         position: [0.9, 0.1, 1.4],

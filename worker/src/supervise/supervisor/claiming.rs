@@ -207,7 +207,7 @@ impl Supervisor {
         }
     }
 
-    /// Builds a slot's assignment from a lease. The error reads after "failed to …".
+    /// Builds a slot's assignment from a lease. The error follows the words "failed to".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
         let mut row: libero_ctrl::ManifestRow =
             serde_json::from_str(&lease.manifest_row).map_err(|error| {

@@ -35,7 +35,8 @@ impl Entry {
         }
     }
 
-    /// Returns true if all textures that the variant replaces are LIBERO's own.
+    /// Returns true if the floor and wall textures that the variant uses in place of its parent's
+    /// are LIBERO's own.
     pub fn uses_liberos_styles(&self) -> bool {
         let styles = self
             .class

@@ -46,8 +46,8 @@ pub(super) struct Terms {
 /// Derives the terms from a server's HELLO.
 ///
 /// # Errors
-/// If the server cannot be run. The text includes the remedy, and reads after "the policy server
-/// cannot be run here:".
+/// If the server cannot be run. The text includes the remedy, and follows the words "the policy
+/// server cannot be run here:".
 pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Terms, String> {
     let version = lookup(hello, "protocol_version");
     if version != Some(&VERSION.into()) {

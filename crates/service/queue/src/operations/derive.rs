@@ -3,7 +3,7 @@
 //! Derived jobs are a pure function of the outcomes, and jobs are only ever added. They are
 //! therefore recomputed after every settled job and at every start, which also repairs interrupted
 //! work. A campaign is skipped if its own outcomes and its source's are unchanged since the last
-//! pass, so a finished campaign costs one row a pass.
+//! pass, so that a pass reads one row for a finished campaign.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;

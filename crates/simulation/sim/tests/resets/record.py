@@ -4,7 +4,7 @@
 
 Needs hf-libero 0.1.4, robosuite 1.4.0 and MuJoCo 3.3.7 with LIBERO's assets. No frame is
 rendered. Every scenario seeds NumPy's global generator, constructs an environment and
-resets it several times, with a few steps after each reset.
+resets it several times, with a few steps after each reset except in the crowded scene.
 """
 
 import hashlib
@@ -108,7 +108,8 @@ def record(name, seed, hard, resets):
             "fixtures": fixtures(env),
             "qpos": state[1 : 1 + env.sim.model.nq].tolist(),
         }
-        # If objects touch one another, the arm's motion depends on their meshes.
+        # In the crowded scene objects touch one another. Steps would depend on their meshes, and
+        # the test also runs with the shapes of `primitives`.
         if name != CROWDED:
             for _ in range(STEPS):
                 env.step(ACTION)
