@@ -338,7 +338,7 @@ class Group:
         self._step_count += taken
 
     def _end(self, index: int, outcome: Outcome) -> None:
-        """Passes a finished episode to the writer."""
+        """Ends an episode, and passes it to the writer if it is to be stored."""
         count, steps = self._frame_count[index], self._step_count[index]
         self._frame_count[index] = 0
         takes_turns = self._student_takes_turns[index]

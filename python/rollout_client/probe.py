@@ -49,7 +49,7 @@ class Finding:
 #: The coordinator answers the diagnosis: only the failed call lost its connection.
 BROKEN = Finding(
     "the connection ended before the answer came",
-    "try again; the coordinator's log says why, if it failed",
+    "try again; if the coordinator failed, its log says why",
     is_final=False,
 )
 OLDER = Finding(

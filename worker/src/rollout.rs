@@ -35,8 +35,8 @@ pub struct Step {
 
 /// Observes a rollout, and may abandon it.
 pub trait Watcher {
-    /// Called after the scene is composed and after every control step, including settling.
-    /// `Break` abandons the rollout.
+    /// Called after the scene is composed, after settling and after every later control step.
+    /// `control_steps` includes the steps of settling. `Break` abandons the rollout.
     fn progress(&mut self, control_steps: u32) -> ControlFlow<()>;
 
     /// Called with each observation before the policy is queried.

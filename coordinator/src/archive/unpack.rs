@@ -316,8 +316,7 @@ impl ArchiveReader<'_> {
         Ok(())
     }
 
-    /// Returns the next raw entry; `member` is the expected member in the error of an archive that
-    /// has no further entry.
+    /// Returns the next raw entry. Errors name `member`, which is expected there.
     fn next_entry<'a>(
         &self,
         entries: &mut Members<'a>,

@@ -101,8 +101,8 @@ struct Ranges {
 }
 
 impl Bounds {
-    /// Computes the bounds over configurations of one level and replicate; `None` if no
-    /// configuration without a missing rollout has a quarantined one.
+    /// Computes the bounds over configurations of one level and replicate without a missing
+    /// rollout; `None` if none of these has a quarantined rollout.
     pub fn of(configurations: &[Matched]) -> Option<Self> {
         let (mut n, mut affected) = (0, 0);
         let mut ranges = Ranges::default();

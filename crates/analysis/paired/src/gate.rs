@@ -30,8 +30,8 @@ pub struct Gate {
     pub verdict: GateVerdict,
     /// Equivalence p-value: tests the hypothesis that the policy's rate on these tasks differs
     /// from `published`, taken as exact, by more than [`GATE_TOLERANCE`]. A small value
-    /// confirms the reproduction instead of merely not refuting it. Absent if no task has two
-    /// nominal rollouts or outcomes do not vary within tasks.
+    /// confirms the reproduction instead of merely not refuting it. Absent if a task has fewer
+    /// than two nominal rollouts, or if outcomes vary within no task.
     pub equivalence_p: Option<f64>,
 }
 

@@ -259,6 +259,11 @@ impl Records {
         self.axes.iter().copied()
     }
 
+    /// Returns true if simultaneous rollouts are recorded.
+    pub fn has_simultaneous(&self) -> bool {
+        self.has_simultaneous
+    }
+
     /// Returns the outcome of a rollout; [`Outcome::Missing`] if it is not recorded.
     pub(crate) fn outcome(&self, replicate: u32, id: RolloutId) -> Outcome {
         let outcome = self.outcomes.get(&(replicate, id));

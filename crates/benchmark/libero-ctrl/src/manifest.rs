@@ -138,7 +138,10 @@ impl fmt::Display for Difference {
                 column,
                 left,
                 right,
-            } => write!(f, "{id}: {column} is {left} and {right}"),
+            } => write!(
+                f,
+                "{id}: {column} is {left} in the first manifest, {right} in the second"
+            ),
         }
     }
 }
@@ -499,9 +502,10 @@ mod tests {
             .collect();
         assert_eq!(differences.len(), 3, "{differences:?}");
         let all = differences.join("\n");
-        assert!(
-            all.contains("spatial/t0/camera/L1/c00: perturb.d_azimuth_deg is 0.063986 and 1.0")
-        );
+        assert!(all.contains(
+            "spatial/t0/camera/L1/c00: perturb.d_azimuth_deg is 0.063986 in the first manifest, 1.0 \
+             in the second"
+        ));
         assert!(
             all.contains("language is \"pick up the black bowl"),
             "{all}"

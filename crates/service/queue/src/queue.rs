@@ -236,8 +236,9 @@ impl Queue {
         self.release_after(attempt, reason, error, None).await
     }
 
-    /// Ends a lease like [`release`](Self::release), for a policy that became unreachable after it
-    /// had answered `answered` queries; `None` if it was unreachable at the first query.
+    /// Ends a lease like [`release`](Self::release). `answered` is the number of queries that the
+    /// policy answered before it became unreachable; `None` if it was never reached, or the attempt
+    /// failed for another reason.
     ///
     /// # Errors
     /// If the attempt is unknown or the database fails.

@@ -60,13 +60,13 @@ impl ServerKind {
     }
 }
 
-/// Settings of a client's address and certificate authority: remedies name
-/// these.
+/// Options of a client that set the server's address and certificate authority, as remedies name
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// Setting of the address, such as `--connect`.
+    /// Option for the address, such as `--connect`.
     pub address: &'static str,
-    /// Setting of the certificate authority, such as `--ca`.
+    /// Option for the certificate authority, such as `--ca`.
     pub authority: &'static str,
     /// Prefix of addresses without TLS, such as `http://`.
     pub clear: &'static str,
@@ -422,9 +422,7 @@ impl fmt::Display for Remedy<'_> {
                     "implement every call of rollout.policy.v1, which policy.proto describes"
                 }
             }),
-            ProbeResult::Broken => {
-                f.write_str("try again; the server's log says why, if it failed")
-            }
+            ProbeResult::Broken => f.write_str("try again; if the server failed, its log says why"),
         }
     }
 }

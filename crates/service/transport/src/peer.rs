@@ -34,8 +34,8 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Creates the peer at an endpoint, where a server of `kind` is expected. `settings` name the
-    /// client's settings of the address in remedies.
+    /// Creates the peer at an endpoint, where a server of `kind` is expected. `settings` are
+    /// the client's options that remedies name.
     pub fn new(endpoint: Endpoint, access: &Access, kind: ServerKind, settings: Settings) -> Peer {
         Peer {
             endpoint,

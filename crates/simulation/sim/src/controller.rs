@@ -127,14 +127,14 @@ impl Controller {
         ((*pos).into(), row_by_row)
     }
 
-    /// Restores the state of new controllers.
+    /// Resets the arm's controller and the ramp of the gripper.
     pub fn reset(&mut self) {
         self.reset_arm();
         self.gripper = [0.0; 2];
     }
 
-    /// Restores the state of new controllers, except for the position of the gripper's ramp, which
-    /// robosuite stores with its model.
+    /// Resets the arm's controller. The gripper's ramp keeps its position, which robosuite stores
+    /// with its model; the goal's position is set with the next action.
     pub fn reset_arm(&mut self) {
         self.last_pose = (self.reset_arm.pos, self.reset_arm.orientation);
         self.goal_orientation = self.reset_arm.orientation;

@@ -33,7 +33,7 @@ class Exceptions:
     Patterns have shell syntax: `*` matches anything.
     """
 
-    #: Pairs of names of one tensor; a file may hold only one name of a pair.
+    #: Pairs of names of one tensor; a file may lack either name of a pair.
     tied: Mapping[str, str] = field(default_factory=dict)
     #: Tensors of the network that actions do not use: a file may lack them.
     unused: tuple[str, ...] = ()

@@ -2,8 +2,8 @@
 //!
 //! An outcome is true, false or empty. For each empty outcome of a perturbed condition that the
 //! campaign runs, the column `unresolved` says whether the rollout is missing or quarantined. For
-//! each outcome, `…_goal` is the largest share of the goal's predicates that held together, and
-//! `…_steps` the number of control steps of the rollout.
+//! nominal, single-axis and simultaneous rollouts, `…_goal` is the largest share of the goal's
+//! predicates that held together, and `…_steps` the number of control steps.
 
 use libero_ctrl::{Axis, Condition};
 use paired::{Matched, Outcome, Progress};
@@ -63,7 +63,7 @@ fn columns<'a>() -> [Column<Row<'a>>; 36] {
                     .map(|transition| transition.name().to_owned()),
             )
         }),
-        ("unresolved", Text, |(_, m)| unresolved(m)),
+        ("unresolved", Text, unresolved),
         ("nominal_goal", Real, |row| goal(row, Condition::Clean)),
         ("nominal_steps", Integer, |row| steps(row, Condition::Clean)),
         ("camera_goal", Real, |row| {
@@ -126,11 +126,13 @@ fn steps((analysis, matched): &Row<'_>, condition: Condition) -> Value {
 }
 
 /// Lists the campaign's perturbed conditions under which the configuration has no outcome.
-fn unresolved(matched: &Matched) -> Value {
+fn unresolved((analysis, matched): &Row<'_>) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
+    let simultaneous = analysis.records.has_simultaneous();
+    let simultaneous = simultaneous.then_some(Condition::Combination);
     let unresolved = alone
         .chain(matched.latency.map(|_| Condition::Latency))
-        .chain([Condition::Combination])
+        .chain(simultaneous)
         .filter_map(|condition| match matched.outcome(condition) {
             Outcome::Missing => Some(format!("{condition} missing")),
             Outcome::Quarantined => Some(format!("{condition} quarantined")),

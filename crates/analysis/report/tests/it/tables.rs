@@ -1,5 +1,6 @@
 //! The table of configurations, as CSV and as Parquet.
 
+use libero_ctrl::Condition;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{Document, ResultRow, write_csv, write_parquet, write_results_parquet};
 use serde_json::Value;
@@ -27,6 +28,25 @@ fn the_csv_table_has_a_row_per_configuration() {
     for row in incomplete {
         assert!(row[unresolved].contains("missing") || row[unresolved].contains("quarantined"));
     }
+}
+
+#[test]
+fn a_campaign_without_simultaneous_rollouts_misses_none() {
+    let mut subject = example();
+    subject
+        .records
+        .retain(|record| record.id.condition() != Condition::Combination);
+    let mut bytes = Vec::new();
+    write_csv(&document(vec![subject]), &mut bytes).expect("written");
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let names = reader.headers().expect("names").clone();
+    let unresolved = names.iter().position(|name| name == "unresolved");
+    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("rows");
+    assert_eq!(rows.len(), 1200);
+    assert!(
+        rows.iter()
+            .all(|row| row[unresolved.expect("a column")].is_empty())
+    );
 }
 
 #[test]
