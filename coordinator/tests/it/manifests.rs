@@ -173,10 +173,7 @@ fn differences_are_named_by_row_and_column() {
     let output = manifest("diff", &[&original, &copy]);
     assert_eq!(output.status.code(), Some(1));
     let printed = text(&output.stdout);
-    assert!(
-        printed.contains(", \"sing\" in the second\n"),
-        "{printed}"
-    );
+    assert!(printed.contains(", \"sing\" in the second\n"), "{printed}");
     let removed = removed["rollout_id"].as_str().expect("text");
     assert!(
         printed.contains(&format!("{removed}: only in the first manifest\n")),
