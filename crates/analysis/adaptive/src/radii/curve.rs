@@ -47,13 +47,13 @@ pub struct Curve {
     /// True if radii between those of the grid are run, that is, if language is not
     /// perturbed.
     pub is_bisected: bool,
-    /// Number of configurations in the curve: those with outcomes on the whole grid, and
-    /// those that fail nominally.
+    /// Number of configurations in the curve: those that fail nominally, and those that succeed
+    /// nominally with no rollout of the grid missing; outcomes of the grid may be quarantined.
     pub n: u64,
     /// Number of tasks of these configurations.
     pub tasks: usize,
-    /// Number of excluded configurations: outcomes of the grid are missing, or the nominal
-    /// rollout has no outcome.
+    /// Number of excluded configurations: a rollout of the grid is missing, or the nominal rollout
+    /// has no outcome.
     pub left_out: u64,
     /// Configurations that fail nominally.
     pub nominal_fails: u64,
@@ -63,7 +63,7 @@ pub struct Curve {
     /// Configurations that are censored below the largest radius because its outcome is
     /// quarantined.
     pub censored: u64,
-    /// Configurations that succeed again at a radius beyond a failure.
+    /// Configurations that succeed again at a radius beyond a failure, including excluded ones.
     pub not_monotone: u64,
     /// Points of the curve from radius 0 on, with linear interpolation between them. Empty
     /// without a configuration.
@@ -95,12 +95,12 @@ pub struct HalfSuccess {
     /// nominally, more than half survive up to the largest radius, or the condition perturbs
     /// language, so that brackets are not narrowed.
     pub radius: Option<f64>,
-    /// Range of the radius for these configurations over all positions of the thresholds in
-    /// their brackets; `None` without a configuration.
+    /// Range of the radius over all positions of the thresholds in their brackets; `None` without a
+    /// configuration.
     pub bounds: Option<Interval>,
-    /// Interval by resampling tasks, including the uncertainty of brackets. An end at 0 means
-    /// that fewer than half succeed nominally; an end at the largest radius means that half or
-    /// more survive there.
+    /// Interval by resampling tasks, including the uncertainty of brackets. A lower end at 0 means
+    /// that possibly no more than half survive beyond radius 0; an upper end at the largest radius
+    /// means that possibly half survive up to every smaller one.
     pub ci95: Option<Interval>,
     /// Reason why there is no interval.
     pub no_interval: Option<NoInterval>,

@@ -30,8 +30,8 @@ impl Outcomes<Level> {
         self.at(Level::L0).unwrap_or_default()
     }
 
-    /// Returns the outcome at a radius, quarantined if results contradict each other; `None` if
-    /// no rollout was requested.
+    /// Returns the outcome of most results at a radius. Without a majority it is missing while a
+    /// rollout is pending, and quarantined otherwise. `None` if no rollout was requested.
     pub fn at(&self, level: Level) -> Option<Outcome> {
         let tally = self.both(level);
         match tally.majority() {
@@ -49,7 +49,7 @@ impl Outcomes<Level> {
         perturbed.filter_map(|level| Some((level, self.at(level)?)))
     }
 
-    /// Returns the radii beyond 0 whose outcome is known to be a success, or a failure, in
+    /// Returns the radii beyond 0 that are known to succeed, or to fail if `success` is false, in
     /// ascending order.
     pub(crate) fn levels(&self, success: bool) -> impl DoubleEndedIterator<Item = Level> {
         let matches = move |outcome: Outcome| outcome.success() == Some(success);

@@ -21,7 +21,7 @@ pub enum Threshold {
         /// Smallest failing radius.
         fails_at: Level,
     },
-    /// The largest radius of the grid succeeds and no radius fails: the threshold is
+    /// The largest radius of the grid succeeds and no radius is known to fail: the threshold is
     /// right-censored at the largest radius.
     Beyond,
     /// No radius is known to fail, and the largest radius has no outcome: the threshold is
@@ -39,8 +39,8 @@ pub struct Finding {
     pub threshold: Threshold,
     /// Radii beyond the threshold that succeed, so that the ray is not monotone.
     pub recovers_at: Vec<Level>,
-    /// True if no outcome at a radius of the grid is missing. An outcome that is still missing may
-    /// be a failure at a smaller radius.
+    /// True if the nominal rollout fails, or if it succeeds and no rollout of the grid is missing.
+    /// A missing rollout may turn out to fail at a smaller radius.
     pub is_grid_complete: bool,
 }
 

@@ -22,8 +22,8 @@ use crate::source::decisive;
 /// of the explaining campaign decide.
 ///
 /// # Errors
-/// If the explained campaign perturbs only one axis, or `explained` has a rollout and replicate
-/// twice.
+/// If the explained campaign perturbs fewer than two axes, `explained` has a rollout and replicate
+/// twice, or `explaining` perturbs an axis that the explained campaign lacks.
 pub fn configurations(
     explained: &[Record],
     explaining: &[Record],
@@ -64,7 +64,8 @@ fn simultaneous(task: TaskRef, level: Level, config: u16) -> Option<RolloutId> {
 /// the axes itself.
 ///
 /// # Errors
-/// If the campaign perturbs only one axis, or `records` has a rollout and replicate twice.
+/// If the campaign perturbs fewer than two axes alone, has a subset with any other axis, or has the
+/// same rollout of replicate 0 twice, unless it is under a subset.
 pub fn own_configurations(
     records: &[Record],
 ) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {

@@ -9,9 +9,9 @@ use crate::outcomes::Tally;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The rollout or the majority succeeds.
+    /// The rollout succeeds, or a significant majority of the replicates does.
     Success,
-    /// The rollout or the majority fails.
+    /// The rollout fails, or a significant majority of the replicates does.
     Failure,
     /// No rollout was requested.
     NotRun,
@@ -24,7 +24,8 @@ pub enum Verdict {
     },
     /// Every rollout is quarantined: the outcome is unknown and no rollout runs again.
     Quarantined,
-    /// Undecided after the largest allowed number of rollouts.
+    /// Undecided after the largest allowed number of rollouts, or because the results of a
+    /// deterministic policy contradict each other.
     Undecided,
 }
 

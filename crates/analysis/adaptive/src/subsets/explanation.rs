@@ -62,8 +62,8 @@ pub struct Answer {
 pub struct MinimalSubset {
     /// The axes, including those of the start.
     pub set: AxisSet,
-    /// Subsets without a verdict strictly between the start and `set`; any of them might
-    /// flip the outcome.
+    /// Subsets strictly between the start and `set` that have no verdict; any of them might flip
+    /// the outcome.
     pub open: Vec<AxisSet>,
     /// Largest proper subsets of `set` that were run and do not flip the outcome, or the
     /// start if there are none. Comparison with them shows the contribution of each axis.
@@ -72,7 +72,7 @@ pub struct MinimalSubset {
 
 impl MinimalSubset {
     /// Returns true if the subset is certainly minimal, because all subsets strictly between the
-    /// start and `set` were run.
+    /// start and `set` have a verdict.
     pub const fn is_established(&self) -> bool {
         self.open.is_empty()
     }

@@ -19,7 +19,7 @@ pub struct Lattice {
     outcomes: Outcomes<AxisSet>,
 }
 
-/// Error in the axes of a campaign or of a rollout.
+/// Reason why the configurations of a campaign cannot be explained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LatticeError {
     /// The campaign has fewer than two axes.
@@ -68,8 +68,8 @@ impl Lattice {
     }
 
     /// Adds the outcomes of one replicate of the explained campaign: under each axis alone, under
-    /// all axes, and nominally. A nominal rollout without an outcome is skipped, because no
-    /// decision waits for it.
+    /// all axes, and nominally. A missing nominal rollout is skipped, because no decision waits for
+    /// it.
     ///
     /// # Errors
     /// If the replicate has an axis that the campaign lacks.
@@ -210,7 +210,7 @@ impl Lattice {
         self.full.axes().map(AxisSet::of as fn(Axis) -> AxisSet)
     }
 
-    /// Returns true if every campaign runs this subset: no axis, one axis, or all axes.
+    /// Returns true if an ordinary campaign runs this subset: no axis, one axis, or all axes.
     pub(crate) fn is_of_campaign(&self, set: AxisSet) -> bool {
         set.len() < 2 || set == self.full
     }

@@ -103,8 +103,8 @@ mod tests {
 
     use crate::subsets::evidence::Evidence;
 
-    /// Returns configurations in which only the pair of the first two axes and the full set
-    /// are known to fail.
+    /// Returns configurations with the outcomes of an ordinary campaign, of which only the full set
+    /// fails. Every other set with camera and lighting would fail as well.
     fn transitions(count: usize) -> BTreeMap<RolloutId, Lattice> {
         let id = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
         let ids = TaskRef::all().map(|task| id(task).expect("a perturbed level"));

@@ -44,9 +44,9 @@ pub struct SubsetOutcome {
     pub tally: Tally,
     /// With repeats, counts of the outcomes of the explained campaign, which are not evidence.
     pub selecting: Option<Tally>,
-    /// With repeats, the Clopper–Pearson interval of the success probability
-    /// at the level of one test; it excludes ½ if and only if the verdict is
-    /// success or failure. Absent for a deterministic policy, and without a result.
+    /// With repeats, the Clopper–Pearson interval of the success probability at the level of one
+    /// test; while no rollout is pending, it excludes ½ if and only if the verdict is success or
+    /// failure. Absent for a deterministic policy, and without a result.
     pub interval: Option<Interval>,
 }
 
