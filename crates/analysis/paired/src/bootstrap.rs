@@ -40,8 +40,8 @@ impl Bootstrap {
     /// 2.5th and 97.5th percentile of the statistics' values over all
     /// resamplings. `statistics` gets the number of times that each cluster was drawn.
     ///
-    /// Resampling k depends on the seed and k alone, so that the result does not depend
-    /// on the number of threads. `None` with fewer than two clusters.
+    /// Resampling k depends on the seed and k alone, so that the result does not depend on the
+    /// number of threads. `None` with fewer than two clusters or without resamplings.
     ///
     /// Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap
     /// (1993), section 13.3; tasks as clusters: section 6 of the protocol.

@@ -9,7 +9,7 @@ use crate::report::{Cell, Report};
 use crate::table::gate_lines;
 use crate::text::{ABSENT, listed, percent, push_columns, push_wrapped, separate};
 
-/// Writes the report for readers who do not know the protocol's symbols: notes, three
+/// Writes the report for readers who do not know the protocol's symbols: notes, up to three
 /// sentences, success by condition in percent, the gates, and sentences about directions and
 /// missing outcomes. The text covers replicate 0 only, and of the sentences about a level only
 /// those about the last level.
@@ -92,7 +92,7 @@ fn push_success(text: &mut String, report: &Report) {
     push_columns(text, &rows);
 }
 
-/// Writes the sentence about rollouts without an outcome, if there are any.
+/// Returns the sentence about rollouts without an outcome; `None` if there are none.
 fn incomplete(report: &Report) -> Option<String> {
     let mut gaps: Vec<_> = report
         .nominal

@@ -87,16 +87,17 @@ pub struct ComparedCell {
     pub condition: Condition,
     /// Rollouts that can be paired.
     pub shared: u64,
-    /// Rollouts without a result for A or for B; excluded from all figures.
+    /// Rollouts that are missing for A or for B; excluded from all figures.
     pub missing: u64,
     /// Rollouts missing for neither policy and quarantined for at least one; excluded from
     /// the rates, included in `bounds`.
     pub quarantined: u64,
     /// Difference over the rollouts with an outcome for both policies; absent if there are none.
     pub difference: Option<Difference>,
-    /// Differences in partial progress; absent if no rollout's progress is known for both policies.
+    /// Differences in partial progress; absent if no rollout has an outcome and known progress for
+    /// both policies.
     pub progress: Option<ProgressDifference>,
-    /// Worst and best case; absent if no rollout is quarantined.
+    /// Worst and best case; absent if `quarantined` is 0.
     pub bounds: Option<DifferenceBounds>,
 }
 
@@ -233,8 +234,8 @@ impl Comparison {
         cells.map(|difference| difference.n).sum()
     }
 
-    /// Returns a line for each reason why rollouts are in no cell: their number and, if they cannot
-    /// be paired, the names of some of them.
+    /// Returns lines about the rollouts that are in no cell: for each obstacle, the number of
+    /// rollouts and the names of some; then the numbers of rollouts that only one policy has.
     pub fn left_out(&self) -> Vec<String> {
         let reasons = self.unpaired.iter();
         let mut lines: Vec<String> = reasons

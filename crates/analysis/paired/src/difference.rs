@@ -220,7 +220,7 @@ impl Difference {
 }
 
 impl DifferenceBounds {
-    /// Computes the bounds over some pairs; `None` if no pair has a quarantined rollout.
+    /// Computes the bounds over the pairs without a missing rollout; `None` if `affected` is 0.
     pub fn of(pairs: &[Pair]) -> Option<Self> {
         let (mut n, mut affected, mut lowest, mut highest) = (0_u64, 0_u64, 0_i64, 0_i64);
         for Pair { a, b, .. } in pairs {

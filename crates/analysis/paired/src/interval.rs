@@ -72,7 +72,7 @@ pub(crate) fn intervals<const N: usize>(
     (shown.map(Result::ok), reason)
 }
 
-/// Returns the intervals of `count` statistics, each with the reason if it is withheld.
+/// Returns for each of `count` statistics its interval, or the reason why it is withheld.
 /// `statistics` writes the values for given draws of the tasks, as for
 /// [`Bootstrap::intervals_of_many`].
 pub fn intervals_of_many(

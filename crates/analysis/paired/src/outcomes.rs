@@ -154,7 +154,8 @@ impl Transition {
 }
 
 impl Matched {
-    /// Returns the complete configuration; `None` if an outcome is unknown.
+    /// Returns the complete configuration; `None` if its outcome under an axis alone or under
+    /// simultaneous perturbation is unknown.
     pub fn configuration(&self) -> Option<Configuration> {
         let mut alone = BTreeMap::new();
         for (&axis, outcome) in &self.alone {
@@ -167,7 +168,7 @@ impl Matched {
         })
     }
 
-    /// Returns the transition; `None` if an outcome is unknown.
+    /// Returns the transition; `None` if the configuration is not complete.
     pub fn transition(&self) -> Option<Transition> {
         let configuration = self.configuration()?;
         let conjunction = configuration.conjunction();

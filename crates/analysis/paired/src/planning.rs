@@ -61,9 +61,9 @@ pub enum Against {
 /// difference is too small, or if there are too few tasks for intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detectable {
-    /// Difference of the success rates of two policies under simultaneous perturbation,
-    /// assuming independent outcomes in configurations and, for new tasks, in tasks.
-    /// Positively correlated policies are distinguished with smaller differences.
+    /// Difference of the success rates of two policies under simultaneous perturbation, assuming
+    /// that the outcomes of the two policies are independent of each other. If they are positively
+    /// correlated, smaller differences are detectable.
     pub difference: Option<f64>,
     /// Difference of I from 0.
     pub i: Option<f64>,
@@ -155,7 +155,7 @@ impl Assumed {
         }
     }
 
-    /// Returns the entry of a level, or of the perturbed level with the nearest radius.
+    /// Returns the entry whose level, other than L0, has the radius nearest to that of `level`.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
         let perturbed = all.iter().filter(|assumed| assumed.level != Level::L0);
         perturbed.min_by(|a, b| {

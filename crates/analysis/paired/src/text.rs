@@ -58,8 +58,8 @@ pub(crate) fn push_row<T: AsRef<str>>(
     text.push('\n');
 }
 
-/// Appends a table whose first row holds the heads. All rows have the same number of values;
-/// each column is as wide as its widest cell.
+/// Appends a table whose first row holds the heads. Every other row has as many values as there are
+/// heads, or none; each column is as wide as its widest cell.
 pub(crate) fn push_columns(text: &mut String, rows: &[(String, Vec<String>)]) {
     let width = |cell: &String| cell.chars().count();
     let label = rows.iter().map(|(label, _)| width(label)).max();

@@ -4,7 +4,7 @@
 const MOST_STEPS: u32 = 100;
 /// Largest number of terms of the continued fraction.
 const TERMS: u32 = 500;
-/// Relative error at which the continued fraction is taken to have converged.
+/// Relative change by one step at which the continued fraction is taken to have converged.
 const PRECISION: f64 = 1e-15;
 
 /// Returns P(|T| > `t`) of Student's t with `df` degrees of freedom: I_x(df/2, ½) at

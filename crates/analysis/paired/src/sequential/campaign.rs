@@ -90,7 +90,8 @@ impl Sequences {
 }
 
 impl CampaignLook {
-    /// Returns the look at the current outcomes; `None` if the campaign has no configurations.
+    /// Returns the look at the current outcomes; `None` if the campaign has no configuration at a
+    /// level other than L0.
     pub fn now(records: &Records, stop: &Stop) -> Option<Self> {
         Walk::begin(records, stop).map(|mut walk| {
             while walk.step() {}
@@ -112,10 +113,10 @@ impl CampaignLook {
         None
     }
 
-    /// Returns the records that count in a campaign that stopped early: those of the
-    /// configurations that its last look rests on, with their nominal rollouts. All other records
-    /// would bias figures, because a rollout that has finished tends to be short, and duration
-    /// depends on the outcome. `None` if the rule is not met.
+    /// Returns the records that count in a campaign that stopped early: those of the configurations
+    /// that its last look rests on, with their nominal rollouts. All other records would bias
+    /// figures, because a rollout that has finished tends to be short, and duration depends on the
+    /// outcome. `None` if the rule is not met or a record occurs twice.
     pub fn counted_when_met(records: &[Record], stop: &Stop) -> Option<Vec<Record>> {
         let matched = Records::new(records).ok()?;
         Some(Self::when_met(&matched, stop)?.counted(records))
