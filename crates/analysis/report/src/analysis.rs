@@ -32,7 +32,7 @@ pub struct Analysis {
     /// The statistics. They are empty for a derived campaign, which runs only some of the
     /// rollouts of each configuration.
     pub report: Report,
-    /// Explanations of another campaign's transitions, if this campaign explains one.
+    /// Explanations of another campaign's transitions, if this campaign explains them.
     pub findings: Option<Findings>,
     /// Thresholds of another campaign, if this campaign measures them.
     pub thresholds: Option<ThresholdReport>,

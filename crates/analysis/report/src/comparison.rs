@@ -66,8 +66,9 @@ impl Comparison {
     /// Compares two policies, A − B. `setups` are the known digests of their rollouts.
     ///
     /// # Errors
-    /// If no rollouts can be paired: the policies were measured with different asset packs,
-    /// simulators, renderers or realisation modes, or have no rollout in common.
+    /// If no rollouts can be paired: a campaign is of LIBERO's family, the policies were measured
+    /// with different asset packs, MuJoCo versions, renderers or realisation modes, or they have no
+    /// rollout in common.
     pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
         let [a, b] = analyses;
         let sides = sides(a, b);
@@ -211,7 +212,8 @@ fn unpaired(statistics: &paired::Comparison) -> BTreeSet<RolloutId> {
     statistics.unpaired.values().flatten().copied().collect()
 }
 
-/// Returns A and B, labelled by origin if their policies have the same name.
+/// Returns A and B; if their labels are equal, they are distinguished by origin, or by letter if
+/// the origins are equal too.
 fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
     let is_ambiguous = a.label == b.label;
     let side = |analysis: &Analysis, letter: &str| {
@@ -232,7 +234,8 @@ fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
     [side(a, "A"), side(b, "B")]
 }
 
-/// Names the properties in [`SHARED`] that are unknown for a subject.
+/// Names the properties in [`SHARED`] that are unknown for a subject, and the realisation mode if
+/// it is unknown.
 fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     // Properties are recorded with results, so a campaign without results has none yet.
     let has_results = !subject.provenances.is_empty();

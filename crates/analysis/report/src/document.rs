@@ -101,8 +101,9 @@ impl Document {
     /// Analyses the subjects.
     ///
     /// # Errors
-    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family are
-    /// given without their protocol or together with another subject.
+    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family have
+    /// an unknown variant or protocol, lack their protocol, or are given together with another
+    /// subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
         let is_pooled = |subject: &&Subject| {
             let mut records = subject.records.iter();

@@ -52,7 +52,8 @@ impl Findings {
     /// explanation takes.
     ///
     /// # Errors
-    /// If the campaign perturbs only one axis, or there are too few repeats to decide an outcome.
+    /// If the campaign perturbs fewer than two axes, has a rollout and replicate twice, or allows
+    /// too few repeats to decide an outcome.
     pub fn prospect(
         campaign: &Subject,
         explanation: &Explanation,
@@ -91,7 +92,8 @@ impl Findings {
     /// explains; `None` if `explaining` explains no campaign.
     ///
     /// # Errors
-    /// If the explained campaign perturbs only one axis.
+    /// If the explained campaign perturbs fewer than two axes or has a rollout and replicate twice,
+    /// or `explaining` perturbs an axis that it lacks.
     pub fn of(explaining: &Subject) -> Result<Option<Self>, LatticeError> {
         let Some((explanation, records)) = explaining.explains() else {
             return Ok(None);

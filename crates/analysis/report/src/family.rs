@@ -30,7 +30,7 @@ pub struct Family {
     pub protocol: String,
     /// Rollouts of the campaign, perturbed and unperturbed, without an outcome so far.
     pub missing: u64,
-    /// Quarantined rollouts, that is, those with too many failed attempts; in no figure.
+    /// Quarantined rollouts, which are in no figure.
     pub quarantined: u64,
     /// True if variants are paired with unperturbed rollouts.
     #[serde(skip)]
@@ -537,7 +537,7 @@ impl Family {
     }
 }
 
-/// Returns the benchmark's published table, if a protocol is that of the table.
+/// Returns the benchmark's published table; empty unless `protocol` is that of the table.
 fn published(protocol: &Protocol) -> Vec<PublishedRow> {
     if *protocol != Protocol::PLUS_OFFICIAL {
         return Vec::new();

@@ -25,7 +25,7 @@ pub struct FamilyComparison {
     pub unpaired: [u64; 2],
     /// The unperturbed rollouts.
     pub unperturbed: PairedLine,
-    /// Dimensions or suites, in the benchmark's order.
+    /// Dimensions, suites or types, in the benchmark's order.
     pub groups: Vec<PairedLine>,
     /// All variants together.
     pub all: PairedLine,
@@ -34,7 +34,7 @@ pub struct FamilyComparison {
 /// A row of the table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairedLine {
-    /// Dimension, suite, `unperturbed` or `all`.
+    /// Dimension, suite or type; `unperturbed` or `all`.
     pub name: String,
     /// Tasks of the pairs.
     pub tasks: u64,
@@ -73,7 +73,7 @@ impl FamilyComparison {
     ///
     /// # Errors
     /// If the campaigns are of different benchmarks, asset packs, MuJoCo versions or renderers,
-    /// hold an unknown variant, or have no rollout in common.
+    /// have an unknown variant or protocol, or have no rollout in common.
     pub fn of(a: &Subject, b: &Subject) -> Result<Option<Self>, FamilyComparisonError> {
         let (Some(family_a), Some(family_b)) = (Family::of(a)?, Family::of(b)?) else {
             return Ok(None);

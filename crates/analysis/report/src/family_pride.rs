@@ -25,7 +25,7 @@ pub struct Pride {
 }
 
 impl Pride {
-    /// Returns the score of rollouts with each weight; empty if there are none.
+    /// Returns the score of the rollouts with each weight; empty without rollouts.
     pub(crate) fn all(rollouts: impl Iterator<Item = (TaskRef, Paraphrased)>) -> Vec<Self> {
         let mut by_task: BTreeMap<TaskRef, [Distances; ALPHAS.len()]> = BTreeMap::new();
         for (task, outcome) in rollouts {

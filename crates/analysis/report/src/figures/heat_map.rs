@@ -34,7 +34,7 @@ const COLOURS: [[u8; 3]; 9] = [
 /// Success rate above which a cell's number is white.
 const DARK_ABOVE: f64 = 0.55;
 
-/// Draws the panel of a level; `None` if no policy has results at it.
+/// Draws the panel of a level; `None` if no campaign has this level.
 pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
     let rows: Vec<(&str, &Cell)> = document
         .analyses

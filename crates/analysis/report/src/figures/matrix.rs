@@ -21,8 +21,8 @@ const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
 const BLOCK_HEAD_HEIGHT: f64 = 36.0;
 const LEGEND_HEIGHT: f64 = 58.0;
 
-/// Draws the matrix of a level in replicate 0, with its squares linked by `link` if given;
-/// `None` if the policy has no outcomes at the level, or no simultaneous rollouts.
+/// Draws the matrix of a level in replicate 0, with its squares linked by `link` if given; `None`
+/// if the campaign lacks the level or runs no simultaneous rollouts.
 pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
     analysis.cell(level)?.simultaneous?;
     let mut tasks: BTreeMap<TaskRef, Vec<&Matched>> = BTreeMap::new();

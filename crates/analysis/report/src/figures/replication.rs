@@ -19,8 +19,8 @@ const REPLICATE_HEIGHT: f64 = 20.0;
 const LEVEL_GAP: f64 = 12.0;
 const BAR_ROW_HEIGHT: f64 = 24.0;
 
-/// Draws I with its interval for every replicate and level; `None` if there is only one
-/// replicate.
+/// Draws I with its interval for every replicate and level; `None` if there is only one replicate
+/// or no complete configuration.
 pub fn replicates(analysis: &Analysis) -> Option<Figure> {
     let mut levels: BTreeMap<Level, Vec<&Cell>> = BTreeMap::new();
     for cell in analysis
@@ -86,8 +86,8 @@ fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
     }
 }
 
-/// Draws the share of rollouts whose outcome differs from that of replicate 0, by
-/// condition, over all other replicates; `None` if there is only one replicate.
+/// Draws the share of rollouts whose outcome differs from that of replicate 0, by condition, over
+/// all other replicates; `None` if no rollout has an outcome in replicate 0 and in another.
 pub fn flips(analysis: &Analysis) -> Option<Figure> {
     let mut conditions: BTreeMap<Condition, Flips> = BTreeMap::new();
     for replication in &analysis.report.replication {

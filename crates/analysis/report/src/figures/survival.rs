@@ -71,8 +71,8 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
     ))
 }
 
-/// Describes the radius at which half of the configurations still succeed, with its
-/// interval or the reason why it has none.
+/// Describes the radius at which half of the configurations still succeed, with its interval if
+/// there is one, or states that this radius lies outside the curve.
 fn half(curve: &Curve) -> String {
     let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
     if share(curve.points.first()) < 0.5 {

@@ -3,7 +3,8 @@
 use maud::{Markup, html};
 use paired::{Interval, NoInterval};
 
-/// Width of every panel in user units, which are pixels if the panel is not scaled.
+/// Width of a panel that is not [`WIDE`], in user units, which are pixels if the panel is not
+/// scaled.
 pub const WIDTH: f64 = 380.0;
 /// Width of a figure that fills a page.
 pub(super) const WIDE: f64 = 1140.0;
