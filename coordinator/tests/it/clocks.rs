@@ -248,7 +248,7 @@ const OTHER_CLOCKS: [(&str, &str); 8] = [
     ),
 ];
 
-/// Collects the paths of Rust sources below a folder, except those of tests.
+/// Collects the paths of Rust sources below a folder, except those of tests, fuzzing and `xtask`.
 fn sources(folder: &Path, paths: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let entry = entry.expect("an entry");

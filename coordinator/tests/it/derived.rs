@@ -65,8 +65,8 @@ pub(crate) async fn complete_findings(
 }
 
 /// Asserts that a derived campaign has the same findings whether or not its coordinator is killed
-/// around every transaction. `create` makes the source campaign `first`; `key` is the field of the
-/// derived campaign's specification that names the source.
+/// around transactions of each kind. `create` makes the source campaign `first`; `key` is the field
+/// of the derived campaign's specification that names the source.
 pub(crate) async fn assert_kills_change_nothing(
     create: fn(&Serve),
     [command, name, key]: [&str; 3],
@@ -93,9 +93,9 @@ pub(crate) async fn assert_kills_change_nothing(
     assert_eq!(findings, expected);
 }
 
-/// Kills the coordinator of a folder around every transaction that a campaign of the specification
-/// needs, in consecutive runs, each of which continues where the previous run was killed. Asserts
-/// after each run that every invariant holds.
+/// Kills the coordinator of a folder before or after a transaction of each kind that a campaign of
+/// the specification needs, in consecutive runs, each of which continues where the previous run was
+/// killed. Asserts after each run that every invariant holds.
 async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Planted) {
     for (side, step, occurrence) in [
         (Side::Before, Step::CreateCampaign, 1),

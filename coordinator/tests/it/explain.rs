@@ -30,8 +30,8 @@ pub(crate) fn outcome(id: &RolloutId) -> Outcome {
         3 => has("robot+language") || has("camera+sensor"),
         // The robot axis alone causes a failure, and the camera axis compensates for it.
         4 => has("robot") && !has("camera"),
-        // A pair causes a failure unless a third axis is added. All axes together cause a failure,
-        // too.
+        // Lighting and actuation cause a failure unless sensor is added. All axes together cause a
+        // failure, too.
         5 => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
         _ => false,
     };

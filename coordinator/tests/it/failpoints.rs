@@ -1,5 +1,5 @@
-//! Kills the process before and after the commit of each kind of transaction. The database holds
-//! every invariant afterwards, and the campaign ends with the same report.
+//! Kills the process before and after the commit of each kind of transaction. Afterwards, every
+//! invariant of the database holds, and the campaign ends with the same report.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};

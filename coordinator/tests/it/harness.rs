@@ -320,7 +320,8 @@ impl Worker {
         self.commit_request(self.report(lease, success)).await.0
     }
 
-    /// Like [`commit`](Self::commit), but returns the error of a coordinator that does not answer.
+    /// Like [`commit`](Self::commit), but returns an error if the coordinator refuses the call or
+    /// does not answer.
     pub(crate) async fn try_commit(
         &mut self,
         lease: &wire::Lease,
