@@ -190,7 +190,7 @@ fn report(attempt: AttemptId) -> CommitReport {
     }
 }
 
-/// Makes every kind of call by workers, successful and failing, and sweeps.
+/// Makes claims, heartbeats, commits and releases, successful and failing, and sweeps.
 async fn call_everything(queue: &Queue, clock: &ManualClock) {
     let mut claims = 0;
     let mut lease = async |warm: Option<&str>| -> Option<AttemptId> {

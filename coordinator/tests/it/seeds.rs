@@ -25,7 +25,8 @@ fn spec(name: &str, realisation: &str) -> Value {
     )
 }
 
-/// Creates a campaign of four rollouts, commits all of its leases and returns them.
+/// Creates a campaign of four rollouts in three replicates, commits all of its leases and returns
+/// them.
 async fn run(bench: &Bench, spec: &Value) -> Vec<wire::Lease> {
     bench.create(spec).await.expect("created");
     let mut worker = bench.worker("a").await;

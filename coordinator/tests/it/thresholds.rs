@@ -12,7 +12,8 @@ use crate::json::{documented, keys};
 use crate::page::http;
 use crate::process::{Serve, fits_a_terminal, succeed, text};
 
-/// Returns the planted threshold: the smallest radius at which a rollout of this suite fails.
+/// Returns the planted threshold: the smallest radius at which the rollout's task fails under its
+/// condition.
 fn failure_radius(id: &RolloutId) -> f64 {
     let task = f64::from(id.task().index());
     match (id.condition(), id.task().index()) {

@@ -1,14 +1,14 @@
 //! Cost and findings of each strategy on planted rules:
 //! `cargo run --release -p adaptive --example planted`.
 //!
-//! A row is the mean over the rules of one kind. Its columns: the number of *further* subsets
-//! that the search ran, which are those that an ordinary campaign does not run, and the share of
-//! all 56 of them; the numbers of rollouts and batches; the share of rules explained, and the
-//! share of the explained rules whose minimal subsets are exactly the planted ones. The row
-//! `mean of Kind::MIXTURE` averages the rows of the kinds in this constant. The last rows are for
-//! noisy policies: each rollout contradicts the rule with the probability in the row's name. If a
-//! rollout of the source campaign contradicts the rule, the transition may not show and is then
-//! not searched.
+//! A row is the mean over the rules of one kind. Its columns: the number of *further* subsets that
+//! the search ran, which are those that an ordinary campaign does not run, and the share of all 56
+//! of them; the numbers of rollouts and batches; the share of rules explained, and the share of the
+//! explained rules whose minimal subsets are exactly the planted ones. The row `mean of
+//! Kind::MIXTURE` has only the first two columns, averaged over the kinds in this constant. The
+//! last rows are for noisy policies: each rollout contradicts the rule with the probability in the
+//! row's name. If a rollout of the source campaign contradicts the rule, the transition may not
+//! show and is then not searched.
 
 #[path = "../tests/it/subsets/planted.rs"]
 mod planted;

@@ -201,8 +201,8 @@ fn cell(
     }
 }
 
-/// Counts the outcomes under each subset of the axes. Subsets run only for some
-/// configurations, so that the numbers of rollouts differ between subsets.
+/// Counts the outcomes under each subset of the axes. A subset may run for some configurations
+/// only, so that the numbers of rollouts may differ between subsets.
 fn subsets(matched: &[Matched]) -> BTreeMap<AxisSet, Count> {
     let mut counts: BTreeMap<AxisSet, Count> = BTreeMap::new();
     for (&axes, &outcome) in matched.iter().flat_map(|matched| &matched.subsets) {

@@ -33,16 +33,16 @@ pub struct Inference {
     /// Exact two-sided sign-flip p-value of I over tasks.
     pub i_sign_flip_p: f64,
     /// Simultaneous success against the prediction for independent axes relative to nominal
-    /// success; absent without matched nominal rollouts.
+    /// success; absent without a successful matched nominal rollout.
     pub relative: Option<Relative>,
     /// The loss under each condition, against the nominal rollouts of the same initial
     /// states; empty without such nominal rollouts.
     pub losses: Losses,
-    /// Test of whether simultaneous success depends on the direction; absent if directions are
-    /// not shared between tasks, and for the placebo.
+    /// Test of whether simultaneous success depends on the direction; absent if directions are not
+    /// shared between tasks, with fewer than two directions or tasks, and for the placebo.
     pub directions: Option<DirectionTest>,
-    /// The noise floor and the excess over it; absent without a placebo, and for the placebo
-    /// itself.
+    /// The noise floor and the excess over it; absent without a complete configuration of the
+    /// placebo, and for the placebo itself.
     pub excess: Option<Excess>,
 }
 

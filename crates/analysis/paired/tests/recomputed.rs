@@ -192,7 +192,7 @@ fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> 
     progress.collect()
 }
 
-/// Compares two policies of one population over the same tasks and directions. In half of the
+/// Compares two policies of one population over the same tasks and directions. In 8 of the 20
 /// comparisons, both campaigns declare that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];

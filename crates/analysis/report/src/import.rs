@@ -100,7 +100,7 @@ struct Row {
     policy: Option<String>,
     steps: Option<u32>,
     placebo_radius: Option<f64>,
-    /// Protocol of LIBERO's family, in rows of its variants.
+    /// Protocol of LIBERO's family or of a suite file; `None` in other rows.
     protocol: Option<String>,
     goal_predicates: Option<u32>,
     goal_at_end: Option<u32>,
@@ -232,7 +232,7 @@ struct Reading {
     /// Execution model of the rows outside the latency axis: that of the first row, or `Wait` if
     /// the first row is of the latency axis, which campaigns run only together with `Wait`.
     execution: Option<Execution>,
-    /// Protocol of the first row, if it is of LIBERO's family.
+    /// Protocol of the first row, if it has one.
     protocol: Option<String>,
     /// Number of bad lines.
     bad: usize,

@@ -22,8 +22,8 @@ pub struct DirectionTest {
     /// direction's configurations have in every task.
     pub rates: BTreeMap<u16, f64>,
     /// p-value of the hypothesis that success is the same under all directions: the share of
-    /// permutations of outcomes within tasks under which the directions' rates spread at least as
-    /// far as the observed rates.
+    /// permutations of outcomes within tasks, the observed assignment among them, under which the
+    /// directions' rates spread at least as far as the observed rates.
     pub p: f64,
 }
 

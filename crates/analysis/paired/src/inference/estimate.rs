@@ -17,7 +17,7 @@ const ALPHA: f64 = 0.05;
 /// A point estimate, a fraction unless stated otherwise, with a 95 % interval for each target
 /// population. An interval is absent if the data do not allow it: `these_tasks` needs two
 /// configurations in every task, the other intervals need [`FEWEST_TASKS`] tasks, and every value
-/// but a share of 0 or 1 needs a variance above 0.
+/// but a share of 0 or 1 needs a variance above 0. A product of 0 or 1 has no interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// The point estimate.

@@ -28,10 +28,11 @@ pub struct ComparedLook {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotInOneOrder;
 
-/// Returns the looks at the difference under every condition at every perturbed level, in
-/// the first replicate. The seed and strata of `order` define the drawn order of both campaigns;
-/// its rule is not used. `rule` is the rule of [`ComparedLook::met_after`]. A condition is skipped
-/// if either campaign lacks it in any configuration or if any of its rollouts is `unpaired`.
+/// Returns the looks at the difference under every condition that perturbs, at every level
+/// including the placebo, in the first replicate. The seed and strata of `order` define the drawn
+/// order of both campaigns; its rule is not used. `rule` is the rule of
+/// [`ComparedLook::met_after`]. A condition is skipped if either campaign lacks it in any
+/// configuration or if any of its rollouts is `unpaired`.
 ///
 /// # Errors
 /// If one campaign has a configuration that the other lacks.

@@ -30,7 +30,8 @@ pub(crate) enum Kind {
     MaskedPair,
     /// A triple fails unless a fourth axis is present; another pair or triple always fails.
     MaskedTriple,
-    /// Every outcome is a coin flip, except under single axes and under all axes together.
+    /// Every outcome is a coin flip, except nominally, under single axes and under all axes
+    /// together.
     CoinFlips,
 }
 
