@@ -52,7 +52,7 @@ pub enum LatticeError {
 }
 
 impl Lattice {
-    /// Creates the lattice of a configuration, without outcomes, in a campaign with the axes `full`.
+    /// Creates a configuration's lattice, without outcomes, in a campaign with the axes `full`.
     ///
     /// # Errors
     /// If there are fewer than two axes.
