@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use libero_family::para::FETCH;
 
 /// Reason why a scene could not be read or composed. Messages complete the phrase
-/// "failed to …" and name the file, the place in it and the remedy.
+/// "failed to …" and, where known, name the file, the place in it and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     #[error("read {what} {}: {remedy}", path.display())]

@@ -15,7 +15,8 @@ const TEXTURES: &str = "textures";
 /// path.
 ///
 /// # Errors
-/// If the problem's arena or one of its categories is unknown, or a required file is not LIBERO's.
+/// If the problem's arena or one of its categories is unknown, or LIBERO's assets do not include a
+/// required file.
 pub fn needed_files(problem: &Problem) -> Result<Vec<&'static FileFacts>, SceneError> {
     let arena = arena(&problem.name).ok_or_else(|| SceneError::UnknownProblem {
         problem: problem.name.clone(),

@@ -40,7 +40,8 @@ pub struct AssetPack {
 impl AssetPack {
     /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack is unpacked
     /// into the sources' folder on first use. The files of `libero` may still be missing. A folder
-    /// with LIBERO's files is opened as `libero`, any other as `custom`.
+    /// is opened as `libero` if it holds some of LIBERO's files and has altered none of them, else
+    /// as `custom`.
     pub fn open(name_or_path: &str, sources: &Sources) -> Result<Self, SceneError> {
         match name_or_path {
             PRIMITIVES => Self::unpack_primitives(&sources.dir().join("packs")),
@@ -151,7 +152,7 @@ impl AssetPack {
         self.is_managed
     }
 
-    /// Returns descriptions of the files that make a folder differ from LIBERO's assets.
+    /// Returns descriptions of LIBERO's files that [`open`](Self::open) found altered in a folder.
     pub fn differences(&self) -> &[String] {
         &self.differences
     }

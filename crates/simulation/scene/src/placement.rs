@@ -220,8 +220,8 @@ impl JointSampler {
 }
 
 impl PoseSampler {
-    /// Samples a pose around `origin` + `site` that overlaps no instance placed before. `placed`
-    /// holds the poses that the first samplers in `samplers` have sampled.
+    /// Samples a pose around `origin` + `site`; with `avoids_others`, one that overlaps no instance
+    /// placed before. `placed` holds the poses that the first samplers in `samplers` have sampled.
     fn sample(
         &self,
         rng: &mut LegacyRng,

@@ -30,7 +30,7 @@ impl AssetPack {
     /// provides the files.
     ///
     /// # Errors
-    /// If files cannot be fetched. Received files are kept.
+    /// As [`AssetPack::files_of_tasks`], or if files cannot be fetched. Received files are kept.
     pub fn provide(
         &self,
         tasks: &[TaskFiles],

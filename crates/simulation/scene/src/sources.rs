@@ -178,8 +178,8 @@ impl AssetRoot {
         file.strip_prefix(self.kind.token())?.strip_prefix('/')
     }
 
-    /// Verifies a file against LIBERO's table, if the pack is named `libero`. A missing file is no
-    /// error of this function; the caller's attempt to read the file fails.
+    /// Verifies a file against LIBERO's table, if the pack is named `libero`. Accepts a missing or
+    /// unreadable file: the caller's attempt to read the file fails.
     pub(crate) fn verify(&self, inside: &str, what: &str) -> Result<(), SceneError> {
         let Some(verified) = &self.verified else {
             return Ok(());

@@ -24,7 +24,7 @@ pub struct TaskFiles {
 }
 
 /// Stamps of the BDDL file and of the file of initial states: length in bytes, and time of
-/// modification. The stamp of a missing file is `None`. A change of a file changes its stamp.
+/// modification. The stamp of a missing file is `None`. Different stamps show that a file changed.
 pub type FileStamps = [Option<(u64, SystemTime)>; 2];
 
 impl TaskFiles {

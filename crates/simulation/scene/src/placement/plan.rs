@@ -36,9 +36,9 @@ impl Samplers {
     /// Plans the samplers of a problem.
     ///
     /// # Errors
-    /// [`SceneError::Inconsistent`] where LIBERO fails too: the initial state places an object
-    /// twice, places it on an instance that is not placed, or opens an instance that cannot be
-    /// opened.
+    /// [`SceneError::Inconsistent`] where LIBERO fails too: for example, if `:init` places an
+    /// object twice, places it on an instance that is not placed, or opens an instance that cannot
+    /// be opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,
@@ -90,7 +90,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Returns the place that a statement of `:init` assigns to its first argument; `None` for
-    /// statements that place nothing, which LIBERO ignores.
+    /// statements that place nothing, or that name an unknown region, which LIBERO ignores.
     fn place(&self, predicate: &'a Predicate) -> Option<Place<'a>> {
         let [_, place] = predicate.arguments.as_slice() else {
             return None;
