@@ -370,8 +370,7 @@ impl Environment {
             .copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
-    /// Computes the observed poses, at most once per control step and only if an observation is
-    /// requested.
+    /// Computes the observed poses from the observed positions, unless that was already done.
     fn pose_observed(&mut self) {
         if !self.has_observed_poses {
             self.observed.kinematics(&self.model);

@@ -71,7 +71,7 @@ impl Conditions {
     /// environment.
     ///
     /// # Errors
-    /// If the task does not have the initial state.
+    /// If the task does not have the initial state; otherwise as [`begin_at`](Self::begin_at).
     pub fn begin(
         ready: &ReadyScene,
         environment: &mut Environment,

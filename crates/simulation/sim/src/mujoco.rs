@@ -45,8 +45,8 @@ pub fn version() -> String {
     text.to_string_lossy().into_owned()
 }
 
-/// Replaces MuJoCo's error and warning handlers, once per process. The default handlers exit
-/// silently and write a log file into the current folder.
+/// Replaces MuJoCo's error and warning handlers, once per process. The default handlers write a log
+/// file into the current folder, and errors end the process with an unspecific exit status.
 pub(crate) fn install_handlers() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -73,7 +73,7 @@ pub(crate) fn return_freed_memory() {
     }
 }
 
-/// Returns the warnings on this thread since the last call.
+/// Returns the first few warnings on this thread since the last call: at most [`MAX_WARNINGS`].
 pub(crate) fn take_warnings() -> Vec<String> {
     WARNINGS.take()
 }

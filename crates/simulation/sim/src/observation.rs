@@ -63,8 +63,8 @@ pub struct RobotState {
     pub gripper_vel: [f64; 2],
 }
 
-/// Converts a unit quaternion x y z w to axis times angle, rad: twice the arc cosine of w, without
-/// choosing the nearer of the two antipodes (robosuite's `quat2axisangle`, with which policies were
+/// Converts a unit quaternion x y z w to axis times angle, rad. The angle is twice the arc cosine
+/// of w, and so exceeds π if w is negative (robosuite's `quat2axisangle`, with which policies were
 /// trained).
 pub fn axis_angle_of(quat_xyzw: [f64; 4]) -> [f64; 3] {
     let [x, y, z, w] = quat_xyzw;

@@ -12,7 +12,8 @@ use crate::mujoco::{Data, Model, ObjectKind};
 const FREE_JOINT: i32 = 0;
 
 impl Environment {
-    /// Returns the poses of everything in the scene, for scripted experts.
+    /// Returns the current poses of instances, regions and gripper, the joints of the instances,
+    /// and the goal.
     ///
     /// # Errors
     /// If an element that the scene names is missing from the model.

@@ -4,9 +4,10 @@
 //!
 //! A file is written under a temporary name and renamed, and afterwards neither changed nor
 //! truncated, since truncating a mapped file kills the process that maps it. A file's name is a
-//! digest of everything that its contents depend on, so different builds never share a file.
-//! Textures have files of their own, since scenes share them. On any failure, the scene is compiled
-//! into the process's own memory, and [`SceneFolder::take_problem`] returns the first error.
+//! digest of everything that its contents depend on, so builds with different layouts share no
+//! file. Textures have files of their own, since scenes share them. On any failure, the scene is
+//! compiled into the process's own memory, and [`SceneFolder::take_problem`] returns the first
+//! error.
 
 mod container;
 mod evict;

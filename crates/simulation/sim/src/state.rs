@@ -26,8 +26,8 @@ pub struct Snapshot {
 
 impl Environment {
     /// Resets without an initial state: draws all poses from NumPy's legacy generator in
-    /// LIBERO's order, with the arm in its reset posture, new controllers and time 0; then observes
-    /// once.
+    /// LIBERO's order, with the arm in its reset posture, its controller reset and time 0; then
+    /// observes once.
     ///
     /// `joint_sampler_rounds` is the number of times that LIBERO would have loaded its model so
     /// far: 1 at construction, plus 1 for each hard reset, this one included. Each time, LIBERO

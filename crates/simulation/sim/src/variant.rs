@@ -19,7 +19,7 @@ const ROUNDS: u32 = 2;
 /// glass blur draws from the generator.
 const BENCHMARK_SIDE: usize = 256;
 
-/// State in which a rollout starts to settle, with the protocol's number of waits (no-op actions).
+/// State in which a rollout starts to settle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
     /// The row's initial state, loaded after a reset. The controllers stay as the reset left them,
@@ -93,8 +93,8 @@ impl VariantStart {
 }
 
 impl Environment {
-    /// Moves `agentview` until the next hard reset. The orientation is normalised, as when `MuJoCo`
-    /// compiles a model.
+    /// Moves `agentview` until a hard reset or [`load`](Self::load). The orientation is normalised,
+    /// as when `MuJoCo` compiles a model.
     ///
     /// # Errors
     /// If the scene has no such camera.
@@ -111,8 +111,8 @@ impl Environment {
 }
 
 impl Noise {
-    /// Corrupts a picture that is rendered after `control_steps`. Random numbers are also drawn for
-    /// the earlier pictures that were not requested.
+    /// Corrupts a picture that is rendered after `control_steps`. Draws random numbers also for the
+    /// earlier pictures, even if they were not requested.
     pub(crate) fn corrupt(
         &mut self,
         frame: &mut Frame,

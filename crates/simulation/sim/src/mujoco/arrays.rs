@@ -1,6 +1,6 @@
-//! All numeric arrays of a compiled model by name, for comparing models, except the contents of
-//! meshes, textures, height fields and their search trees. Names and sizes follow MuJoCo 3.3.7's
-//! `mjxmacro.h`.
+//! Numeric arrays of a compiled model by name, for comparing models. Left out are the contents of
+//! meshes, textures and height fields, their search trees, and most arrays of skins and flexible
+//! bodies, which no LIBERO scene has. Names and sizes follow MuJoCo 3.3.7's `mjxmacro.h`.
 
 use mujoco_rs::mujoco_c::mjModel;
 

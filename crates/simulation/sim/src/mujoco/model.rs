@@ -264,13 +264,13 @@ impl Model {
         usize::try_from(id).map_err(|_| missing())
     }
 
-    /// Returns every numeric array except the contents of meshes, textures, height fields and their
-    /// search trees.
+    /// Returns the numeric arrays, without the contents of meshes, textures and height fields,
+    /// their search trees, and most arrays of skins and flexible bodies.
     pub fn arrays(&self) -> Vec<NamedArray> {
         arrays::all_arrays(self.raw())
     }
 
-    /// Returns one numeric array; `None` if no array has this name.
+    /// Returns one of these arrays ([`arrays`](Self::arrays)); `None` if none has this name.
     pub fn array(&self, name: &str) -> Option<ModelArray> {
         arrays::array(self.raw(), name)
     }

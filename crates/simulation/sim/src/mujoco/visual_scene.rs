@@ -72,7 +72,7 @@ impl VisualScene {
         unsafe { std::slice::from_raw_parts(self.scene.geoms, self.scene.ngeom as usize) }
     }
 
-    /// Returns the model's objects by the ids of geoms in segmentation images.
+    /// Returns the model's object for each id that a pixel of a segmentation image can have.
     pub(crate) fn segments(&self) -> BTreeMap<u32, Segment> {
         let numbered = self.geoms().iter().filter_map(|geom| {
             let number = u32::try_from(geom.segid).ok()?;

@@ -110,7 +110,8 @@ impl ActuationStage {
         .concat()
     }
 
-    /// Draws six standard normals; draws none if no component's noise exceeds [`NEGLIGIBLE_NOISE`].
+    /// Draws six standard normals; returns zeros without drawing if no component's noise exceeds
+    /// [`NEGLIGIBLE_NOISE`].
     fn next_noise(&mut self) -> [f64; ARM] {
         let step = self.step;
         self.step += 1;

@@ -1,5 +1,5 @@
-//! The camera axis: moves the `agentview` camera on a sphere about its look-at point, and the
-//! look-at point in the horizontal plane. The wrist camera is never moved.
+//! The camera axis: turns the `agentview` camera about its look-at point, changes its distance from
+//! that point, and moves the point in the horizontal plane. The wrist camera is never moved.
 
 use libero_ctrl::CameraShift;
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};

@@ -1,5 +1,5 @@
-//! File format of sections: kind, length, checksum, section table, and sections, each aligned as
-//! required by MuJoCo's arrays and the software renderer.
+//! File format of sections: a header with name, length and checksum, a section table, and the
+//! sections, each aligned as required by MuJoCo's arrays and the software renderer.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -77,8 +77,8 @@ impl<W: Write> ChecksumWriter<W> {
     }
 }
 
-/// Reads the header of a file and returns its checksum; `None` if the file has another name or
-/// length.
+/// Reads the header of a file and returns its checksum; `None` if the header is of another format,
+/// name or length.
 pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result<Option<u128>> {
     let mut head = [0; HEAD];
     if length < HEAD as u64 {

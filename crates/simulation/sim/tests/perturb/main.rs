@@ -1,5 +1,5 @@
-//! Compares the perturbations with values that NumPy, SciPy, Pillow and MuJoCo gave for all thirty
-//! presets of every axis. Skipped, with a message, if the reference data is missing.
+//! Compares the perturbations with values that NumPy, SciPy, Pillow and MuJoCo gave for presets of
+//! every axis. Skipped, with a message, if the reference data is missing.
 
 mod actuation;
 mod reference;
