@@ -1,4 +1,4 @@
-//! Options from environment variables. Every option of a server program can also be set as a
+//! Options from environment variables. Every listed option of a server program can also be set as a
 //! variable, which suits systemd units and containers: `--min-free-mib` is `ROLLOUT_MIN_FREE_MIB`.
 //! The command line takes precedence, and an empty variable counts as unset.
 
@@ -14,8 +14,8 @@ const PREFIX: &str = "ROLLOUT_";
 /// Separator of values of an option that can be repeated.
 const SEPARATOR: char = ';';
 
-/// Returns the command with a variable for each option. Options that already have a variable keep
-/// it.
+/// Returns the command with a variable for each option that is not hidden, except those whose
+/// variable is empty. Options that already have a variable keep it.
 pub fn with_variables(command: Command) -> Command {
     command.mut_args(|arg| {
         let Some(name) = variable(&arg).filter(|name| !is_empty(name)) else {

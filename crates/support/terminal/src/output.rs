@@ -87,8 +87,8 @@ pub fn counted(count: u64, noun: &str) -> String {
 /// Width of the output, columns.
 const WIDTH: usize = 80;
 
-/// Wraps words into lines of 80 columns. The first line starts with `prefix`, the others with
-/// `indent` spaces.
+/// Wraps words into lines of at most 80 columns, or of one longer word. The first line starts with
+/// `prefix`, the others with `indent` spaces.
 pub fn wrapped(prefix: &str, indent: usize, words: &str) -> String {
     let mut text = prefix.to_owned();
     let mut column = prefix.chars().count();

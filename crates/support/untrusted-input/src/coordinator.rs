@@ -1,9 +1,9 @@
 //! Hostile calls to the coordinator: every method of both services, on a real queue and database in
 //! which worker `w` holds a job of campaign `c`.
 //!
-//! Checks that a refused call changes neither the database nor a file, that every invariant of the
-//! database holds after any call, and that the next caller gets an answer. The clock is stopped, so
-//! that an input is reproducible.
+//! Checks that a refused call changes neither the database nor the number of artifacts, and that
+//! after all calls every invariant of the database holds and the next caller gets an answer. The
+//! clock is stopped, so that an input is reproducible.
 
 mod messages;
 mod methods;
@@ -64,7 +64,7 @@ pub(crate) fn check_calls(input: &[u8]) -> bool {
     })
 }
 
-/// Detects changes of a database and of the files beside it.
+/// Detects changes of a database and of the number of artifacts.
 struct ChangeDetector(SqliteConnection, PathBuf);
 
 impl ChangeDetector {
@@ -76,7 +76,7 @@ impl ChangeDetector {
     }
 
     /// Returns a number that changes with every commit of another connection, and the number of
-    /// files.
+    /// artifacts.
     async fn snapshot(&mut self) -> (i64, usize) {
         let version = sqlx::query_scalar("PRAGMA data_version");
         let version = version.fetch_one(&mut self.0).await.expect("a number");

@@ -20,7 +20,8 @@ mod script;
 pub struct Target {
     /// Name, which is also the name of the program in `fuzz/fuzz_targets`.
     pub name: &'static str,
-    /// Runs one input; returns true if no part of the input was refused.
+    /// Runs one input; returns true if it was accepted, by at least one parser if it is given to
+    /// several.
     pub run: fn(&[u8]) -> bool,
     /// Valid inputs to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,

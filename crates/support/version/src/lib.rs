@@ -1,7 +1,7 @@
 //! Text of `--version`: the release and the commit that a program was built from.
 //!
-//! A proc macro rather than a build script, so that a commit recompiles only its callers, the three
-//! programs. A build script would also recompile their libraries and all tests.
+//! A proc macro rather than a build script, so that a commit recompiles only the crates that call
+//! it. A build script would recompile every target of their packages, tests included.
 
 #![forbid(unsafe_code)]
 
@@ -14,8 +14,8 @@ use proc_macro::TokenStream;
 const UNSET: [&str; 3] = ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"];
 
 /// Expands to text such as `"0.1.0 (807e12a, 2026-11-23)"`: the calling package's version, the
-/// commit and its date; outside a git repository the version alone. Uncommitted changes are not
-/// mentioned.
+/// commit and its date; the version alone if git does not track the package. Uncommitted changes
+/// are not mentioned.
 #[proc_macro]
 pub fn version(_: TokenStream) -> TokenStream {
     let cargo_variable = |name| std::env::var(name).expect("a variable that cargo sets");
