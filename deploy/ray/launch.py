@@ -157,7 +157,7 @@ class Fleet:
 
 
 def queue_depth(coordinator: str, connect: str) -> int | None:
-    """Returns the number of waiting and running rollouts, or None if the coordinator call fails."""
+    """Returns the waiting and leased rollouts of running campaigns, or None if the call fails."""
     command = [coordinator, "campaign", "status", "--json", "--connect", connect]
     result = subprocess.run(command, check=False, capture_output=True, text=True)
     if result.returncode != 0:
@@ -207,7 +207,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Runs the command line; returns 1 if no worker can run."""
+    """Runs the command line; returns 1 if too many workers failed in a row."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     options = arguments()
     ray.init(address=options.address, log_to_driver=True)
