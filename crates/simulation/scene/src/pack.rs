@@ -40,8 +40,8 @@ pub struct AssetPack {
 impl AssetPack {
     /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack is unpacked
     /// into the sources' folder on first use. The files of `libero` may still be missing. A folder
-    /// is opened as `libero` if it holds some of LIBERO's files and has altered none of them, else
-    /// as `custom`.
+    /// is opened as `libero` if it holds files of LIBERO and none of them is altered, else as
+    /// `custom`.
     pub fn open(name_or_path: &str, sources: &Sources) -> Result<Self, SceneError> {
         match name_or_path {
             PRIMITIVES => Self::unpack_primitives(&sources.dir().join("packs")),

@@ -1,6 +1,6 @@
 //! Prepares a compiled model's meshes and textures for the software renderer. Scenes share the
-//! robot and much of the room, so the scenes of a process that are in use share equal prepared
-//! meshes and textures. Scene files keep the result for other processes.
+//! robot and much of the room, so a process prepares equal meshes and textures once for all scenes
+//! in use. Scene files keep the result for other processes.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
