@@ -11,7 +11,7 @@ use std::{
 
 pub mod batcher;
 
-/// Longest wait of a query for further queries of its batch while its server is idle.
+/// Longest time that a query waits for its batch to fill while the server is idle.
 pub const MAX_WAIT: Duration = Duration::from_millis(5);
 /// Largest number of queries in the queue of one replica. Further queries are refused, so that
 /// workers wait and the gateway's memory does not grow.

@@ -24,7 +24,7 @@ impl Front {
     /// Starts a gateway in front of the server at `url`.
     ///
     /// # Errors
-    /// If the address or the access files cannot be used.
+    /// If the address or the access files cannot be used, or no local port can be opened.
     pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
         let backend = url.parse().map_err(ConfigError::from)?;
         let route = RouteSpec {

@@ -24,7 +24,7 @@ pub const PROBE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Number of tasks that must receive the same error, with no answer in between, before the server
 /// counts as broken. A task may cause an error itself, so its retries count once.
 pub const SAME_ERROR_TASKS: usize = 3;
-/// Number of characters in which errors are compared.
+/// Number of leading characters of two errors that are compared.
 const COMPARED_CHARS: usize = 160;
 /// Phrases in accelerator errors that only a restart cures: from CUDA, cuBLAS, cuDNN, HIP and
 /// PyTorch.
@@ -83,7 +83,7 @@ pub struct Outage {
     failures: u32,
     /// Earliest time of the next probe.
     probe_at: Instant,
-    /// Session that is probing the server.
+    /// Current probe of the server.
     probe: Option<Probe>,
 }
 

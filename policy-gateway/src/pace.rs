@@ -26,7 +26,8 @@ pub struct Pace {
     /// Time at which the server last became busy.
     busy_since: Option<Instant>,
     last_answer: Option<Instant>,
-    /// Time from the previous answer to each answer, with the number of queries answered.
+    /// Time to each answer from the previous answer or, if later, from the time at which the server
+    /// became busy; with the number of queries answered.
     samples: VecDeque<(Duration, u32)>,
 }
 

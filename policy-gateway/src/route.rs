@@ -143,7 +143,7 @@ impl Route {
     /// Returns the description of the policy for `suite`.
     ///
     /// # Errors
-    /// If no replica answers, or the description cannot be used.
+    /// If the suite has no checkpoint, no replica answers, or the description cannot be used.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];
@@ -164,8 +164,8 @@ impl Route {
     /// Starts an episode. If the replicas are at capacity, waits for another session to end.
     ///
     /// # Errors
-    /// If the session's name is invalid, its suite has no checkpoint, no other session ends in
-    /// time, or no replica answers.
+    /// If the session's name is invalid, the route is retired, the suite has no checkpoint, no
+    /// other session ends in time, no replica answers, or a replica refuses the Reset.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
         if self.is_retired() {
@@ -206,7 +206,8 @@ impl Route {
     /// Answers one observation. A retry of a session's last query gets the same answer.
     ///
     /// # Errors
-    /// If no replica answers, or the answer is not a valid chunk of actions (see
+    /// If the session's name is invalid or the session is not open, the budget of observations is
+    /// exhausted, no replica answers, or the answer is not a valid chunk of actions (see
     /// [`policy_protocol::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
@@ -436,8 +437,8 @@ async fn query_replica(
     replica.infer(request.clone(), horizon, task).await
 }
 
-/// Selects the failure of a call to report. A new failure is more informative than the error of a
-/// replica that was already out of service.
+/// Returns the failure of a call to report: the earlier one, unless there is none or its replica
+/// was already out of service.
 fn most_informative(earlier: Option<RouteError>, new: RouteError) -> RouteError {
     let is_out_of_service = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }

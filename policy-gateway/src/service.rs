@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// Largest number of routes that are kept for their open sessions after they were removed from the
-/// configuration. If there are more, the routes that were configured first are dropped.
+/// configuration. If there are more, the earliest configured of them are dropped.
 pub const MAX_RETIRED_ROUTES: usize = 64;
 
 /// Policies of a gateway, by route. Clones share their state.
@@ -77,7 +77,7 @@ impl Gateway {
         Ok(())
     }
 
-    /// Returns the route of a policy; if no policy is named, the only route that takes sessions.
+    /// Returns the route of a policy; if no policy is named, the only route that takes new sessions.
     fn route(&self, policy: &str) -> Result<Arc<Route>, Status> {
         let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
         if !policy.is_empty() {

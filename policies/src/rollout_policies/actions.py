@@ -67,9 +67,9 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
 
 
 def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:
-    """Returns the chunk that is being executed at a query.
+    """Returns the actions that are executed while a query is answered; None if it has none.
 
-    Raises UnusableObservation if its shape is wrong.
+    Raises UnusableObservation if their shape is wrong.
     """
     if not message.HasField("under_way"):
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 #: Words from errors of CUDA, cuBLAS, cuDNN, HIP and PyTorch. The gateway has the same list in
-#: policy-gateway/src/health.rs, and sends no further queries to a server with such an error.
+#: policy-gateway/src/health.rs, and sends only probes to a server after such an error.
 BROKEN_WORDS = (
     "cuda error",
     "cuda runtime error",

@@ -52,8 +52,8 @@ class Policy(abc.ABC):
         """Answers several episodes' observations at once, in their order.
 
         Only called if the description's max_batch is above 1. If it raises, `infer` is
-        called for each query, so that only the faulty query fails. It is not called if the
-        policy is stateful, because its memories may have advanced already, nor after an
+        called for each query, so that only the faulty query fails. `infer` is not called if
+        the policy is stateful, because its memories may have advanced already, nor after an
         error that only a new process can recover from.
         """
         return [self.infer(observation) for observation in observations]

@@ -31,7 +31,7 @@ struct Shared {
     backend: Arc<dyn Backend>,
     watch: Arc<Watch>,
     answer_within: Duration,
-    /// Waiting queries, and the limit on the batch size that the last query was given.
+    /// Waiting queries, and the largest batch size, as given with the latest query.
     queue: Mutex<(Queue<Query>, usize)>,
     changed: Notify,
 }
@@ -61,7 +61,8 @@ impl Batcher {
     /// the batch is sent. Dropping the future removes the query from the queue.
     ///
     /// # Errors
-    /// If the queue is full, the batch is not sent in time, or [`Backend::infer_batch`] fails.
+    /// If the queue is full, the batch is not sent in time, the server does not answer in time, or
+    /// [`Backend::infer_batch`] fails.
     pub async fn infer(
         &self,
         request: InferRequest,

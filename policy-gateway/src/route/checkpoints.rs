@@ -63,7 +63,7 @@ impl Checkpoints {
         }
     }
 
-    /// Returns the only replica; `None` if there are several replicas or pools.
+    /// Returns the only replica; `None` if there are several replicas, or a pool per suite.
     pub(super) fn only(&self) -> Option<(Arc<Pool>, Arc<Replica>)> {
         match self {
             Self::One(pool) => match pool.replicas() {

@@ -13,7 +13,7 @@ use crate::{config::RouteName, observation_budget::MAX_OBSERVATION_BYTES};
 /// Reason why a route did not answer.
 #[derive(Debug, Error)]
 pub enum RouteError {
-    /// The replica did not answer.
+    /// The replica did not answer, or answered with an error.
     #[error("route {route}{}", replica_problem(replica, source))]
     Replica {
         /// Name of the route.

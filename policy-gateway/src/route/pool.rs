@@ -71,7 +71,7 @@ impl Pool {
     }
 
     /// Returns the number of sessions that the replicas can answer in time together; `None` if the
-    /// pace of a replica is unknown, or all replicas are out.
+    /// pace of a replica that is up is unknown, or all replicas are out.
     pub fn capacity(&self) -> Option<usize> {
         let up = self.replicas.iter().filter(|replica| !replica.is_out());
         let capacities = up.map(|replica| replica.capacity());

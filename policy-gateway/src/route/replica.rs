@@ -354,7 +354,7 @@ impl Replica {
         })
     }
 
-    /// Converts the answer of a server that is silent to a timeout.
+    /// Converts [`NoAnswer`], from a silent server, to a timeout.
     fn unless_silent<T>(
         &self,
         answer: Result<Result<T, BackendError>, NoAnswer>,

@@ -86,8 +86,8 @@ struct Outputs<'a> {
 
 #[pymethods]
 impl Batch {
-    /// Creates a batch of environments that step on `threads` threads. The environments remain
-    /// usable individually.
+    /// Creates a batch of environments that step on at most `threads` threads, or on one if any
+    /// renders through OpenGL. The environments remain usable individually.
     #[new]
     fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
         if simulations.is_empty() || threads == 0 {
@@ -367,7 +367,7 @@ impl Task<'_> {
 }
 
 impl Outputs<'_> {
-    /// Writes the readings and frames of the current state, as those of a rendered step.
+    /// Writes the readings and frames of the current state, as those of the rendered step `step`.
     fn observe(&mut self, state: &mut State, step: usize, view: View<'_>) -> PyResult<()> {
         self.readings[step] = reading(&state.environment.robot_state());
         for (camera, pictures) in view.cameras.iter().zip(&mut self.frames) {
@@ -429,7 +429,8 @@ fn exceeds_expert(added: &[f64; WIDTH]) -> bool {
     added[..3].iter().any(|value| value.abs() > 1.0)
 }
 
-/// Returns, row by row, true for each step at which the expert's action is executed.
+/// Returns, row by row, true for each step at which the sum of the expert's action and the given
+/// action is executed. Checks the shape and the action frame.
 fn expert_drives(
     drives: &PyReadonlyArrayDyn<'_, bool>,
     shape: [usize; 2],

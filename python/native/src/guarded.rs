@@ -88,7 +88,7 @@ impl<T> Guarded<T> {
     /// Frees the value; later uses raise `ClosedError`.
     ///
     /// # Errors
-    /// `BusyError` if another thread holds the value.
+    /// `BusyError` if another thread holds the value; `ClosedError` after a panic.
     pub(crate) fn close(&self) -> PyResult<()> {
         drop(self.hold()?.take());
         Ok(())

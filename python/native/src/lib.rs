@@ -1,8 +1,8 @@
 //! `rollout_libero._native`: Python bindings of the simulator. Its types mirror those of
 //! `sim`; the package in `python/` builds the public interface on them.
 //!
-//! Every method releases the interpreter while it computes. Using an object that another
-//! thread is computing with raises `BusyError`.
+//! Long computations release the interpreter. Using an environment that another thread is
+//! computing with raises `BusyError`.
 
 mod action;
 mod batch;

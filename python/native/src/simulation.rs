@@ -476,8 +476,8 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
     Ok((values.to_vec(), rows))
 }
 
-/// Creates a read-only array with `rows` rows; writes to a copy would have no effect on the
-/// simulation.
+/// Creates an array with `rows` rows. The array is read-only, because it is a copy: a write to it
+/// would have no effect on the simulation.
 fn by_rows<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -26,7 +26,7 @@ pub(crate) enum Start {
 pub(crate) struct Legacy {
     /// Seed of NumPy's legacy generator, which places fixtures and, without a state, all objects.
     legacy_seed: u32,
-    /// Number of times that the original has loaded its model after this start's reset.
+    /// Number of times that the original has loaded its model by the end of this start's reset.
     rounds: u32,
     settle_steps: u32,
     settle_action: [f64; 7],
@@ -49,8 +49,8 @@ pub(crate) struct Sampled {
     perturbed: Option<Box<ManifestRow>>,
 }
 
-/// Number of times that the original has loaded its model after an environment was constructed,
-/// seeded and reset once. A reset draws one round of joint samples per load.
+/// Number of times that the original has loaded its model once an environment has been constructed,
+/// seeded and reset. A reset draws one round of joint samples per load.
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
@@ -76,7 +76,7 @@ impl Start {
 
     /// Starts the rollout in an environment of its scene and runs the settling steps.
     /// Perturbations use the matched realisation. Returns the conditions that change actions
-    /// and frames; `None` if the start has no perturbation.
+    /// and frames; `None` if the start has no manifest row.
     ///
     /// # Errors
     /// If the task has no such initial state, objects cannot be placed, or the physics

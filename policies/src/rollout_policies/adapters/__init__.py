@@ -52,7 +52,7 @@ class Options:
     suite: str | None = None
     #: Device name as in torch.
     device: str = "cuda"
-    #: Queries answered in one forward pass, for policies that support batches.
+    #: Largest number of queries in one forward pass, for policies that support batches.
     max_batch: int = 1
     #: Actions of a chunk that are executed; None takes LIBERO-CTRL's number for a checkpoint of
     #: the catalogue, else the checkpoint's own.

@@ -243,8 +243,8 @@ class LerobotModel:
         torch.manual_seed(seed)
 
     def fresh_memory(self) -> dict[str, Any]:
-        """Returns a new copy of the network's state between the queries of an
-        episode: all attributes except the weights and the configuration."""
+        """Resets the network, and returns a copy of the state that it keeps between an
+        episode's queries: all attributes except the weights and the configuration."""
         import torch
 
         self.network.reset()
@@ -355,8 +355,8 @@ def _statistics(
 ) -> list[str]:
     """Returns a short text for each normalised feature and its statistics.
 
-    Raises UnusableCheckpoint if statistics are missing: lerobot would leave such a feature's
-    numbers unchanged.
+    Raises UnusableCheckpoint if the actions are relative to the state or of another width, or if
+    statistics are missing: lerobot would leave such a feature's numbers unchanged.
     """
     relative_steps = [step for step in preprocessor.steps if _is_of_type(step, "Relative")]
     if any(getattr(step, "enabled", False) for step in relative_steps):

@@ -74,7 +74,7 @@ class PredvlaModel:
     network: Any
     front: Any
     correction_class: Any
-    #: Number of steps between two steps that use frames.
+    #: Frames are used at steps whose number is a multiple of this.
     stride: int
     device: str
     #: Compiled replacement of a correction's `_roll`; None on a CPU.

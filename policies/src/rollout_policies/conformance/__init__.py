@@ -29,7 +29,7 @@ class DoesNotConform(AssertionError):
 def check(policy: Policy, *, suite: str = "libero_object") -> list[Finding]:
     """Checks a policy in this process, for its unit tests.
 
-    The policy is served on the loopback address and queried in this thread, for
+    The policy is served on the loopback address, and its methods run in this thread, for
     episodes of a task of `suite`. Returns the findings. Raises DoesNotConform,
     and CannotCheck if the policy answers no query.
     """

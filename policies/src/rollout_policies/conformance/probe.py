@@ -64,8 +64,8 @@ class EpisodeAnswers:
 
 
 class Probe(contextlib.AbstractContextManager):
-    """A client of the server under check. If the server answers with an error,
-    every method raises it as grpc.RpcError."""
+    """A client of the server under check. An error of the server is raised as grpc.RpcError,
+    except in methods that check for an error."""
 
     def __init__(self, target: Target) -> None:
         """Connects and requests the policy's description. Raises CannotCheck."""

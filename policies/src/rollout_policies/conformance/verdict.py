@@ -14,8 +14,8 @@ from ..actions import ACTION_WIDTH, UnusableActions, read_actions
 from ..description import Description
 from ..proto import policy_pb2 as pb
 
-#: Largest plausible magnitude of a component of an action, which the worker clips. A policy that
-#: exceeds it answers in other units.
+#: Largest plausible magnitude of a component of an action before the worker clips it to 1. A policy
+#: that exceeds it answers in other units.
 LARGEST_PLAUSIBLE = 2.0
 #: Largest difference that batching may cause in an action. Kernels for different batch sizes add
 #: in different orders, which changes low-order bits.
@@ -130,7 +130,7 @@ def seeds(
 
 
 def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]) -> Verdict:
-    """Checks that answers in a batch equal those to single queries."""
+    """Checks that answers in a batch equal those to single queries, up to BATCH_TOLERANCE."""
     if first_difference(alone, batched) is None:
         return passed("bit for bit")
     lengths = [[len(answer.actions) for answer in answers] for answers in (alone, batched)]

@@ -2,5 +2,5 @@
 
 Pure functions of NumPy arrays, one module each for frames (`images`, `jpeg`),
 readings (`robot`) and actions (`actions`). Nothing here loads a model or
-depends on a policy; each function names the definition that it follows.
+depends on a policy; a function that reproduces a published definition names it.
 """
