@@ -60,7 +60,8 @@ RESULTS = """
 
 
 class ArchiveError(CoordinatorError, ValueError):
-    """A file is not an archive or is incomplete. The message names file, member and remedy."""
+    """An archive is damaged or too new, or the disk has no room for it. The message names the
+    file and the remedy."""
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class Campaign:
 
     def results(self) -> pd.DataFrame:
         """Returns a row per committed rollout, by rollout id and replicate. `axis` and `level` are
-        the condition: `clean` and `L0` (nominal), an axis, or `combination` (all axes). `config` is
+        the condition: `clean` and `L0` (nominal), axes, or `combination` (all axes). `config` is
         missing for nominal rollouts. Only rollouts with a displaced robot have `ik_res_mm`, the
         residual of the inverse kinematics, mm, and only rollouts that are perturbed at level `L0`
         have `placebo_radius`.
@@ -90,8 +90,8 @@ class Campaign:
         condition: str | None = None,
         level: str | None = None,
     ) -> pd.DataFrame:
-        """Returns a row per rollout in any state. All conditions of a configuration follow one
-        another.
+        """Returns a row per rollout, in the order of creation: all conditions of a configuration
+        follow one another, except those that were added to the campaign later.
 
         state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
         task: `libero_object/0`, or a suite. condition and level: as in rollout ids.

@@ -86,7 +86,8 @@ class Server:
         self._thread.start()
 
     def stop(self, grace_secs: float = SHUTDOWN_GRACE_SECS) -> None:
-        """Lets open requests finish, then frees the port."""
+        """Frees the port, and returns when the open requests have finished or `grace_secs` are
+        over."""
         self._server.stop(grace_secs).wait()
         self._inference.close()
         if self._thread is not None:

@@ -33,7 +33,7 @@ log = logging.getLogger("rollout_policies")
 @dataclass(frozen=True)
 class QueryError:
     """Reason why a query got no answer. The caller knows the policy, session
-    and query, so the text does not name them."""
+    and query, so the text need not name them."""
 
     code: grpc.StatusCode
     text: str

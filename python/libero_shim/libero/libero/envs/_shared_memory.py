@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 #: Size of the memory, bytes. It occupies only the pages that are written.
 SIZE = 16 << 20
-#: Smaller arrays stay in the message, bytes.
+#: Size, bytes, below which an array stays in the message.
 _SMALL = 16 << 10
 #: Alignment of arrays, bytes.
 _ALIGNED = 64
