@@ -99,7 +99,7 @@ def median_ms(work: Callable[[], object], times: int) -> float:
 
 
 def measure_one(flags: argparse.Namespace) -> dict[str, float]:
-    """Returns the duration of one environment's calls, ms."""
+    """Returns the median durations of one environment's steps and resets, ms."""
     bddl, states = task_files(flags.task)
     measured = {}
     for frames, name in ((False, "step_ms"), (True, "frames_ms")):

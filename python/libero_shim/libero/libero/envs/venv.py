@@ -79,7 +79,7 @@ def _setup_buf(space: Any) -> Any:
 
 
 class CloudpickleWrapper:
-    """Wrapper of an object sent to a process, including lambdas and closures."""
+    """Wrapper that sends any object to a process, also a lambda or closure."""
 
     def __init__(self, data: Any) -> None:
         self.data = data
@@ -280,7 +280,7 @@ _worker = _serve
 
 
 class SubprocEnvWorker(EnvWorker):
-    """An environment in a separate process, created by `multiprocessing`'s start method."""
+    """An environment in a separate process, started by `multiprocessing`'s start method."""
 
     # The defaults hold for a subclass that starts its own process, with its own loop of commands.
     _is_starting = False
