@@ -39,7 +39,7 @@ def test_a_query_of_a_batch_fails_alone_and_answers_do_not_depend_on_the_batch(s
 
 
 class Batching(Policy):
-    """Raises `error` for a query or batch of the session named "bad"."""
+    """Raises `error` for a query of the session "bad", alone or in a batch."""
 
     def __init__(self, error, stateful=False):
         self.description = Description(name="batching", max_batch=4, stateful=stateful)

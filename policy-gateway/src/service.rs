@@ -77,7 +77,7 @@ impl Gateway {
         Ok(())
     }
 
-    /// Returns the route of a policy; if no policy is named, the only route that takes new sessions.
+    /// Returns the route of a policy; if none is named, the only route that takes new sessions.
     fn route(&self, policy: &str) -> Result<Arc<Route>, Status> {
         let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
         if !policy.is_empty() {

@@ -51,7 +51,7 @@ impl Credentials {
         std::fs::set_permissions(self.path(name), private).expect("set");
     }
 
-    /// Starts a server with these credentials, whose certificate is valid until the end of a year.
+    /// Starts a server with these credentials and a certificate that is valid to the end of a year.
     fn serve(&self, until_year: i32) -> Server {
         let mut params = CertificateParams::new(["localhost".to_owned()]).expect("a name");
         params.not_after = date_time_ymd(until_year, 12, 31);

@@ -63,7 +63,7 @@ impl Server {
                 let (answer, event_sender) = (Arc::clone(&answer), event_sender.clone());
                 connections.spawn(async move {
                     let header_sender = event_sender.clone();
-                    // The closure's type is fixed by the library.
+                    // The library fixes the closure's error type, which is large.
                     #[allow(clippy::result_large_err)]
                     let record_header = |request: &Request, response: Response| {
                         let header = request.headers().get("authorization");
