@@ -39,7 +39,7 @@ ACTIONS = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(7,))}
 
 
 def synthetic_statistics() -> dict[str, dict[str, torch.Tensor]]:
-    """Returns every kind of statistics that lerobot's normalisation may need."""
+    """Returns statistics for normalisation by mean, by minimum and maximum, and by percentiles."""
 
     def statistics(width: int, spread: float) -> dict[str, torch.Tensor]:
         bounds = torch.full((width,), spread)

@@ -2,9 +2,10 @@
 //! at once, except those of one probing session at a time. Pure: callers pass in the time. The
 //! replica classifies the failures.
 //!
-//! A server that could not be reached counts as recovered after any answer. A server that did not
-//! answer in time, or is broken, counts as recovered only after an answered query, since Describe
-//! and Reset often keep working when the server's accelerator does not.
+//! A server that did not answer in time, is broken or repeats an error counts as recovered only
+//! after an answered query, since Describe and Reset often keep working when the server's
+//! accelerator does not. A server that repeats an error also recovers by a different error. A server
+//! that is out for any other reason counts as recovered after any answer.
 
 use std::time::{Duration, Instant};
 

@@ -44,7 +44,7 @@ MAX_LIST = 64 << 20
 #: Largest ratio of the members' total size to the archive's size, unless the total is below SMALL
 #: bytes.
 MAX_RATIO, SMALL = 100, 64 << 20
-#: Largest number of zeros after the last member, bytes.
+#: Largest number of bytes after the tar file's end marker.
 MAX_PADDING = 1 << 20
 
 #: Tables that are read.
