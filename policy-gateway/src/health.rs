@@ -4,8 +4,8 @@
 //!
 //! A server that did not answer in time, is broken or repeats an error counts as recovered only
 //! after an answered query, since Describe and Reset often keep working when the server's
-//! accelerator does not. A server that repeats an error also recovers by a different error. A server
-//! that is out for any other reason counts as recovered after any answer.
+//! accelerator does not; one that repeats an error also after a different error. A server that is
+//! out for any other reason counts as recovered after any answer.
 
 use std::time::{Duration, Instant};
 
