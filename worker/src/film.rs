@@ -75,8 +75,8 @@ struct Filmable {
 /// own. `provide` fetches the files of a rollout's task if they are missing.
 ///
 /// # Errors
-/// If the coordinator cannot be reached. A rollout that cannot be filmed is logged and
-/// counted.
+/// If filming cannot start, or the coordinator gives no answer or a refusal. A rollout that cannot
+/// be filmed is logged and counted.
 pub fn run(
     config: &Config,
     simulator: &SimulatorConfig,

@@ -1,6 +1,6 @@
 //! Measures how many slots are worth running on a machine: `worker bench` prints the measurements,
-//! `--slots auto` acts on them. Both commands start increasing numbers of slots that simulate and
-//! render whole rollouts with a policy of fixed actions, and add up their throughput.
+//! `--slots auto` acts on them. Both measure increasing numbers of slots, which simulate and render
+//! whole rollouts with a policy of fixed actions, and add up the slots' throughput.
 //!
 //! Reading order: `open_loop` has that policy's actions; `counting` is the process of one measured
 //! slot, `together` the parent of these processes, `room` the available memory, `choice` the rule

@@ -64,7 +64,7 @@ pub struct Assignment {
     pub policy: String,
     /// URL of the policy or of a gateway.
     pub policy_endpoint: String,
-    /// Seed of the policy, from the replicate.
+    /// Seed of the policy, from the rollout's id and the replicate.
     pub policy_seed: u64,
     /// Longest time that the policy may take for one answer.
     pub policy_deadline: Duration,
@@ -214,7 +214,7 @@ pub enum FailureKind {
     SlotCrashed,
     /// The slot's process made no progress and was killed.
     SlotStuck,
-    /// The policy's answer cannot be executed.
+    /// The policy answered with an error, or with actions that cannot be executed.
     PolicyMisbehaved,
     /// The policy cannot be reached, is overloaded or has an unusable description. Not charged to
     /// the rollout.
@@ -246,9 +246,9 @@ impl FailureKind {
 }
 
 impl From<&PolicyError> for FailureKind {
-    /// Charges the rollout for an answer that breaks the protocol, but not for a missing answer. An
-    /// unusable policy description is not charged either, because it would be charged to every
-    /// rollout of the policy.
+    /// Charges the rollout for an invalid answer or an error of the policy, but not for a missing
+    /// answer. An unusable policy description is not charged either, because it would be charged to
+    /// every rollout of the policy.
     fn from(error: &PolicyError) -> Self {
         match *error {
             PolicyError::InvalidAnswer { .. }

@@ -62,7 +62,7 @@ impl PolicyClient {
     /// policy. The first call opens the connection.
     ///
     /// # Errors
-    /// If the endpoint is not such a URL.
+    /// If the endpoint is not such a URL, or the client cannot be set up.
     pub fn new(endpoint: &str, access: &Access, settings: Settings) -> Result<Self, PolicyError> {
         let address = parse_endpoint(endpoint).map_err(PolicyError::Endpoint)?;
         let address = with_settings(address);

@@ -1,5 +1,6 @@
 //! Renders previews of a configuration's perturbations, without a policy: a grid of axes and
-//! levels, a sheet of each axis's ten presets, and the end-effector's paths under actuation.
+//! levels, a sheet of the ten presets of each axis except language, and the end-effector's paths
+//! under actuation.
 
 mod paths;
 mod request;
