@@ -1,5 +1,5 @@
 //! Headless Chromium, driven over its DevTools protocol through a pair of pipes, without
-//! a port or another program. For end-to-end tests of the live page.
+//! a port or a driver program. For end-to-end tests of the live page.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -120,7 +120,7 @@ impl Browser {
         value.unwrap_or_else(|error| panic!("{expression}: {error}"))
     }
 
-    /// Evaluates an expression; fails if it throws or the page navigates meanwhile.
+    /// Evaluates an expression; panics if it throws, and fails if the page navigates meanwhile.
     fn try_value(&mut self, expression: &str) -> Result<Value, Value> {
         let parameters = json!({
             "expression": expression, "awaitPromise": true, "returnByValue": true,
@@ -134,7 +134,7 @@ impl Browser {
     /// Waits until an expression is true.
     ///
     /// # Panics
-    /// If the wait times out.
+    /// If the expression throws or the wait times out.
     pub fn wait_for(&mut self, expression: &str) {
         let start = Instant::now();
         // Evaluation fails while the browser navigates to another page.

@@ -6,8 +6,8 @@
 //!
 //! - `<!-- not run: REASON -->`: the block is only listed,
 //! - `<!-- needs: REQUIREMENT -->`: the block is skipped if the machine does not meet it
-//!   ([`folder::Requirement`]); a block that names `../shared` has the first requirement
-//!   without a comment,
+//!   ([`folder::Requirement`]); a block that names `../shared` needs `reference data`
+//!   without such a comment,
 //! - `<!-- file: NAME -->`: a block of another language is written to a file.
 
 pub mod folder;

@@ -42,9 +42,6 @@ pub fn open_pack(
 
 /// Opens LIBERO's assets. The files for the 40 tasks are fetched once for all tests; if that
 /// fails, for example without a network, prints that `test` is skipped and returns `None`.
-///
-/// # Panics
-/// If a file was altered and cannot be replaced.
 pub fn libero(sources: &Sources, test: &str) -> Option<AssetPack> {
     static FETCHED: OnceLock<Result<AssetPack, String>> = OnceLock::new();
     let fetched = FETCHED.get_or_init(|| {

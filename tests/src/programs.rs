@@ -108,7 +108,7 @@ impl Process {
     /// Sends a signal, for example `-KILL`.
     ///
     /// # Panics
-    /// If the process has exited.
+    /// If the signal cannot be sent.
     pub fn signal(&self, name: &str) {
         let status = Command::new("kill")
             .args([name, &self.child.id().to_string()])

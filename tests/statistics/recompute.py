@@ -1,4 +1,4 @@
-"""Recomputes the inferential statistics of reports with NumPy and SciPy only, and compares.
+"""Compares the inferential statistics of reports with values computed by NumPy and SciPy only.
 
     python3 recompute.py campaigns.json
 

@@ -3,7 +3,7 @@
 //! undisturbed campaign byte for byte, and no more attempts are charged than slots were killed
 //! under their workers: network failures and restarted machines cost no rollout an attempt.
 //!
-//! `ROLLOUT_CHAOS_SEEDS=17` replays one schedule, and `=1000-1999` plays these schedules instead
+//! `ROLLOUT_CHAOS_SEEDS=17` replays one schedule, `ROLLOUT_CHAOS_SEEDS=1000-1999` plays a thousand
 //! (docs/RELIABILITY.md).
 
 use std::collections::VecDeque;

@@ -385,7 +385,7 @@ impl Bench {
             Spread::from_values(&values).map_or(0.0, |spread| spread.median)
         };
         let settling_physics = Spread::from_values(&settling).map_or(0.0, |spread| spread.median);
-        // Computed per rollout, so that the reported share occurred in an actual rollout.
+        // Computed per rollout, so that the parts and the total of a share are of one rollout.
         let shares: Vec<f64> = timers
             .iter()
             .zip(&settling)

@@ -45,8 +45,8 @@ for _ in range(3):
 print('moved', flush=True)
 sys.stdin.read()
 ";
-/// Number of environments per task if one Python process holds all of them, and number per process
-/// if [`PROCESSES`] processes do.
+/// Number of environments: per task in a single Python process, or per process in [`PROCESSES`] of
+/// them.
 const ENVIRONMENTS: usize = 16;
 const PROCESSES: usize = 8;
 

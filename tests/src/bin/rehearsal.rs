@@ -1,5 +1,5 @@
-//! Dress rehearsal of a week of operation in compressed time: a campaign of every rollout of a
-//! policy, with two replicates, on slots that start and stop, with a policy outage, an upgrade of
+//! Dress rehearsal of a week of operation in compressed time: a campaign of every rollout of the
+//! protocol, with two replicates, on slots that start and stop, with a policy outage, an upgrade of
 //! the coordinator, a full disk, clock jumps and a restored backup. All processes are real, except
 //! that slots are simulated. Report and results must equal those of the same campaign without
 //! faults, byte for byte. Exits with 1 if they do not.

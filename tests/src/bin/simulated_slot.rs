@@ -26,7 +26,8 @@ use worker::message::{
 use worker::parent::Parent;
 use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 
-/// Number of control steps that are simulated; the result has a number from the rollout's hash.
+/// Number of control steps that are played. The result reports another number, from the hash of the
+/// rollout's id and the policy's actions.
 const STEPS: u32 = 12;
 /// Default duration of a control step, milliseconds.
 const STEP_MILLIS: u64 = 12;

@@ -10,8 +10,8 @@ use tempfile::TempDir;
 
 use crate::programs::program;
 
-/// Folders of the checkout that are copied because commands write to them. The sandbox has symbolic
-/// links in place of all other folders.
+/// Folders of the checkout that are copied because commands write to them. All other entries are
+/// symbolic links, except `.git`, `target` and `demo-data`, which the sandbox lacks.
 const COPIED: [&str; 2] = ["assets", "policies"];
 
 /// Environment variables that are removed, since a new reader has not set them.

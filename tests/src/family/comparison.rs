@@ -42,7 +42,8 @@ pub struct Findings {
     pub camera: Option<f64>,
     /// True if the generator's next number is the same; `None` if it was not recorded.
     pub draw: Option<bool>,
-    /// True if the prompts are the same; `None` if none was recorded or the sentence is missing.
+    /// True if prompt and sentence are the same; `None` if no prompt was recorded or the file with
+    /// the sentence is missing.
     pub prompt: Option<bool>,
     /// `None` if there is no recorded picture.
     pub frames: Option<FrameFindings>,

@@ -62,7 +62,7 @@ pub struct ContactFindings {
     /// was not measured.
     pub worst_while_insensitive: f64,
     /// Largest difference in multiples of the original's sensitivity after the insensitive
-    /// phase; `None` if the sensitivity was not measured.
+    /// phase; `None` if the original stays insensitive or its sensitivity was not measured.
     pub sensitivities: Option<f64>,
     /// Success flags that differ.
     pub success_flags: usize,

@@ -83,7 +83,7 @@ fn compare_trajectory(
     Ok(())
 }
 
-/// Compares the readings that the original returned with a step.
+/// Compares the readings with those that the original returned at a step.
 fn compare_observation(
     recorded: &Arrays,
     step: usize,

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use super::{GIVE_BACK_SECS, folder, runs, unknown_flags};
 
-/// Files with resources; all other files are instructions to kustomize.
+/// Files of the folder `base` with resources; its other files are instructions to kustomize.
 const BASE: [&str; 5] = ["namespace", "coordinator", "gateway", "workers", "network"];
 
 /// Folders that can be applied to a cluster.
