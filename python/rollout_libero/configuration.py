@@ -95,9 +95,9 @@ class Starts:
         """Perturbs all later rollouts.
 
         Raises:
-            ValueError: if there is no such configuration, its actuation axis distorts actions that
-                are poses, or its execution model does not fit; the previous perturbation stays in
-                effect.
+            ValueError: if the task has no such configuration, its actuation axis distorts actions
+                that are poses, or its execution model does not fit; the previous perturbation stays
+                in effect.
         """
         row = None if perturbation is None else _row(self._task, perturbation)
         self._check_execution(self._execution_of(row))

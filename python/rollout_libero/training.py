@@ -119,7 +119,7 @@ class TrainingEnvironment:
         rows: Sequence[int] | None = None,
         render: Literal["last", "none"] = "last",
     ) -> Observation:
-        """Begins a rollout in each of some rows, by default of all, with a start for each. Returns
+        """Begins a rollout in each of the rows, by default in all, with a start for each. Returns
         the observations of these rows, without frames if ``render="none"``.
 
         Raises:
@@ -165,7 +165,7 @@ class TrainingEnvironment:
         rows: Sequence[int] | None = None,
         render: Render = "last",
     ) -> Stepped:
-        """Executes control steps of some rows, by default of all, with actions [rows, steps, 7].
+        """Executes control steps of the rows, by default of all, with actions [rows, steps, 7].
         All actions are executed, even past success.
 
         Raises:
@@ -188,7 +188,7 @@ class TrainingEnvironment:
     def observe(
         self, rows: Sequence[int] | None = None, render: Literal["last", "none"] = "last"
     ) -> Observation:
-        """Returns the last observations of some rows, by default of all; without frames if
+        """Returns the last observations of the rows, by default of all; without frames if
         ``render="none"``.
 
         Raises:

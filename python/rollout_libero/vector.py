@@ -163,8 +163,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         environment. With ``init_states="cycle"``, or numbers, a seed selects the turn: seeds of a
         list act as in ``Environment.reset``, and with a number the *r*-th environment of a task
         begins at turn ``seed + r``. ``options`` may have ``reset_mask``, [environments], True for
-        the environments that begin a rollout, and ``init_state``, a number for all environments or
-        a number for each, which takes precedence.
+        the environments that begin a rollout, and ``init_state``, which takes precedence: a number
+        for all environments, or a number for each.
         """
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
@@ -327,8 +327,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         """Changes an environment's perturbation, from its next rollout on.
 
         Raises:
-            ValueError: if there is no such configuration; the previous perturbation stays in
-                effect.
+            ValueError: if the task has no such configuration, or it does not fit the control or the
+                execution model; the previous perturbation stays in effect.
         """
         self.starts[index].perturb(perturbation)
 

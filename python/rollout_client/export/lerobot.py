@@ -1,4 +1,4 @@
-"""LeRobot dataset, format v2.1, with an episode for each committed rollout.
+"""LeRobot dataset, format v2.1, with an episode for each rollout that has recorded actions.
 
 The dataset lacks the data that a campaign does not keep: joints, the gripper's state, the
 end-effector's orientation, and the pictures that the policy received. Its videos are the campaign's
@@ -38,10 +38,11 @@ ACTION = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
 
 
 def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = False) -> int:
-    """Writes an archive's rollouts that have actions into a new folder; returns their number.
+    """Writes an archive's rollouts that have actions into an empty or new folder; returns their
+    number.
 
     films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there
-    is no such rollout, and SettingsError if the folder is not new or pyarrow is missing.
+    is no such rollout, and SettingsError if the folder is not empty or pyarrow is missing.
     """
     import_package("pyarrow")
     target = Path(folder)

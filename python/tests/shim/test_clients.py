@@ -1,7 +1,7 @@
 """Unmodified PyPI clients of LIBERO on the shim. Each client plays an episode in which the robot
 drops an object into a basket, and the task succeeds. If the original is installed, the episode
-succeeds with it, too, at most two steps earlier or later; frames are equal until the gripper
-touches something, and similar afterwards.
+succeeds with it, too, at most two steps earlier or later; frames are nearly equal until the
+gripper touches something, and similar afterwards.
 
 `ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
 clients.txt (`cargo xtask test` creates the environment if it can). If `ROLLOUT_ORIGINAL` has the
@@ -117,8 +117,8 @@ def test_a_client_gets_the_same_episode_as_with_the_original(
     )
     assert abs(len(ours) - len(theirs)) <= SUCCESS_STEPS
     assert [list(step) for step in ours[:90]] == [list(step) for step in theirs[:90]]
-    # Until the gripper touches something, frames and readings are equal. Later, rounding errors
-    # grow, in the original as well, and frames are only similar.
+    # Until the gripper touches something, frames and readings differ by roundings at most. Later,
+    # rounding errors grow, in the original as well, and frames are only similar.
     for i in range(UNTOUCHED):
         assert_same(ours[i], theirs[i], f"{client} step {i}")
     for i in range(UNTOUCHED, min(len(ours), len(theirs))):
