@@ -32,8 +32,8 @@ CANONICAL_SHARE = 0.2
 """Probability that a sample has the benchmark's own instruction."""
 MAX_WORDS_DROPPED = 0.25
 MAX_PAIRS_DROPPED = 0.6
-"""Largest shares of an instruction's words that are dropped, and of its pairs of neighbouring words
-of which both words are kept. Dropped words simulate words that never occur in training."""
+"""Largest probabilities with which a word of an instruction is dropped, and a pair of kept
+neighbouring words. Dropped words simulate words that never occur in training."""
 
 
 class PictureChange(NamedTuple):

@@ -38,7 +38,7 @@ PUSH_ROTATION = 0.4
 ALONE_SHARE = 0.2
 """Share of the episodes that the student drives from beginning to end."""
 DISTURBED_SHARE = 0.5
-"""Share of the episodes in turns in which the expert's turns are disturbed."""
+"""Share of the episodes driven in turns in which the expert's turns are disturbed."""
 STUDENT_STEPS = (16, 160)
 EXPERT_STEPS = (12, 60)
 """Least and most steps of a turn of the student, and of the expert."""

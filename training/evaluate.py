@@ -2,8 +2,8 @@
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 
-By default, the scenes are newly placed. The final measurement is a campaign on the benchmark's own
-states, not this command.
+By default, LIBERO's samplers place the objects. The final measurement is a campaign on the
+benchmark's own states, not this command.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ each name."""
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 """Cameras in the order of a frame's pictures."""
 RENDERED = 256
-"""Height and width of rendered pictures. Noise and blur are defined at this size."""
+"""Height and width of rendered pictures, at which the sensor axis applies its noise and blur."""
 
 
 def shrink(pictures: Tensor) -> Tensor:

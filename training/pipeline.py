@@ -33,8 +33,8 @@ LEAVE_SECONDS = 12.0
 MAX_ROUNDS = 40
 """Number of rounds from whose folders the trainer reads."""
 THREADS = 16
-"""Threads per collecting process: so many workers start a further process, since the threads of one
-process contend for its interpreter lock (GIL)."""
+"""Cores per collecting process. A machine with several times as many has several processes, since
+the threads of one process contend for its interpreter lock (GIL)."""
 
 
 def python(module: str, *arguments: object) -> list[str]:

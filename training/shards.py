@@ -174,7 +174,7 @@ def stalled(shard: Shard) -> NDArray[np.bool_]:
     number = np.arange(len(shard.state)) - first
     values = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
     moved = np.zeros(len(values), np.float32)
-    # Each frame is compared with each of the last frames of its episode.
+    # Each frame is compared with each of the ``STALL_FRAMES`` frames before it in its episode.
     for distance in range(1, STALL_FRAMES + 1):
         earlier = np.maximum(np.arange(len(values)) - distance, first)
         moved = np.maximum(moved, np.abs(values - values[earlier]).max(axis=1))
