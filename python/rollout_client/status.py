@@ -36,9 +36,10 @@ class Status:
     succeeded: int
     failed: int
     quarantined: int
-    #: Rate of the rollouts that started and were committed within the last five minutes, or since
-    #: the first lease or last resume if that is later; and time in which the remaining rollouts
-    #: complete at that rate. None if there are no such rollouts or the campaign is not running.
+    #: Rate of the rollouts that were committed within the last five minutes and started after the
+    #: last resume, over these five minutes or the time since the first of them started; and time in
+    #: which the remaining rollouts complete at that rate. None without such rollouts, or if the
+    #: campaign is not running.
     rate_per_sec: float | None
     remaining_secs: float | None
     #: Number of live workers that can run the campaign.

@@ -124,8 +124,9 @@ class TrainingEnvironment:
 
         Raises:
             FileNotFoundError: if files are missing.
-            ValueError: if there is no such task or row, or a state is of another task; rows
-                earlier in the list may have begun their rollouts.
+            ValueError: if there is no such task or row, or a state is of another task.
+
+        After an error, other rows may have begun their rollouts, or lost their earlier ones.
         """
         rows = self._rows(rows)
         if len(starts) != len(rows):

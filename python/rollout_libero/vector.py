@@ -227,8 +227,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
 
         ``expert``, [environments, steps], queries a scripted expert, which reads the simulator's
         state, at every step: ``info["expert_action"]``, [environments, steps, 7], has the expert's
-        actions, NaN beyond the executed steps. At steps where ``expert`` is True, the sum of the
-        expert's action and of the given action is executed.
+        actions, NaN beyond the executed steps. At steps where ``expert`` is True, it drives: the
+        given action is added to the arm's part of the expert's action, within -1..1.
 
         Under an execution model, or with ``execute``, ``actions`` are the answers to the
         observations of the previous call. Each environment runs until its next query is due, in

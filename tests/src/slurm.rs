@@ -50,7 +50,7 @@ impl Cluster {
     /// Starts a cluster.
     ///
     /// # Errors
-    /// If a required program is not installed.
+    /// If a required program is not installed, or this machine's name has no address.
     ///
     /// # Panics
     /// If the installed programs do not work.
