@@ -229,7 +229,8 @@ def _identify_grpc_server(access: Access) -> Finding:
 
 
 def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Finding:
-    """Returns True if a server has the method `path`, or a description if it is no gRPC server."""
+    """Returns True if a server has the method `path`, False if a gRPC server lacks the method, or a
+    description of a server of another kind."""
     call = opened.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
         call(b"", timeout=ANSWER_TIMEOUT, metadata=access.metadata)

@@ -23,7 +23,8 @@ pub enum PolicyError {
     Access(#[source] AccessError),
     #[error("a policy cannot be called: failed to start the client ({0})")]
     Runtime(#[source] std::io::Error),
-    /// The policy did not answer, or answered that it is unavailable for now.
+    /// The policy did not answer, answered that it is unavailable for now, or refused to describe
+    /// itself.
     #[error("{}", sentence(policy, endpoint, "did not answer", call, problem))]
     Unavailable {
         /// The call: "Describe", "Reset", "query 3".
@@ -151,7 +152,8 @@ pub trait Actor {
     /// actor does not receive them.
     ///
     /// # Errors
-    /// If the actor does not answer, or its answer is not a valid chunk of actions.
+    /// If the actor does not answer, its answer is not a valid chunk of actions, or a recording has
+    /// no further action.
     fn infer(
         &mut self,
         session: PolicySession<'_>,

@@ -122,7 +122,7 @@ impl Provider {
     ///
     /// # Errors
     /// If the assets cannot be fetched, a variant's assets are in no index, or a variant's task
-    /// files are missing.
+    /// files are missing or wrong.
     pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
         let files = match row.id.variant() {

@@ -28,7 +28,7 @@ pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
 const END_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a connection.
 const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
-/// HTTP/2 window, bytes: larger than an observation, so that no call waits for a window update.
+/// HTTP/2 receive window, bytes: larger than an answer, so that no call waits for a window update.
 const WINDOW_BYTES: u32 = 4 << 20;
 
 /// Client of one endpoint.

@@ -96,7 +96,7 @@ struct Agreement {
     equal: u64,
     /// Number of pixels that differ by at most [`CLOSE_LEVELS`].
     close: u64,
-    /// Largest difference of a channel, levels.
+    /// Largest difference of a channel, grey levels.
     largest: u8,
 }
 
@@ -333,7 +333,7 @@ impl Agreement {
 
 /// Returns the heads of the table's columns: the median times of our renderer and of OpenGL, in
 /// milliseconds; the median and the range of OpenGL's time over ours; the shares of equal pixels
-/// and of pixels within [`CLOSE_LEVELS`] levels, percent; and the largest difference, levels.
+/// and of pixels within [`CLOSE_LEVELS`], percent; and the largest difference, grey levels.
 fn header(alone: bool) -> String {
     let ours = format!("{:<36} {:>8}", "scene and camera", "ours");
     match alone {

@@ -166,8 +166,8 @@ fn select(all: Vec<ReferenceTask>, wanted: &[String]) -> Result<Vec<ReferenceTas
 /// largest differences of joint positions, m or rad. `obs.`: largest difference of a reading, in
 /// its own unit. `predicates`: number of equal truth values, and number of all. `frames`,
 /// `within 2`: smallest shares of a frame's pixels that are equal, and that differ by at most two
-/// levels. `largest`: largest difference of a channel, levels. The last column, without a head, is
-/// `ok` if all limits hold, else `NO`.
+/// grey levels. `largest`: largest difference of a channel, grey levels. The last column, without a
+/// head, is `ok` if all limits hold, else `NO`.
 const HEADER: &str = "task              names arrays settle smooth contact obs.   predicates frames   within 2  largest";
 
 fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {

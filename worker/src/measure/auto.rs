@@ -36,7 +36,7 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     let secs = (ALL_SECS / measurements as f64).min(ONE_SECS);
     let mut slots = Slots::new(program);
     // Only the memory of this measurement is used. If its throughput counted too, one slot would
-    // have one more attempt at a high value than larger numbers of slots.
+    // have one more chance of a high value than larger numbers of slots.
     let per_slot = slots.measure(1, secs)?.per_slot(scenes);
     let fitting = fitting_slots(available, per_slot);
     let most = cores.min(fitting);
