@@ -1,5 +1,5 @@
-"""Compiled scenes, one per task and asset pack in a process, shared by all of
-its environments. Recent scenes outlive their environments, so that frameworks
+"""Compiled scenes, one per task and asset pack in a process, shared by all
+environments of the task. Recent scenes outlive their environments, so that frameworks
 that close and create an environment at every reset do not compile them again."""
 
 from __future__ import annotations

@@ -17,9 +17,10 @@ pub(crate) struct OomKills {
 /// Cause of a SIGKILL, according to the counters before and after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// The kernel killed a process of this control group, whose memory limit was reached.
+    /// The kernel killed a process of this control group, taken to have reached its memory limit.
     GroupLimit,
-    /// The kernel killed a process elsewhere on this machine, which ran out of memory.
+    /// The kernel killed a process on this machine, but none that is counted for this control
+    /// group.
     Machine,
     /// The kernel killed no process: another process sent the signal.
     Signal,

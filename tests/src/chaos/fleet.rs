@@ -110,7 +110,8 @@ impl Fleet {
     /// If something does not start.
     pub fn start_with(plan: Plan) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        // Another user must be able to read the folder, for the read-only database.
+        // The coordinator on the read-only database may run as another user, who must be able to
+        // read the folder.
         let mode = std::fs::Permissions::from_mode(0o755);
         std::fs::set_permissions(folder.path(), mode).expect("a writable folder");
         let mut fleet = Self {
