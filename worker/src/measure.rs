@@ -1,6 +1,6 @@
 //! Measures how many slots are worth running on a machine: `worker bench` prints the measurements,
-//! `--slots auto` acts on them. Both measure increasing numbers of slots, which simulate and render
-//! whole rollouts with a policy of fixed actions, and add up the slots' throughput.
+//! `--slots auto` acts on them. Both measure 1, 2, 4 and more slots, which simulate and render whole
+//! rollouts with a policy of fixed actions, and add up the slots' throughput.
 //!
 //! Reading order: `open_loop` has that policy's actions; `counting` is the process of one measured
 //! slot, `together` the parent of these processes, `room` the available memory, `choice` the rule

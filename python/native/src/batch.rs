@@ -64,8 +64,8 @@ struct Task<'a> {
     start: Option<Start>,
     actions: &'a [[f64; WIDTH]],
     limit: usize,
-    /// Per step: true if the sum of the expert's action and the action in `actions` is executed;
-    /// false if the action in `actions` is executed alone. `None` if the expert is not queried.
+    /// Per step: true if the expert's action plus the arm's action in `actions` is executed; false
+    /// if the action in `actions` is executed alone. `None` if the expert is not queried.
     expert: Option<&'a [bool]>,
     outputs: Outputs<'a>,
 }
@@ -148,8 +148,8 @@ impl Batch {
     /// each environment, the readings by name, and the frames by camera, with row 0 at the top,
     /// and column 0 at the right if `mirrored`. With `expert`, [environments, steps], the
     /// scripted expert is queried at every step and its actions are returned as `expert_action`;
-    /// at steps where `expert` is true, the sum of the expert's action and the given action is
-    /// executed. With `past_success`, steps continue after a success, and `successes`,
+    /// at steps where `expert` is true, the expert's action plus the arm's given action, clamped to
+    /// −1..1, is executed. With `past_success`, steps continue after a success, and `successes`,
     /// [environments, steps], has true for each step after which the goal holds.
     ///
     /// Invalid arguments raise before any environment moves. A failing environment does not
@@ -429,8 +429,7 @@ fn exceeds_expert(added: &[f64; WIDTH]) -> bool {
     added[..3].iter().any(|value| value.abs() > 1.0)
 }
 
-/// Returns, row by row, true for each step at which the sum of the expert's action and the given
-/// action is executed. Checks the shape and the action frame.
+/// Returns, row by row, true for each step at which the given action is added to the expert's. Checks the shape and the action frame.
 fn expert_drives(
     drives: &PyReadonlyArrayDyn<'_, bool>,
     shape: [usize; 2],

@@ -111,7 +111,7 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
         uninterrupted.path[STEPS as usize]
     );
 
-    // The placebo lifts nothing, and the hand stays within 0.1 mm of the unchanged path.
+    // The nudge moves no object, and the hand stays within 0.1 mm of the uninterrupted path.
     let nudged = run_rollout(
         &mut simulator,
         perturbed,

@@ -58,7 +58,7 @@ pub enum DocumentError {
     Json(#[from] JsonError),
 }
 
-/// The JSON form: first the measures by policy and level, then the whole reports.
+/// The JSON form: warnings, then the measures by policy and level, then the whole reports.
 #[derive(Serialize)]
 struct JsonForm<'a> {
     warnings: &'a [String],

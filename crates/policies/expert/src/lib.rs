@@ -77,16 +77,16 @@ impl Expert {
 
     /// Reports that the robot did not execute the last action. The next action is then replanned:
     /// the expert derives the remaining goals, the held object and the phase of its skill from the
-    /// state and the hand's motion, and keeps only the last grasp and hold of its plan. Without
+    /// state and the hand's motion. It keeps only what it knows of grasping the next object. Without
     /// this call, the other controller's steps would count as the expert's own, and a hand that the
     /// other controller holds still would be mistaken for a hand that an object has stopped.
     pub fn interrupt(&mut self) {
         self.is_interrupted = true;
     }
 
-    /// Returns `command`, unless the hand is stuck: caught on an object, or the arm at a joint
-    /// limit, which bounding boxes do not show. A stuck hand moves up and back to its rest
-    /// position for a number of steps.
+    /// Returns `command`, unless the hand is stuck, caught on an object or at a joint limit of the
+    /// arm, which the expert does not foresee. A stuck hand moves up and back to its rest position
+    /// for a number of steps.
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
         // Commands at a lower pace move the hand near obstacles, where contact may stop it.
         let travels = command.pace >= 1.0;

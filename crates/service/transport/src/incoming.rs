@@ -302,7 +302,7 @@ pub struct Incoming {
 }
 
 impl Incoming {
-    /// Allows as many connections as this process may open files.
+    /// Derives the limits of connections from the number of files that this process may open.
     pub fn new(listener: TcpListener) -> Incoming {
         let descriptors = getrlimit(Resource::Nofile).current;
         let limits = Limits::of_descriptors(descriptors.unwrap_or(WANTED_DESCRIPTORS));

@@ -1,9 +1,9 @@
 //! Cache of database rows.
 //!
-//! Cached for one transaction: campaigns with waiting jobs and campaigns with their policies, which
-//! are cleared whenever an operation changes any of them; and the pins of live workers, as first
-//! read in the transaction, even if it later stops a worker. Cached across transactions:
-//! results and origins, which are immutable once stored and stored only by this process; and the
+//! Cached for one transaction: the campaigns that have waiting jobs and single campaigns with their
+//! policies, both cleared when an operation changes a campaign; and the live workers, which are read
+//! once and kept even if the transaction stops one of them. Cached across transactions: results and
+//! origins, which are immutable once stored and stored only by this process; and the
 //! turns at which campaigns last received leases, which only break ties between campaigns. A
 //! transaction that is rolled back, or that deletes a campaign, clears the whole cache.
 

@@ -49,8 +49,8 @@ pub(crate) struct Candidate {
     failed_on: Option<String>,
 }
 
-/// SQL for the `failed_on` of a [`Candidate`], job `j`; the parameter is the number of charged
-/// failures from which `failed_on` is set.
+/// SQL for the `failed_on` of a [`Candidate`], job `j`. `failures` is the SQL parameter of the
+/// number of charged failures below which `failed_on` is NULL.
 macro_rules! failed_on {
     ($failures:literal) => {
         concat!(
@@ -71,7 +71,7 @@ pub(crate) struct LoneJob {
     pub(crate) job: Candidate,
     pub(crate) task: String,
     pub(crate) rollout_id: String,
-    /// Attempts that lost the policy.
+    /// Number of attempts that ended because the policy became unreachable.
     pub(crate) losses: u32,
 }
 
@@ -84,7 +84,8 @@ pub(crate) struct Grant {
     pub(crate) claim: String,
 }
 
-/// Start, expiry and ceiling of leases that are granted together.
+/// Times of leases that are granted together: start, expiry, and ceiling, after which heartbeats do
+/// not renew a lease.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Term {
     pub(crate) granted: UnixMillis,
@@ -133,8 +134,8 @@ pub(crate) async fn leases(
     Ok(rows.into_iter().collect())
 }
 
-/// Returns the tasks of a campaign with waiting jobs. One index seek per task, however many jobs
-/// there are.
+/// Returns the tasks of a campaign with waiting jobs. Each task costs two look-ups in indexes: of
+/// its first waiting job, and of its leased jobs.
 pub(crate) async fn waiting_tasks(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
