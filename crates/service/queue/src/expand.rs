@@ -37,8 +37,8 @@ pub struct NewCampaign {
     /// Rollouts that are derived from another campaign's outcomes; `None` if this campaign is not
     /// derived.
     pub derived: Option<Rollouts>,
-    /// Number of configurations in a campaign that may stop early, whose jobs follow a random order
-    /// of the configurations; `None` in other campaigns.
+    /// Number of configurations if the campaign may stop early, in which case its jobs follow a
+    /// random order of the configurations; `None` in other campaigns.
     pub stoppable_configurations: Option<usize>,
     /// Jobs in the campaign's order; empty at first in a derived campaign.
     pub jobs: Vec<NewJob>,

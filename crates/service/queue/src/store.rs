@@ -187,8 +187,8 @@ pub(crate) fn undecodable(
     sqlx::Error::Decode(error.into())
 }
 
-/// Log size, in pages, at which a commit checkpoints the log while all other transactions wait: 64
-/// MiB. [`Store::checkpoint`] normally runs earlier.
+/// Log size, in pages, at which a commit also checkpoints the log while the next writing
+/// transaction waits: 64 MiB. [`Store::checkpoint`] normally runs earlier.
 const LARGEST_LOG_PAGES: &str = "16384";
 /// Page cache of the writer, KiB, negative as SQLite's `cache_size` expects it.
 const WRITER_CACHE_KIB: &str = "-65536";
@@ -296,8 +296,8 @@ impl Store {
     /// `steps`.
     ///
     /// # Errors
-    /// If the database's file is no longer in the data folder: what SQLite wrote to the open file
-    /// would be lost when this process ends.
+    /// If the transaction cannot begin, or the database's file is no longer in the data folder:
+    /// data written to the open file would be lost when this process ends.
     pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         if !self.is_in_place() {
             let folder = self.folder.clone();
@@ -349,7 +349,8 @@ impl Store {
     /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder.
     ///
     /// # Errors
-    /// If the log cannot be checkpointed; nothing is lost, since the next start reads it.
+    /// If the log cannot be checkpointed (nothing is lost, since the next start reads it) or the
+    /// folder cannot be unlocked.
     pub async fn close(&self) -> Result<(), StoreError> {
         // A slow reader must not keep the coordinator from shutting down.
         let _ = tokio::time::timeout(READERS_GRACE, self.readers.close()).await;

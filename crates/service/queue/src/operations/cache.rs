@@ -123,7 +123,8 @@ impl Cache {
         Ok(&self.siblings[state])
     }
 
-    /// Adds a rollout of an initial state, whose result this transaction stores.
+    /// Adds a rollout whose result this transaction stores to its initial state's siblings, if these
+    /// are cached.
     pub(super) fn add_sibling(&mut self, state: &InitialState, sibling: Sibling) {
         if let Some(siblings) = self.siblings.get_mut(state)
             && !siblings.iter().any(|other| other.stands_for(&sibling))
@@ -189,7 +190,8 @@ impl Cache {
         self.last_turns.get(&campaign).copied().unwrap_or(0)
     }
 
-    /// Clears the cached campaigns, policies and waiting jobs, which may have changed.
+    /// Clears the campaigns with their policies and the list of those with waiting jobs, which may
+    /// have changed.
     pub(super) fn clear_campaigns(&mut self) {
         self.campaigns.clear();
         self.waiting = None;

@@ -185,8 +185,8 @@ impl View {
         })
     }
 
-    /// Returns those attempts of some jobs that ended without a result, in descending order of
-    /// their numbers within their jobs, up to `MAX_FAILURES_SHOWN`.
+    /// Returns the attempts of `jobs` that ended without a result, in descending order of their
+    /// numbers within their jobs; at most `MAX_FAILURES_SHOWN` in all.
     pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
         sqlx::query_as(
             "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error

@@ -13,8 +13,8 @@ use crate::ids::{AttemptNumber, JobId, WorkerId};
 /// Charged attempts after which a job is quarantined.
 pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 /// Machines on which a job must have failed before it is quarantined, if workers on that many
-/// machines are alive: one broken machine must not put a rollout into quarantine. Workers that do
-/// not report their machine count as one machine each.
+/// machines are alive: one broken machine must not put a rollout into quarantine. Failures of the
+/// policy need one machine. Workers that do not report their machine count as one machine each.
 pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
 /// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
@@ -61,8 +61,8 @@ pub enum JobState {
     Leased(Lease),
     /// The result is stored. Final.
     Committed,
-    /// Not leased after too many failed attempts, or because an operator skipped it, until an
-    /// operator retries it.
+    /// Too many attempts failed, or an operator skipped the job; not leased until an operator
+    /// retries it.
     Quarantined,
 }
 
@@ -319,8 +319,8 @@ impl Lease {
 }
 
 impl FailureReason {
-    /// Returns the party that the failure is charged to; `None` if the failure was caused by the
-    /// network, an operator, an unreachable policy, or the rollout itself.
+    /// Returns the party that the failure is charged to; `None` if it is charged to nobody, such as
+    /// after a network failure, an operator's order or the loss of a policy.
     pub fn blames(self) -> Option<Party> {
         match self {
             FailureReason::PolicyMisbehaved => Some(Party::Policy),

@@ -63,7 +63,7 @@ impl Contact {
     ///
     /// A policy that answered no query of the attempt may have been down before the attempt. It
     /// counts as lost only if it answered another attempt since this job last failed to reach it,
-    /// or if no other rollout waits to query it.
+    /// or if all other waiting jobs have repeatedly lost it.
     pub fn was_lost(self) -> bool {
         match self.answered {
             None => false,
