@@ -133,8 +133,8 @@ impl ServerArguments {
 }
 
 impl Security {
-    /// Returns the rules of a server on a loopback address, which requires no token and accepts the
-    /// user that started it.
+    /// Returns the rules of a server on a loopback address, which requires no token and accepts
+    /// only the user that started it, and root.
     pub fn loopback() -> Security {
         Security::new(None, None, Users::Own)
     }
@@ -159,8 +159,8 @@ impl Security {
     }
 
     /// Logs in a browser that sends the token of one of these roles. Returns the `Set-Cookie`
-    /// value, or `None` if the token is unknown or of another role, or the system provides no
-    /// randomness.
+    /// value, or `None` if the server has no tokens, the token is unknown or of another role, or
+    /// the system provides no randomness.
     pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
         roles

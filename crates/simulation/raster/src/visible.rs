@@ -69,8 +69,8 @@ pub(crate) struct Visible {
 impl Visible {
     /// Sets the size.
     pub(crate) fn resize(&mut self, [width, height]: [usize; 2]) {
-        // Padding avoids a stride that is a power of two, with which the rows of a picture would
-        // compete for the same cache lines.
+        // Widths are often powers of two; without padding, the rows of such a picture would compete
+        // for the same cache lines.
         let stride = width.next_multiple_of(2) + 4;
         (self.width, self.height, self.stride) = (width, height, stride);
     }

@@ -75,9 +75,9 @@ async fn write(shared: &Shared, batch: &mut [Operation]) {
     }
 }
 
-/// Executes operations in one transaction, which answers all of them or has no effect. Every worker
-/// waits for an answer before its next request, so operations may be reordered: those that make
-/// jobs leasable go first.
+/// Executes operations in one transaction, which has no effect if an error is returned. None of the
+/// operations can depend on the answer of another, so they may be reordered: those that make jobs
+/// leasable go first.
 async fn transact(
     mut context: Context<'_>,
     operations: &mut [Operation],
