@@ -57,7 +57,8 @@ impl Fetch<'_> {
     /// fetches into the same folder.
     ///
     /// # Errors
-    /// If files cannot be downloaded or written. Completely received files are kept.
+    /// If files cannot be read, downloaded or written, or `progress` ends the fetch. Completely
+    /// received files are kept.
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
         if self.files_to_fetch(wanted)?.0.is_empty() {
             let present = wanted.len();

@@ -124,7 +124,7 @@ impl Context<'_> {
     }
 
     /// Accepts the result of an attempt that holds the lease, unless the result disagrees with its
-    /// siblings.
+    /// campaign, its manifest row or its siblings.
     async fn accept<'r>(
         &mut self,
         attempt: &NamedAttempt,

@@ -1,7 +1,7 @@
 //! Campaigns that may stop early: the stop rule is evaluated as outcomes arrive.
 //!
-//! The stopping point is a pure function of the outcomes. It is therefore evaluated again after
-//! every settled job and at every start, which also repairs interrupted evaluations.
+//! The stopping point is a pure function of the outcomes. It can therefore be evaluated again as
+//! jobs settle and at every start, which also repairs interrupted evaluations.
 //!
 //! When a campaign stops, its leases are revoked. Their results could not change an interval:
 //! intervals use only the configurations up to the look at which the rule was met, in which no
