@@ -30,11 +30,11 @@ pub struct CommitReport {
 pub enum CommitVerdict {
     /// Stored.
     Accepted,
-    /// The same outcome of the attempt is already stored.
+    /// The same outcome of the job is already stored.
     Duplicate,
     /// Refused and counted, because the attempt no longer holds the lease.
     Stale,
-    /// A different outcome of the attempt is already stored; this one is recorded separately.
+    /// A different outcome of the job is already stored; this one is recorded separately.
     Divergent,
     /// Refused, because the result is inconsistent with its siblings or with its campaign. The
     /// attempt is charged, unless the worker is not to blame: the campaign was pinned only after

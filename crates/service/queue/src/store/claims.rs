@@ -105,7 +105,7 @@ impl Candidate {
     }
 }
 
-/// Returns the leases that were granted to earlier requests with the same claim ids.
+/// Returns the current leases that were granted to earlier requests with the same claim ids.
 pub(crate) async fn repeated(
     tx: &mut SqliteConnection,
     claims: &[&str],
@@ -134,8 +134,9 @@ pub(crate) async fn leases(
     Ok(rows.into_iter().collect())
 }
 
-/// Returns the tasks of a campaign with waiting jobs. Each task costs two look-ups in indexes: of
-/// its first waiting job, and of its leased jobs.
+/// Returns those tasks of a campaign that have waiting jobs whose back-off is over, not counting
+/// jobs that run alone. Each task costs two look-ups in indexes: of its first waiting job, and of
+/// its leased jobs.
 pub(crate) async fn waiting_tasks(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -167,8 +168,8 @@ pub(crate) async fn waiting_tasks(
     Ok(rows.into_iter().filter_map(waiting).collect())
 }
 
-/// Returns for each task up to `limit` waiting jobs whose back-off is over, in the campaign's order
-/// of jobs.
+/// Returns for each task up to `limit` waiting jobs whose back-off is over, without jobs that run
+/// alone, in the campaign's order of jobs.
 pub(crate) async fn candidates(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
