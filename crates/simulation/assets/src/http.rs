@@ -98,7 +98,8 @@ impl Address {
         Self { url, authorization }
     }
 
-    /// Resolves a link in the page at this URL. Credentials are kept only for the same host.
+    /// Resolves a link in the page at this URL. Credentials are kept only for the same scheme, host
+    /// and port.
     pub(crate) fn resolve(&self, reference: &str) -> Option<Self> {
         let mut url = self.url.join(reference).ok()?;
         url.set_fragment(None);

@@ -109,7 +109,8 @@ pub(crate) struct Instance {
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
     pub(crate) to_clip: Matrix,
-    /// Inverse of the upper left 3 × 3 part of `to_eye`, row by row.
+    /// Inverse of the upper left 3 × 3 part of `to_eye`, row by row; the identity if that part is
+    /// singular.
     pub(crate) normals: [f32; 9],
     /// Position of the eye in the mesh's frame, or the viewing direction if the eye is
     /// infinitely far away.
@@ -165,7 +166,7 @@ impl MeshRef {
     }
 }
 
-/// Largest number of meshes of one geom.
+/// Ranks reserved for the meshes of each geom; a capsule has the most meshes, three.
 const MAX_PARTS: u32 = 4;
 
 /// Adds the instances of a geom.

@@ -12,8 +12,8 @@ use crate::shapes::is_upper_face;
 use crate::visible::{Ranks, SAMPLES};
 use crate::window::Window;
 
-/// Returns the index of the first mirroring geom; `None` if no geom mirrors, or the camera is
-/// behind the geom's face.
+/// Returns the index of the first opaque geom that mirrors; `None` if there is none, the camera is
+/// behind that geom's face, or the scene has no reflections.
 pub(crate) fn find(scene: &Scene, view: &View, translucent: &[usize]) -> Option<usize> {
     let can_mirror = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
     let found = (0..scene.geoms.len()).find(|index| {

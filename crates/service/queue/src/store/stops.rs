@@ -15,7 +15,7 @@ pub(crate) struct Stoppable {
     pub(crate) stop: Stop,
 }
 
-/// The first rollout without an outcome, in the order in which a campaign's jobs are leased.
+/// The first rollout that is neither committed nor quarantined, in the campaign's order of jobs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FirstUnsettled {
     pub(crate) rollout_id: String,
@@ -62,8 +62,8 @@ pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable
     .doing("list campaigns that may stop early")
 }
 
-/// Returns the first rollout without an outcome, in the order in which a campaign's jobs are
-/// leased; `None` if the campaign is complete. Two index seeks per task.
+/// Returns the first queued or leased rollout, in the campaign's order of jobs; `None` if the
+/// campaign is complete. Two index seeks per task.
 pub(crate) async fn first_unsettled(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
