@@ -201,8 +201,8 @@ impl Access {
     /// Opens a TLS connection to `host` for protocols other than gRPC.
     ///
     /// # Errors
-    /// If the certificate authority or the host's name is invalid, or the server's certificate is
-    /// not trusted.
+    /// If the host's name is invalid, the server's certificate is not trusted, or the handshake
+    /// fails or takes too long.
     pub async fn encrypt(
         &self,
         stream: TcpStream,

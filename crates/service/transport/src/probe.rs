@@ -155,7 +155,7 @@ async fn encrypt(
     }
 }
 
-/// Maps a handshake error to a finding; `None` if the server does not use TLS.
+/// Maps a handshake error to a finding; `None` if it does not show that the server uses TLS.
 fn tls_finding(error: &io::Error) -> Option<ProbeResult> {
     let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
     match inner {

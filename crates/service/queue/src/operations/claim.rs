@@ -28,8 +28,8 @@ pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 pub struct Claimed {
     /// The leased job; `None` if no lease was granted.
     pub job: Option<Assigned>,
-    /// Reason why waiting jobs cannot go to this worker; empty if a lease was granted or no job
-    /// waits.
+    /// Reasons why waiting jobs cannot go to this worker; empty if a lease was granted or there is
+    /// no such reason.
     pub idle_reason: String,
 }
 
@@ -318,8 +318,8 @@ impl Context<'_> {
         Ok(assignments.collect())
     }
 
-    /// Returns the reason why waiting jobs cannot go to a worker with this pin; empty if no job
-    /// waits.
+    /// Returns the reasons why campaigns with waiting jobs do not lease to a worker with this pin;
+    /// empty if there are none.
     pub(super) async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
         let mut reasons = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
