@@ -30,7 +30,7 @@ pub(crate) struct Films {
 #[derive(Debug, Default)]
 struct FilmState {
     unfilmed: BTreeMap<CampaignId, Unfilmed>,
-    /// Jobs filmed since the last scan began, which may have missed them.
+    /// Jobs filmed since the last scan began; that scan may have missed their videos.
     filmed: BTreeSet<JobId>,
     /// Jobs being filmed, with the instant from which each may be assigned again.
     in_flight: BTreeMap<JobId, UnixMillis>,
@@ -104,8 +104,8 @@ impl Films {
         }
     }
 
-    /// Returns the first rollout to be filmed of these campaigns that is not being filmed, and the
-    /// number of rollouts to be filmed, including those being filmed.
+    /// Returns the first rollout of these campaigns that is to be filmed and not yet being filmed,
+    /// and the number of rollouts to be filmed, including those being filmed.
     pub(super) fn assign(
         &self,
         campaigns: &[FilmedCampaign],

@@ -1,6 +1,6 @@
-//! Numbers of transactions that settled jobs, that is, committed or quarantined them, and of those
-//! transactions that derivation has processed. While some are unprocessed, further jobs may derive
-//! from their outcomes.
+//! Counts the transactions that settle jobs (commit or quarantine them), and how many of these
+//! derivation has processed. While some are unprocessed, further jobs may derive from their
+//! outcomes.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
