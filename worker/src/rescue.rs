@@ -72,10 +72,10 @@ pub struct Rescue {
     /// not; `None` if there is no such step.
     pub saved_until: Option<u32>,
     /// Step of the next query after `saved_until`, or of the first query if `saved_until` is
-    /// `None`: lifting there does not save the rollout. `None` if lifting at the last query saves
-    /// the rollout.
+    /// `None`: there, the lift fails or the placebo also succeeds. `None` if `saved_until` is the
+    /// last query.
     pub lost_from: Option<u32>,
-    /// True if every trial before `saved_until` also saved the rollout.
+    /// False if, at a tried step before `saved_until`, the lift failed or the placebo succeeded.
     pub is_monotone: bool,
     /// Steps at which the placebo also saves the rollout, whose outcome was marginal there.
     pub saved_by_placebo: Vec<u32>,
@@ -103,8 +103,8 @@ pub struct Tried {
 /// The policy is reset at the step of the lift, so a policy with memory starts afresh.
 ///
 /// # Errors
-/// If the rollout is not perturbed or succeeds, a rollout has no outcome, or a file
-/// cannot be written.
+/// If the rollout is not perturbed or succeeds, a rollout has no outcome, or the film cannot be made
+/// or a file written.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 /// rollouts for which an earlier lift fails and a later one succeeds.
 const SPREAD: usize = 8;
 
-/// Trials so far: for each tried query, from 0, whether lifting the perturbations there saves the
-/// rollout. Lifting after the last query is taken to fail.
+/// Trials so far: for each tried query, counted from 0, true if lifting the perturbations there
+/// saves the rollout and the placebo does not. Lifting after the last query is taken to fail.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
     queries: usize,
@@ -24,7 +24,7 @@ pub(super) enum SearchResult {
     SavedUntil {
         /// Last query from which the rollout is saved.
         saved: usize,
-        /// True if every earlier trial also saved the rollout.
+        /// True if lifting at each tried query before `saved` also saves the rollout.
         is_monotone: bool,
     },
 }

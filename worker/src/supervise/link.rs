@@ -38,7 +38,7 @@ const CHUNK_BYTES: usize = 256 << 10;
 /// Largest video that is sent, bytes; far above any rollout's.
 const MAX_VIDEO_BYTES: u64 = 256 << 20;
 
-/// Names, in messages, of the settings with which a worker's user addresses a coordinator.
+/// Command-line options and URL schemes that error messages tell the worker's user to set.
 const SETTINGS: Settings = Settings {
     address: "--connect",
     authority: "--ca",
@@ -51,7 +51,7 @@ const SETTINGS: Settings = Settings {
 pub(crate) struct Link {
     grpc: WorkerServiceClient<Connection>,
     state: Arc<LinkState>,
-    /// Set once the worker claims no more work.
+    /// True once the worker claims no more work.
     draining: watch::Receiver<bool>,
 }
 
@@ -251,8 +251,8 @@ impl Link {
         answer
     }
 
-    /// Explains a failure by a diagnosis of the peer. A mistake in the settings is never
-    /// transient.
+    /// Explains a failure by a diagnosis of the peer. Until the coordinator has answered once, a
+    /// mistake in the settings is not transient.
     async fn explain(&self, status: Status) -> Failed {
         let is_transient = may_succeed_later(&status);
         match self.state.peer.diagnose(&status).await {
@@ -299,7 +299,7 @@ impl Link {
         }
     }
 
-    /// Returns true if the last call got no answer.
+    /// Returns true during an outage: since a call failed transiently, none has been answered.
     pub(crate) fn is_down(&self) -> bool {
         self.lock_outage().is_some()
     }

@@ -302,7 +302,7 @@ impl SlotState {
     }
 
     /// Records that the process has ended; returns the rollout and the video that were lost with
-    /// it. Losing a video never costs a result, which is already being delivered.
+    /// it. A lost video costs no result: a slot films only after it has handed over the result.
     pub(crate) fn ended(&mut self, now: Instant) -> Loss {
         self.process = ProcessState::Down {
             until: now + self.restarts.next_wait(),
@@ -339,9 +339,9 @@ impl SlotState {
         loss
     }
 
-    /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if its end
-    /// must be reported because its lease was not lost. A process that was killed as stuck may
-    /// still have sent this end.
+    /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if the end
+    /// must be reported; false if the lease was lost or the slot no longer has the attempt. A
+    /// process that was killed as stuck may still have sent this end.
     pub(crate) fn rollout_ended(&mut self, id: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {
             Work::Running {

@@ -28,7 +28,7 @@ impl Audit {
     /// Checks which cases have all their files.
     ///
     /// # Errors
-    /// If an existing file cannot be read.
+    /// If a rollout does not exist under the rules, or an existing file cannot be read.
     pub fn new(
         cases: Vec<Case>,
         rules: &Rules,
@@ -243,8 +243,8 @@ fn lack_in_benchmark(
     }
 }
 
-/// Returns a lack of `further` if the pack lacks the model of an object or fixture; `None` if it
-/// has all models.
+/// Returns `Lack::Further(further)` if the pack lacks the model of an object or fixture of the
+/// task; `None` if it has all models.
 fn models_lack(
     files: &TaskFiles,
     pack: &AssetPack,

@@ -210,7 +210,7 @@ impl Results {
         self.rows.iter().any(|row| row.variant == variant)
     }
 
-    /// Appends a result, if its policy and simulator are those of the earlier results.
+    /// Appends a result; fails if its pin, policy or renderer differs from the earlier results'.
     pub(super) fn add(&mut self, row: Row) -> Result<(), VariantsError> {
         self.check(&row)?;
         let mut line = serde_json::to_string(&row).expect("texts and numbers");
