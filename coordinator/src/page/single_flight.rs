@@ -1,9 +1,9 @@
 //! Single-flight cache: of several concurrent requests for a key, one computes the value and the
 //! others wait for it. The caller decides whether a cached value is fresh enough.
 //!
-//! A computation continues after its callers were cancelled, since a thread cannot be stopped. Its
-//! key stays locked until the computation ends, so that reloading a page waits for it and starts no
-//! second computation.
+//! A computation of `compute` continues after its callers were cancelled, since a thread cannot be
+//! stopped. Its key stays locked until the computation ends, so that reloading a page waits for it
+//! and starts no second computation.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -14,10 +14,10 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinError;
 use tokio::time::Instant;
 
-/// Most concurrent computations over all keys.
+/// Most concurrent computations of `compute` over all keys.
 const COMPUTATIONS: usize = 2;
 
-/// Cache of the newest value of each key, for at most `capacity` keys.
+/// Cache of the newest value of each key, for at most `capacity` keys besides those in use.
 #[derive(Debug)]
 pub(super) struct SingleFlightCache<V> {
     entries: Mutex<HashMap<String, Entry<V>>>,
@@ -37,7 +37,7 @@ pub(super) struct CachedValue<V> {
 }
 
 impl<V: Clone + Send + 'static> SingleFlightCache<V> {
-    /// Creates an empty cache for at most `capacity` keys.
+    /// Creates an empty cache for at most `capacity` keys besides those in use.
     pub(super) fn new(capacity: usize) -> SingleFlightCache<V> {
         SingleFlightCache {
             entries: Mutex::default(),
