@@ -103,8 +103,8 @@ pub struct Tried {
 /// The policy is reset at the step of the lift, so a policy with memory starts afresh.
 ///
 /// # Errors
-/// If the rollout is not perturbed or succeeds, a rollout has no outcome, or the film cannot be made
-/// or a file written.
+/// If the rollout is not perturbed or succeeds, a rollout has no outcome, the film cannot be made,
+/// or a file cannot be written.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,

@@ -37,7 +37,7 @@ pub struct Request<'a> {
     pub assignment: &'a Assignment,
     /// Task files that replace those of the row's task.
     pub files: Option<TaskFiles>,
-    /// Initial conditions of a variant of LIBERO-Plus or LIBERO-PRO.
+    /// Initial conditions of a rollout of LIBERO's family or of a suite file.
     pub variant: Option<VariantStart>,
     /// True if the first and the last frame of both cameras are rendered.
     pub renders_ends: bool,
@@ -79,8 +79,8 @@ struct MotionFile {
     actions: Vec<Action>,
 }
 
-/// Runs one rollout and writes its outputs. If the rollout fails, the trace and frames up to the
-/// failure are still written.
+/// Runs one rollout and writes its outputs. If an error ends the rollout, the trace and frames up to
+/// the error are still written.
 ///
 /// # Errors
 /// If the rollout has no result, or a file cannot be written.

@@ -1,6 +1,6 @@
-//! Change notifications for browsers by server-sent events. The database is polled once a second
-//! for all streams together. An event carries only the change counter; the page then fetches its
-//! new content.
+//! Change notifications for browsers by server-sent events. While streams are open, the database is
+//! polled once a second for all of them together. An event carries only the change counter; the
+//! page then fetches its new content.
 
 use std::sync::Arc;
 use std::time::Duration;

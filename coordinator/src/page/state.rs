@@ -24,11 +24,11 @@ use crate::storage::Storage;
 
 /// Longest accepted path and query, bytes.
 const MAX_ADDRESS_BYTES: usize = 1_024;
-/// Time for which a rendered page is served from the cache.
+/// Longest time for which a rendered page is served from the cache.
 pub(super) const PAGE_AGE: Duration = Duration::from_secs(1);
 /// Most cached pages, one per address.
 const MAX_PAGES: usize = 256;
-/// Most campaigns whose statistics are cached.
+/// Most campaigns whose statistics are cached, and most cached comparisons.
 const MAX_DOCUMENTS: usize = 16;
 /// Cache time of statistics as a multiple of their computation time: recomputing the statistics of
 /// a large, much-watched campaign takes at most a twentieth of a core.

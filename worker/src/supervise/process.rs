@@ -71,9 +71,8 @@ impl SlotProcess {
         })
     }
 
-    /// Sends a command. A full queue shows that the process reads no commands. It then sends no
-    /// events either and is killed for lack of progress, so the loss of the command does not
-    /// matter.
+    /// Sends a command, which is lost if the queue is full. The loss does not matter: a full queue
+    /// shows that the process reads no commands, so it makes no progress and is killed for that.
     pub(crate) fn send(&self, command: SlotCommand) {
         let _ = self.requests.try_send(Request::Send(command));
     }
@@ -184,8 +183,8 @@ async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<
     last
 }
 
-/// Reads the next line without its line break, at most `max_bytes` of it; `None` at the end of the
-/// stream.
+/// Reads the next line, at most `max_bytes` of it, and removes white space from its end; `None` at
+/// the end of the stream or if reading fails.
 async fn next_line(stream: &mut (impl AsyncBufRead + Unpin), max_bytes: u64) -> Option<Vec<u8>> {
     let mut line = Vec::new();
     let read = stream.take(max_bytes).read_until(b'\n', &mut line).await;

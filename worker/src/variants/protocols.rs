@@ -30,7 +30,7 @@ struct FirstQuery {
 
 /// Start of one variant under all protocols of its benchmark.
 pub struct Starts {
-    /// Name, and dimension or suite.
+    /// Name, dimension or suite, and initial state.
     title: String,
     lines: Vec<Start>,
 }
