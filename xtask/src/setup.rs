@@ -63,7 +63,7 @@ pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
 /// folder.
 ///
 /// # Errors
-/// See [`assets`].
+/// If the worker cannot be built or the assets cannot be fetched.
 pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result<PathBuf> {
     match given {
         Some(folder) => Ok(folder.to_owned()),

@@ -56,8 +56,8 @@ const OVERFLOW_CHECKS: [&str; 8] = [
     "--package", "raster", "--package", "workspace-hack",
 ];
 
-/// Lists of suites that run in parallel with each other and with all other suites, since every
-/// suite uses one core most of the time. The suites of one list run one after another: archive and
+/// Lists of suites that run in parallel with each other and with all suites but `rust`, which runs
+/// first, since each of them uses one core most of the time. The suites of one list run one after another: archive and
 /// wheels use the same build tools, which the archive installs. Ray's processes mostly wait.
 const LANES: [&[Suite]; 2] = [&[Suite::Archive, Suite::Wheels], &[Suite::Ray]];
 
@@ -344,8 +344,8 @@ pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
     program(root, "worker", &[&["bench".to_owned()], arguments].concat())
 }
 
-/// Builds and runs a program. Installs the OpenGL libraries only if the program's arguments select
-/// the OpenGL renderer.
+/// Builds and runs a program. Installs the OpenGL libraries only if the program draws through OpenGL
+/// with these arguments.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
     if draws_through_opengl(name, arguments) {
