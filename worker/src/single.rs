@@ -79,8 +79,8 @@ struct MotionFile {
     actions: Vec<Action>,
 }
 
-/// Runs one rollout and writes its outputs. If an error ends the rollout, the trace and frames up to
-/// the error are still written.
+/// Runs one rollout and writes its outputs. If an error ends the rollout, the trace and frames up
+/// to the error are still written.
 ///
 /// # Errors
 /// If the rollout has no result, or a file cannot be written.

@@ -57,8 +57,9 @@ const OVERFLOW_CHECKS: [&str; 8] = [
 ];
 
 /// Lists of suites that run in parallel with each other and with all suites but `rust`, which runs
-/// first, since each of them uses one core most of the time. The suites of one list run one after another: archive and
-/// wheels use the same build tools, which the archive installs. Ray's processes mostly wait.
+/// first: each suite uses one core most of the time. The suites of one list run one after another:
+/// archive and wheels use the same build tools, which the archive installs. Ray's processes mostly
+/// wait.
 const LANES: [&[Suite]; 2] = [&[Suite::Archive, Suite::Wheels], &[Suite::Ray]];
 
 /// Runs the named suites, or all of them if none is named. Filters select tests of the crates;
@@ -344,8 +345,8 @@ pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
     program(root, "worker", &[&["bench".to_owned()], arguments].concat())
 }
 
-/// Builds and runs a program. Installs the OpenGL libraries only if the program draws through OpenGL
-/// with these arguments.
+/// Builds and runs a program. Installs the OpenGL libraries only if the program draws through
+/// OpenGL with these arguments.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
     if draws_through_opengl(name, arguments) {

@@ -39,7 +39,7 @@ impl RecordedActions {
     /// Reads a file, whose extension determines its format.
     ///
     /// # Errors
-    /// If the file cannot be read, or holds no executable actions.
+    /// If the file cannot be read, holds no action, or holds a number that is not finite.
     pub fn read(path: &Path) -> Result<Self, SingleError> {
         let failed = |problem: String| SingleError::Recorded {
             path: path.to_owned(),

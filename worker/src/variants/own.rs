@@ -31,8 +31,8 @@ impl States {
 /// Largest task file, bytes: a hundred times the largest of LIBERO.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// Checks that a task's files exist, have the suite file's digest, and make a scene. Returns the
-/// task's initial states, or the lack that prevents its rollouts.
+/// Checks that a task's files exist, have the digest that the suite file gives, if any, and make a
+/// scene. Returns the task's initial states, or the lack that prevents its rollouts.
 pub(super) fn check(own: &OwnTask, pack: &AssetPack, sources: &Sources) -> Result<States, Lack> {
     let folder = Sources::suite_folder(sources.dir(), &own.folder);
     let text = |path: &Path| path.display().to_string();

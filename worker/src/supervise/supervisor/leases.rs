@@ -87,7 +87,8 @@ impl Supervisor {
         }
     }
 
-    /// Abandons an attempt whose lease is lost, if it is still being simulated.
+    /// Abandons an attempt whose lease is lost, if its files are still being fetched or it is still
+    /// being simulated.
     fn abandon(&mut self, lost: AttemptId, now: Instant) {
         let is_preparing = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
         if let Some(slot) = self.slots.iter_mut().find(|slot| is_preparing(slot)) {
