@@ -24,8 +24,9 @@ use supervisor::Supervisor;
 /// Capacity of the loop's event queue; senders wait while it is full.
 const EVENT_QUEUE: usize = 256;
 
-/// Runs a worker until it is asked to end and its rollouts in flight are over. `shutdown` carries
-/// one message per request; the second request gives the rollouts back.
+/// Runs a worker until it is asked to end, has been idle for too long or has a fault, and then
+/// until its rollouts in flight are over. `shutdown` carries one message per request; the second
+/// request gives the rollouts back.
 ///
 /// # Errors
 /// If the coordinator refuses the worker or stops it, or its slots cannot run.

@@ -1,4 +1,4 @@
-//! Videos of rollouts that are made and sent after the results.
+//! Videos, which are made and sent after the results of their rollouts.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal};
 
-/// Returns the lease of a rollout of a few seconds that is filmed.
+/// Returns the lease of a filmed rollout of at most 160 control steps.
 fn filmed(job: i64, policy: &str) -> Lease {
     let mut lease = lease(job, "still", policy);
     lease.manifest_row = lease
