@@ -187,7 +187,7 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
     unreachable!("there is always a larger number")
 }
 
-/// Makes the campaign's videos, as many in parallel as there were slots.
+/// Makes the campaign's videos, at most `options.slots` at a time.
 fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
     let mut worker = Command::new(programs.join("worker"));
     worker

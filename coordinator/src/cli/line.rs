@@ -1,4 +1,4 @@
-//! Status of a campaign in one line of at most 80 columns, and notes on faults that need the
+//! Status of a campaign in one line of at most 79 columns, and notes on faults that need the
 //! operator.
 
 use coordinator::words::{duration_text, rate_text};

@@ -195,7 +195,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     ))?)
 }
 
-/// Uploads an archive after `first_chunk`, which holds no data but the names. Every retry of the
+/// Uploads an archive after `first_chunk`, which holds the names and no data. Every retry of the
 /// call starts from the beginning of the file.
 async fn send(
     service: &mut Service,

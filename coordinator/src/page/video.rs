@@ -101,7 +101,8 @@ async fn from_storage(
     answer.map_err(|error| Problem::failed(&error))
 }
 
-/// Returns the requested range; `None`, which serves the whole video, if several are requested.
+/// Returns the requested range; `None`, for which the whole video is served, if several ranges are
+/// requested or the header is invalid.
 fn requested_range(header: &HeaderValue) -> Option<GetRange> {
     let ranges = parse_range_header(header.to_str().ok()?).ok()?.ranges;
     let [range] = ranges.as_slice() else {
