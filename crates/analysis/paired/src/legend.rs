@@ -13,7 +13,7 @@ pub fn legend(reports: &[&Report]) -> String {
     let cells = || reports.iter().flat_map(|report| &report.cells);
     let has_pairs = cells().any(|cell| cell.simultaneous.is_some());
     let has_loss = cells().any(|cell| {
-        let mut axes = cell.alone.values();
+        let mut axes = cell.alone.values().chain(&cell.latency);
         axes.any(|axis| axis.clean_relative_loss.is_some())
     });
     let mut entries: Vec<(&str, String)> = Vec::new();

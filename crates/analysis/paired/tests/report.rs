@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::{
     Bootstrap, Configuration, Count, DuplicateRecord, Flips, GateVerdict, Measures, NominalSource,
-    Options, Outcome, Record, report, table, task_correlation,
+    Options, Outcome, Record, legend, report, table, task_correlation,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -449,4 +449,27 @@ fn latency_has_a_success_rate_and_is_in_no_paired_measure() {
     assert_eq!(cell.completeness.gaps[&Condition::Latency].missing, 1);
     assert_eq!(before.latency, None);
     assert!(table(&with).contains("latency") && !table(&without).contains("latency"));
+}
+
+/// Regression: the legend lacked `loss` if latency was the only axis.
+#[test]
+fn the_legend_explains_the_loss_under_latency() {
+    let mut records = Vec::new();
+    for index in 0..4 {
+        let latency = RolloutId::perturbed(task(index), Condition::Latency, Level::L2, 0);
+        for (id, outcome) in [
+            (RolloutId::clean(task(index), 0), Outcome::Success),
+            (latency.expect("an id"), Outcome::from(index > 0)),
+        ] {
+            records.push(Record {
+                id,
+                init_id: 0,
+                replicate: 0,
+                outcome,
+            });
+        }
+    }
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    assert!(table(&report).contains("loss"));
+    assert!(legend(&[&report]).contains("1 - success / nominal success"));
 }
