@@ -334,7 +334,8 @@ class Batch:
         `render` selects the steps that are rendered and read: "last" or "all"; with "none", the
         last step is read and not rendered. With `expert`, [simulations, steps], the scripted expert
         is queried at every step; at steps where `expert` is True, the expert's action plus the
-        arm's given action, clamped to -1..1, is executed. With `past_success`, steps continue after a success.
+        arm's given action, clamped to -1..1, is executed. With `past_success`, steps continue after
+        a success.
 
         Returns `steps` executed and `success` of each simulation; the readings by name; the frames
         by camera, with row 0 at the top, and column 0 at the right if `mirrored`; `expert_action`,
