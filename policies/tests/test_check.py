@@ -62,7 +62,7 @@ def test_a_conforming_policy_passes_every_point(policy, skipped):
 
 
 class Faulty(Noisy):
-    """A policy with one fault, which a subclass overrides."""
+    """A policy that conforms to the protocol. A subclass overrides one member and adds a fault."""
 
     description = Description(name="faulty", horizon=4, stochastic=True, max_batch=4)
     calls = itertools.count()

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 MAX_DIFFERENT = 8
 #: Smallest share of pixels equal to the original's recorded frames.
 AS_RECORDED = 0.94
-#: Smallest share of pixels equal to frames that the original renders on this machine. The OpenGL
-#: driver of a different processor rounds differently, mostly on the floor of libero_object.
+#: Smallest share of pixels equal to frames that the original renders on this machine. The renderer
+#: reproduces the roundings of Mesa's llvmpipe on an Intel processor; on others, llvmpipe rounds
+#: differently, mostly on the floor of libero_object.
 RENDERED_HERE = 0.85
 
 

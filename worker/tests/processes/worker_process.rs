@@ -77,7 +77,7 @@ impl WorkerProcess {
         Self { child }
     }
 
-    /// Waits until the process prints a line that begins with `start`; later output is discarded.
+    /// Waits until the process prints a line that begins with `start`, then closes the pipe.
     pub(crate) fn wait_for_line(&mut self, start: &str) {
         let out = self.child.stdout.take().expect("piped");
         let mut lines = BufReader::new(out).lines().map_while(Result::ok);

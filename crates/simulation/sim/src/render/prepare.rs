@@ -87,7 +87,8 @@ impl Prepared {
     /// Restores data that was prepared earlier for the same model, without copying its bytes.
     ///
     /// # Errors
-    /// If the bytes do not belong to this model.
+    /// If the bytes of a mesh are malformed, or a texture's smaller levels have another size than the
+    /// model requires. Other bytes of a different model are not detected.
     pub(crate) fn from_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
         let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
         let textures = model.textures().zip(&bytes.textures);
