@@ -126,7 +126,7 @@ impl PlusPath {
         self.0.corruption.map_or(0, corruption::Corruption::number)
     }
 
-    /// Angles of the arm's joints at resets, [7], rad; `None` for LIBERO's.
+    /// Angles of the arm's joints at resets, 7 numbers, rad; `None` for LIBERO's.
     #[getter(posture)]
     fn posture_array<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         self.posture()

@@ -79,7 +79,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// Returns the action of the next control step, [7], and advances by one step.
+    /// Returns the action of the next control step, 7 numbers, and advances by one step.
     fn advance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.inner.due().is_some() {
             return Err(invalid(
