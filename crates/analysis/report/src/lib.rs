@@ -1,7 +1,7 @@
 //! Reports of outcomes: text for a terminal, JSON, one page of HTML, its
 //! figures as SVG, and the table of configurations as CSV or Parquet. The crate
 //! `paired` computes the statistics; a [`Subject`] comes from a coordinator or
-//! from [`import`].
+//! from [`import()`].
 //!
 //! Output is deterministic: the same subjects give the same bytes, independent of
 //! time, machine and the order of the records.

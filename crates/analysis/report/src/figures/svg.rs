@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use paired::{Interval, NoInterval};
 
-/// Width of a panel that is not [`WIDE`], in user units, which are pixels if the panel is not
+/// Width of a panel that is not `WIDE`, in user units, which are pixels if the panel is not
 /// scaled.
 pub const WIDTH: f64 = 380.0;
 /// Width of a figure that fills a page.
