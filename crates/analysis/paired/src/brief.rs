@@ -1,5 +1,5 @@
 //! A short report: the main findings and success by condition. The full report with all
-//! measures, intervals and symbols is in [`table`](crate::table).
+//! measures, intervals and symbols is in [`table`](crate::table()).
 
 use libero_ctrl::Condition;
 

@@ -69,7 +69,7 @@ pub struct Difference {
     /// 95 % interval that holds simultaneously with those of all other rows.
     pub simultaneous_ci95: Option<Interval>,
     /// p-value of the hypothesis that the difference lies beyond ±5 points, see
-    /// [`equivalence_p`](crate::equivalence_p).
+    /// [`equivalence_p`].
     pub equivalence_p: Option<f64>,
     /// Comparison of the policies by task.
     pub profile: Profile,

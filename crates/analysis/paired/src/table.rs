@@ -30,7 +30,7 @@ const MAX_CELLS: usize = 3;
 const MAX_NAMED: usize = 6;
 
 /// Writes the report as a table. Rates are in percent, differences in percentage points;
-/// [`legend`](crate::legend) explains the symbols.
+/// [`legend`](crate::legend()) explains the symbols.
 pub fn table(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
