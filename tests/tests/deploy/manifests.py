@@ -103,7 +103,8 @@ class Manifests:
         for direction, peers in (("ingress", "from"), ("egress", "to")):
             for rule in policy["spec"].get(direction, []):
                 peer_pods: list[dict] = []
-                for peer in rule[peers]:
+                # A rule without peers admits every address.
+                for peer in rule.get(peers, []):
                     if "podSelector" in peer:
                         peer_pods += self.select_pods(policy, peer["podSelector"]["matchLabels"])
                 for port in rule["ports"]:
