@@ -262,6 +262,18 @@ impl Storage {
         }))
     }
 
+    /// Returns the number of bytes of an object; `None` if the object does not exist.
+    ///
+    /// # Errors
+    /// If the storage fails.
+    pub async fn size_bytes(&self, key: &str) -> Result<Option<u64>, StorageError> {
+        match self.store.head(&self.key(key)).await {
+            Ok(object) => Ok(Some(object.size)),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(self.failed("find", key, &error)),
+        }
+    }
+
     /// Removes all objects below a folder.
     ///
     /// # Errors

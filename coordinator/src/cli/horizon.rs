@@ -104,7 +104,7 @@ async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<us
 fn unknown_length(spec: &CampaignSpec, model: &Execution, problem: &str) -> String {
     let (name, endpoint) = (&spec.policy.name, &spec.policy.endpoint);
     format!(
-        "the length of the answers of policy {name} at {endpoint} is unknown yet ({problem}): the \
-         campaign's first rollout fails if {model} drops every action of an answer"
+        "the length of the answers of policy {name} at {endpoint} is unknown yet ({problem}): \
+         rollouts fail if {model} drops every action of an answer"
     )
 }

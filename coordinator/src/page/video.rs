@@ -79,9 +79,16 @@ async fn from_storage(
 ) -> Result<Response, Problem> {
     let range = headers.get(header::RANGE).and_then(requested_range);
     let is_part = range.is_some();
-    let read = storage.read(video, range).await;
-    let object = read.map_err(|error| Problem::failed(&error))?;
-    let object = object.ok_or(Problem::Video)?;
+    let object = match storage.read(video, range.clone()).await {
+        Ok(object) => object.ok_or(Problem::Video)?,
+        // Storages report a range beyond the end like any other failure.
+        Err(error) => match (range, storage.size_bytes(video).await) {
+            (Some(range), Ok(Some(size))) if range.as_range(size).is_err() => {
+                return Ok(unsatisfiable(size));
+            }
+            _ => return Err(Problem::failed(&error)),
+        },
+    };
     let size = object.size_bytes;
     let mut answer = Response::builder()
         .header(header::CONTENT_TYPE, "video/mp4")
@@ -99,6 +106,12 @@ async fn from_storage(
     }
     let answer = answer.body(Body::from_stream(object.bytes.0));
     answer.map_err(|error| Problem::failed(&error))
+}
+
+/// Answers a request for a range that begins at or beyond the end of a video.
+fn unsatisfiable(size_bytes: u64) -> Response {
+    let size = [(header::CONTENT_RANGE, format!("bytes */{size_bytes}"))];
+    (StatusCode::RANGE_NOT_SATISFIABLE, size).into_response()
 }
 
 /// Returns the requested range; `None`, for which the whole video is served, if several ranges are

@@ -173,6 +173,11 @@ fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
         };
         assert!(head.lines().any(has_range), "{head}");
     }
+    let beyond_end = format!("Range: bytes={}-\r\n", bytes.len());
+    let (head, _) = http(address, "GET", &path, &beyond_end);
+    assert!(head.starts_with("HTTP/1.1 416"), "{head}");
+    let size = format!("content-range: bytes */{}", bytes.len());
+    assert!(head.to_lowercase().contains(&size), "{head}");
 }
 
 fn some_film(seed: u8) -> Vec<u8> {
