@@ -131,7 +131,8 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     })
 }
 
-/// Writes the finding about the most costly single axis and the axes equivalent to nominal success.
+/// Writes the finding about the greatest loss under a single axis, or smaller losses if only they
+/// are claimed, and about the axes equivalent to nominal success.
 fn cost(cell: &Cell) -> Option<Finding> {
     let losses = cell.inference.as_ref().map(|inference| &inference.losses)?;
     let singles = losses
@@ -152,14 +153,27 @@ fn cost(cell: &Cell) -> Option<Finding> {
         named.map(|(name, _)| (*name).to_owned()).collect()
     };
     let equivalent = names(&|loss| !is_costly(loss) && is_equivalent(loss));
-    let mut sentence = match is_costly(loss) {
-        true => format!(
+    let costly = names(&is_costly);
+    let claimed = singles.iter().filter(|(_, loss)| is_costly(loss));
+    let smallest_p = claimed.map(|(_, loss)| loss.holm_p).reduce(f64::min);
+    let p = smallest_p
+        .filter(|_| !is_costly(loss))
+        .unwrap_or(loss.holm_p);
+    let mut sentence = match (is_costly(loss), costly.is_empty()) {
+        (true, _) => format!(
             "Of the single axes at {level}, {most} costs the most: {} points{} of success, against \
              nominal rollouts of the same initial states",
             percent(Some(loss.loss.value)),
             interval_of_new_tasks(&loss.loss)
         ),
-        false => format!(
+        (false, false) => format!(
+            "Success is shown to be lost at {level} under {} alone, but not under {most}, where the \
+             loss is greatest: {} points{}",
+            listed(&costly),
+            percent(Some(loss.loss.value)),
+            interval_of_new_tasks(&loss.loss)
+        ),
+        (false, true) => format!(
             "No single axis is shown to cost success at {level}; the greatest loss is {} points{}, \
              under {most}",
             percent(Some(loss.loss.value)),
@@ -177,8 +191,8 @@ fn cost(cell: &Cell) -> Option<Finding> {
     Some(Finding {
         kind: FindingKind::Cost,
         level: Some(level),
-        claims: is_costly(loss),
-        holm_p: Some(loss.holm_p),
+        claims: !costly.is_empty(),
+        holm_p: Some(p),
         sentence,
     })
 }

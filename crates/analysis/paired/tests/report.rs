@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::{
-    Bootstrap, Configuration, Count, DuplicateRecord, Flips, GateVerdict, Measures, NominalSource,
-    Options, Outcome, Record, legend, report, table, task_correlation,
+    Bootstrap, Configuration, Count, DuplicateRecord, FindingKind, Flips, GateVerdict, Measures,
+    NominalSource, Options, Outcome, Record, legend, report, table, task_correlation,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -252,6 +252,39 @@ fn a_bound_of_chance_is_stated_only_if_nearly_identical_rollouts_end_differently
         assert!(text.contains("unknown without a placebo"), "{text}");
         assert_eq!(text.contains("chance of that size"), is_bounded, "{text}");
     }
+}
+
+#[test]
+fn a_small_certain_loss_is_claimed_beside_a_greater_uncertain_one() {
+    // The camera costs one of five rollouts in each of ten tasks, the robot all of two tasks.
+    let rows = (0..10).flat_map(|task| {
+        (0..5).flat_map(move |config| {
+            let camera = if config == 0 { F } else { S };
+            let robot = if task < 2 { F } else { S };
+            // The eleventh failure makes the robot's loss the greater one.
+            let robot = if (task, config) == (2, 0) { F } else { robot };
+            [
+                nominal(task, config, S),
+                perturbed(task, Condition::Single(Axis::Camera), config, camera),
+                perturbed(task, Condition::Single(Axis::Robot), config, robot),
+                perturbed(task, Condition::Combination, config, S),
+            ]
+        })
+    });
+    let report = report(&rows.collect::<Vec<_>>(), &Options::default()).expect("no duplicates");
+    let mut findings = report.findings.iter();
+    let cost = findings.find(|finding| finding.kind == FindingKind::Cost);
+    let cost = cost.expect("nominal rollouts");
+    let expected = "Success is shown to be lost at L2 under camera alone, but not under robot, \
+                    where the loss is greatest: 22.0 points";
+    assert!(cost.sentence.starts_with(expected), "{}", cost.sentence);
+    let camera = Condition::Single(Axis::Camera);
+    let losses = &report.cells[0]
+        .inference
+        .as_ref()
+        .expect("ten tasks")
+        .losses;
+    assert!(cost.claims && cost.holm_p == Some(losses[&camera].holm_p));
 }
 
 #[test]
