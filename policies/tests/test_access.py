@@ -90,7 +90,12 @@ def test_missing_and_wrong_tokens_are_refused(files, guarded, token, code, expec
             call()
         assert caught.value.code() == code and expected in caught.value.details()
     # The health service needs no token.
-    assert client.channel.unary_unary("/grpc.health.v1.Health/Check")(b"") == b"\x08\x01"
+    check = client.channel.unary_unary("/grpc.health.v1.Health/Check")
+    assert check(b"") == b"\x08\x01"
+    for malformed in (b"\x0a", b"\x0a\x02x", b"\x12\x00"):
+        with pytest.raises(grpc.RpcError) as caught:
+            check(malformed)
+        assert caught.value.code() == grpc.StatusCode.INVALID_ARGUMENT
     client.channel.close()
 
 

@@ -2,7 +2,6 @@
 its point."""
 
 import dataclasses
-import itertools
 import re
 import subprocess
 import sys
@@ -65,7 +64,6 @@ class Faulty(Noisy):
     """A policy that conforms to the protocol. A subclass overrides one member and adds a fault."""
 
     description = Description(name="faulty", horizon=4, stochastic=True, max_batch=4)
-    calls = itertools.count()
 
 
 class Unseeded(Faulty):

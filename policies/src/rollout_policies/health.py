@@ -25,7 +25,8 @@ def handler() -> grpc.GenericRpcHandler:
 
 def _check(request: bytes, context: grpc.ServicerContext) -> bytes:
     # The names served here are short enough for a length of one byte.
-    if request and (request[0] != SERVICE_TAG or len(request) != 2 + request[1]):
+    has_length = len(request) > 1 and len(request) == 2 + request[1]
+    if request and (request[0] != SERVICE_TAG or not has_length):
         context.abort(grpc.StatusCode.INVALID_ARGUMENT, "not a HealthCheckRequest")
     service = request[2:].decode("utf-8", errors="replace")
     if service not in SERVICES:
