@@ -122,7 +122,7 @@ class Millimetres(Faulty):
         (StateSharing, Point.ISOLATION, "the actions differ"),
         (StateCarrying, Point.ORDER, "the actions differ"),
         (BatchMixing, Point.BATCH, "in a batch the actions differ by up to"),
-        (Millimetres, Point.RANGE, "check its un-normalisation"),
+        (Millimetres, Point.RANGE, "un-normalises actions"),
     ],
 )
 def test_a_policys_fault_fails_its_point(policy, failing, expected):

@@ -59,6 +59,6 @@ pub enum FrontError {
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
     /// No local port can be opened.
-    #[error("listen on this machine")]
+    #[error("open a port of 127.0.0.1 for the gateway of this command")]
     Listen(#[from] std::io::Error),
 }

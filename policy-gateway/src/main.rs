@@ -109,7 +109,7 @@ enum Command {
         suite: String,
 
         /// Also measures the server's latency under load, and writes the distribution
-        /// of delays that `coordinator campaign create --execution` takes
+        /// of delays for `coordinator campaign create --execution overlap:@FILE`
         #[arg(long, value_name = "FILE")]
         latency: Option<PathBuf>,
 

@@ -64,8 +64,8 @@ impl Verdict {
     pub(crate) fn explanation(self) -> &'static str {
         match self {
             Self::GroupLimit => {
-                ": out of memory, the limit of its control group was reached; give the worker \
-                 fewer --slots or a higher limit"
+                ": out of memory, its control group or the machine had reached a limit; give the \
+                 worker fewer --slots or more memory"
             }
             Self::Machine => {
                 ": out of memory, the kernel was killing processes on this machine; give the \

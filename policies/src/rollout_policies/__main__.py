@@ -110,8 +110,8 @@ def _parser() -> argparse.ArgumentParser:
         type=_positive,
         default=1,
         metavar="N",
-        help=f"queries in one forward pass, for {' and '.join(BATCHING)}; changes low-order bits"
-        " of actions (default: 1)",
+        help=f"queries in one forward pass at most, for {' and '.join(BATCHING)}; changes low-order"
+        " bits of actions (default: 1)",
     )
     _add_check(commands.add_parser("check", help="check that a server conforms to the protocol"))
     return parser

@@ -235,7 +235,7 @@ class TokenGate(grpc.ServerInterceptor):
         if role not in QUERYING_ROLES:
             return self._refusal(
                 grpc.StatusCode.PERMISSION_DENIED,
-                f"do this with the token of a {role}: it takes that of"
+                f"do this with the token of a {role}: queries need the token of a"
                 f" {' or '.join(QUERYING_ROLES)}",
             )
         return continuation(handler_call_details)
@@ -246,7 +246,7 @@ class TokenGate(grpc.ServerInterceptor):
             if self._should_log(peer, code):
                 log.warning(
                     "a request from %s was refused: failed to %s (further refusals of this kind to"
-                    " this machine are not logged for ten minutes)",
+                    " the same machine are not logged for ten minutes)",
                     peer,
                     reason,
                 )

@@ -91,7 +91,7 @@ def add_server_flags(parser: argparse.ArgumentParser) -> None:
         "--listen",
         default="127.0.0.1:0",
         metavar="ADDR",
-        help="HOST:PORT; port 0 is a free one (default: %(default)s)",
+        help="HOST:PORT; port 0 selects a free port (default: %(default)s)",
     )
     server.add_argument(
         "--tls-cert",

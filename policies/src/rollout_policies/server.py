@@ -71,7 +71,10 @@ class Server:
         except RuntimeError as error:
             raise CannotListen(f"failed to listen on {listen}: {error}") from error
         if port == 0:
-            raise CannotListen(f"failed to listen on {listen}: is the port taken?")
+            raise CannotListen(
+                f"failed to listen on {listen}: the port is taken, or the host is no address of"
+                " this machine"
+            )
         #: host:port, with the port that was assigned.
         self.address = f"{listen.rpartition(':')[0]}:{port}"
         self._server.start()

@@ -58,7 +58,10 @@ pub enum ConfigError {
         name: RouteName,
     },
     /// A checkpoint has more replicas than the limit.
-    #[error("take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}")]
+    #[error(
+        "take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}: serve the \
+         others under another policy's name"
+    )]
     TooManyReplicas {
         /// Name of the route.
         name: RouteName,

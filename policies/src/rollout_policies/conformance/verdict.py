@@ -107,7 +107,7 @@ def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
         return passed()
     if largest <= LARGEST_PLAUSIBLE:
         return passed(f"the largest is {largest:.4g}: workers clip such numbers and count them")
-    return failed(f"the largest is {largest:.4g}: check its un-normalisation")
+    return failed(f"the largest is {largest:.4g}: check how the policy un-normalises actions")
 
 
 def same(expected: Sequence[pb.InferResponse], answers: Sequence[pb.InferResponse]) -> Verdict:

@@ -75,7 +75,7 @@ fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
     let Some(measures) = &cell.paired else {
         return html! {};
     };
-    let label = format!("seed {}", cell.replicate);
+    let label = format!("replicate {}", cell.replicate);
     html! {
         (text(LABEL_WIDTH - 10.0, y + 4.0, "small muted end", &label))
         @match measures.i_ci95 {

@@ -96,7 +96,7 @@ pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
         ))
     } else {
         fail(format!(
-            "the largest is {largest}: check its un-normalisation"
+            "the largest is {largest}: check how the policy un-normalises actions"
         ))
     }
 }
@@ -251,7 +251,7 @@ mod tests {
         assert!(
             matches!(range(&answers(&[-1.02])), Verdict::Pass { note } if note.contains("1.02"))
         );
-        assert!(fails(&range(&answers(&[1e9])), "un-normalisation"));
+        assert!(fails(&range(&answers(&[1e9])), "un-normalises"));
     }
 
     #[test]
