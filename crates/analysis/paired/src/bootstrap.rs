@@ -57,8 +57,8 @@ impl Bootstrap {
     }
 
     /// Returns the intervals of `count` statistics, whose values `statistics` writes into a
-    /// slice. All statistics are computed in one pass of resampling; each interval is the same as
-    /// if it were computed alone.
+    /// slice; `None` as for [`Self::intervals`]. All statistics are computed in one pass of
+    /// resampling; each interval is the same as if it were computed alone.
     pub fn intervals_of_many(
         &self,
         clusters: usize,
@@ -128,11 +128,11 @@ impl Bootstrap {
     }
 }
 
-/// Returns a quantile of sorted values by linear interpolation between the two
-/// nearest, as NumPy and SciPy do by default (Hyndman and Fan's type 7).
+/// Returns the quantile of sorted values at `share`, a fraction, by linear interpolation between
+/// the two nearest, as NumPy and SciPy do by default (Hyndman and Fan's type 7).
 ///
 /// # Panics
-/// If `sorted` is empty.
+/// If `sorted` is empty or `share` exceeds 1.
 pub fn quantile(sorted: &[f64], share: f64) -> f64 {
     let position = share * (sorted.len() - 1) as f64;
     let below = sorted[position.floor() as usize];

@@ -10,9 +10,9 @@ use crate::table::gate_lines;
 use crate::text::{ABSENT, listed, percent, push_columns, push_wrapped, separate};
 
 /// Writes the report for readers who do not know the protocol's symbols: notes, up to three
-/// sentences, success by condition in percent, the gates, and sentences about directions and
-/// missing outcomes. The text covers replicate 0 only, and of the sentences about a level only
-/// those about the last level.
+/// findings, success by condition in percent, the gates, and sentences about directions and
+/// rollouts without an outcome. The text covers replicate 0 only, and of the findings about a level
+/// only those about the last level.
 pub fn brief(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {

@@ -106,7 +106,8 @@ const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
 
-/// The rollouts of one cell, and the progress of those with an outcome for both policies.
+/// The rollouts of one cell, and the progress of those with an outcome and progress for both
+/// policies.
 type Cell = (Vec<Pair>, Vec<ProgressPair>);
 
 impl Comparison {

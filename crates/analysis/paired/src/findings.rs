@@ -259,7 +259,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     })
 }
 
-/// Writes the finding about simultaneity if no placebo was run.
+/// Writes the finding about simultaneity if no noise floor is known.
 fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let (level, i) = (cell.level, &inference.paired.i);

@@ -31,7 +31,7 @@ pub struct Gate {
     /// Equivalence p-value: tests the hypothesis that the policy's rate on these tasks differs
     /// from `published`, taken as exact, by more than [`GATE_TOLERANCE`]. A small value
     /// confirms the reproduction instead of merely not refuting it. Absent if a task has fewer
-    /// than two nominal rollouts, or if outcomes vary within no task.
+    /// than two nominal rollouts, or if the outcomes of each task are all equal.
     pub equivalence_p: Option<f64>,
 }
 

@@ -35,14 +35,14 @@ pub struct Inference {
     /// Simultaneous success against the prediction for independent axes relative to nominal
     /// success; absent without a successful matched nominal rollout.
     pub relative: Option<Relative>,
-    /// The loss under each condition, against the nominal rollouts of the same initial
-    /// states; empty without such nominal rollouts.
+    /// The loss under each axis alone and under simultaneous perturbation, against the nominal
+    /// rollouts of the same initial states; empty without such nominal rollouts.
     pub losses: Losses,
     /// Test of whether simultaneous success depends on the direction; absent if directions are not
     /// shared between tasks, with fewer than two directions or tasks, and for the placebo.
     pub directions: Option<DirectionTest>,
     /// The noise floor and the excess over it; absent without a complete configuration of the
-    /// placebo, and for the placebo itself.
+    /// placebo, if the placebo has another number of axes, and for the placebo itself.
     pub excess: Option<Excess>,
 }
 

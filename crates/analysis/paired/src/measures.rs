@@ -30,9 +30,9 @@ impl Configuration {
 /// Measures over matched configurations. Rates are fractions; names and
 /// formulas are those of section 6 of the protocol (arXiv 2609.15940).
 ///
-/// A measure is exact; its interval (`…_ci95`) is a percentile cluster
-/// bootstrap ([`Bootstrap::intervals`]). An interval that would mislead is
-/// absent, and `no_interval` gives the reason.
+/// The interval of a measure (`…_ci95`) is by a percentile cluster bootstrap
+/// ([`Bootstrap::intervals`]). An interval that would mislead is absent, and
+/// `no_interval` gives the reason.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
     /// Number of configurations.

@@ -109,7 +109,8 @@ impl Assumed {
         },
     ];
 
-    /// Summarises the outcomes of complete configurations in replicate 0, by ascending level.
+    /// Summarises the outcomes of complete configurations in replicate 0, by ascending level;
+    /// empty with fewer than two axes.
     ///
     /// # Errors
     /// If a rollout and replicate is recorded twice.

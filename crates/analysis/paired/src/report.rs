@@ -117,7 +117,7 @@ pub struct Cell {
     /// configurations.
     pub alone: BTreeMap<Axis, SingleAxis>,
     /// Success under the latency axis, over all results; absent if the campaign does not run this
-    /// axis.
+    /// axis at the level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency: Option<SingleAxis>,
     /// Success under proper subsets of two or more axes, over all results; empty if the
@@ -134,7 +134,8 @@ pub struct Cell {
     pub paired: Option<Measures>,
     /// Paired measures over the solvable configurations, whose nominal rollout succeeded.
     pub solvable: Option<Measures>,
-    /// Worst and best case; absent if no rollout is quarantined.
+    /// Worst and best case over the configurations without a missing rollout; absent if none of
+    /// them has a quarantined rollout.
     pub bounds: Option<Bounds>,
     /// Intraclass correlation of configurations of a task, see
     /// [`task_correlation`](crate::design::task_correlation).

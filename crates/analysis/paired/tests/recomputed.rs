@@ -214,8 +214,8 @@ fn simulated_comparison(seed: u64) -> Value {
     comparison(&format!("simulated comparison {seed}"), a, b)
 }
 
-/// Simulates a campaign of two to twenty tasks. Every second campaign has a placebo, and every
-/// third has replicates.
+/// Simulates a campaign of two to twenty tasks. Every second campaign has a placebo in replicate 0,
+/// and every third has further replicates.
 fn simulated_campaign(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (10, 1), (20, 4)][seed as usize % 5];
     let population = Population::standard();

@@ -6,7 +6,7 @@ use crate::bootstrap::Interval;
 use crate::inference::sample::{NO_VARIANCE, Sample, Variance};
 use crate::inference::student_t::{two_sided_quantile, two_sided_tail};
 
-/// Smallest number of tasks that gives an interval by Student's t. The command
+/// Smallest number of tasks that gives an interval about new tasks by Student's t. The command
 /// `cargo run --release -p paired --example coverage` prints the coverage of intervals with
 /// so few tasks.
 pub const FEWEST_TASKS: usize = 5;
@@ -16,8 +16,9 @@ const ALPHA: f64 = 0.05;
 
 /// A point estimate, a fraction unless stated otherwise, with a 95 % interval for each target
 /// population. An interval is absent if the data do not allow it: `these_tasks` needs two
-/// configurations in every task, the other intervals need [`FEWEST_TASKS`] tasks, and every value
-/// but a share of 0 or 1 needs a variance above 0. A product of 0 or 1 has no interval.
+/// configurations in every task; the other intervals need [`FEWEST_TASKS`] tasks, and the one about
+/// new directions also two directions if tasks share them. Every value but a share of 0 or 1 needs
+/// a variance above 0. A product of 0 or 1 has no interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// The point estimate.

@@ -30,7 +30,7 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
 /// standard error under the same signs. `strata` has the number of consecutive tasks in each
 /// stratum. s* has the same strata as the statistics' own standard errors, because an s* pooled
 /// over four suites made the intervals of 40 tasks too narrow. `None` with fewer than two tasks in
-/// a stratum or without variance.
+/// a stratum, without variance, or if s* is 0 under at least 5 % of the signs.
 ///
 /// Sources: J. P. Romano and M. Wolf, Exact and approximate stepdown methods for multiple
 /// hypothesis testing, JASA 100 (2005), 94–108; signs of whole clusters: A. C. Cameron,

@@ -120,8 +120,9 @@ impl Sample {
     ///
     /// V_T leaves out one task at a time and V_TD one configuration, both within strata of
     /// suites; V_D leaves out one direction at a time. The variance for new tasks is V_T; for
-    /// new tasks and new directions it is V_T + V_D − V_TD, at least the greater of V_T and
-    /// V_D, with Satterthwaite's degrees of freedom. The variance for the sampled tasks
+    /// new tasks and new directions it is V_T too if tasks have directions of their own, otherwise
+    /// V_T + V_D − V_TD, at least the greater of V_T and V_D, with Satterthwaite's degrees of
+    /// freedom. The variance for the sampled tasks
     /// themselves (`these_tasks`) leaves out one configuration at a time within its task. This
     /// variance counts effects of directions within a task as chance, and so is never too small.
     ///
@@ -151,7 +152,7 @@ impl Sample {
 
     /// Returns Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)² for G_h groups in stratum h, with θ_(hi)
     /// the statistic without group i of stratum h, and Σ_h (G_h − 1) degrees of freedom. `None` if
-    /// a stratum has fewer than two groups.
+    /// a stratum has fewer than two groups, or if a θ_(hi) is undefined.
     fn jackknife(&self, statistic: &dyn Fn(&[f64]) -> f64, strata: &[Stratum]) -> Option<Variance> {
         let (mut value, mut df) = (0.0, 0.0);
         for stratum in strata {

@@ -7,7 +7,7 @@ const TERMS: u32 = 500;
 /// Relative change by one step at which the continued fraction is taken to have converged.
 const PRECISION: f64 = 1e-15;
 
-/// Returns P(|T| > `t`) of Student's t with `df` degrees of freedom: I_x(df/2, ½) at
+/// Returns P(|T| > |`t`|) of Student's t with `df` degrees of freedom: I_x(df/2, ½) at
 /// x = df / (df + t²), the regularised incomplete beta function.
 ///
 /// Source: M. Abramowitz and I. Stegun, Handbook of Mathematical Functions (1964),

@@ -10,8 +10,8 @@ use crate::sequential::measures::SequentialMeasures;
 use crate::sequential::new_tasks::NewTasks;
 use crate::sequential::order::{Order, Unit};
 
-/// Largest probability that any interval of a level, or of a comparison, excludes the true value
-/// at any look.
+/// Largest probability that any interval of a level excludes the true value at any look; in a
+/// comparison, that the interval of a condition at a level does.
 pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 
 /// A look at a campaign that may end early. All levels rest on the same
@@ -116,7 +116,7 @@ impl CampaignLook {
     /// Returns the records that count in a campaign that stopped early: those of the configurations
     /// that its last look rests on, with their nominal rollouts. All other records would bias
     /// figures, because a rollout that has finished tends to be short, and duration depends on the
-    /// outcome. `None` if the rule is not met or a record occurs twice.
+    /// outcome. `None` if [`Self::when_met`] returns `None` or a record occurs twice.
     pub fn counted_when_met(records: &[Record], stop: &Stop) -> Option<Vec<Record>> {
         let matched = Records::new(records).ok()?;
         Some(Self::when_met(&matched, stop)?.counted(records))

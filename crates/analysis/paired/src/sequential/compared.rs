@@ -20,7 +20,8 @@ pub struct ComparedLook {
     pub condition: Condition,
     /// The interval over the configurations that both campaigns have completed.
     pub look: Look,
-    /// Number of configurations after which the rule was first met; `None` if it was not met.
+    /// Number of configurations after which the rule was first met; `None` if it was not met, or
+    /// without a rule.
     pub met_after: Option<usize>,
 }
 
@@ -31,8 +32,8 @@ pub struct NotInOneOrder;
 /// Returns the looks at the difference under every condition that perturbs, at every level
 /// including the placebo, in the first replicate. The seed and strata of `order` define the drawn
 /// order of both campaigns; its rule is not used. `rule` is the rule of
-/// [`ComparedLook::met_after`]. A condition is skipped if either campaign lacks it in any
-/// configuration or if any of its rollouts is `unpaired`.
+/// [`ComparedLook::met_after`]. A condition is skipped at a level if either campaign lacks it there
+/// in any configuration or if any of its rollouts is `unpaired`.
 ///
 /// # Errors
 /// If one campaign has a configuration that the other lacks.
@@ -85,7 +86,7 @@ pub fn compared_looks(
 
 type Outcomes = BTreeMap<(Level, Condition), BTreeMap<Unit, Outcome>>;
 
-/// Groups the outcomes of perturbed rollouts by level and condition.
+/// Groups the outcomes of the perturbed rollouts of replicate 0 by level and condition.
 fn outcomes(records: &[Record]) -> Outcomes {
     let mut outcomes = Outcomes::new();
     for record in records.iter().filter(|record| record.replicate == 0) {

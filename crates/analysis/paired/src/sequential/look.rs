@@ -41,7 +41,7 @@ impl RateInterval {
 }
 
 /// Intervals after a number of units. All of them hold simultaneously, at all looks, with a
-/// probability of 1 − α.
+/// probability of at least 1 − α.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Look {
     /// Number of units that the intervals rest on: the drawn order up to its first

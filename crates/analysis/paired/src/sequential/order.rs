@@ -156,8 +156,8 @@ mod tests {
         }
     }
 
-    /// Returns the statistic of Pearson's test that all of `cells` outcomes are equally
-    /// likely.
+    /// Returns the statistic of Pearson's test of whether all of the `cells` possible orders are
+    /// equally likely.
     fn chi_squared(counts: &BTreeMap<Vec<Unit>, u32>, cells: usize) -> f64 {
         let total: u32 = counts.values().sum();
         let expected = f64::from(total) / cells as f64;
