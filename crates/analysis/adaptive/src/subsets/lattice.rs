@@ -124,7 +124,7 @@ impl Lattice {
         self.evidence
     }
 
-    /// Returns the outcomes of both campaigns.
+    /// Returns the outcomes of the explained and of the explaining campaign.
     pub const fn outcomes(&self) -> &Outcomes<AxisSet> {
         &self.outcomes
     }
@@ -161,7 +161,7 @@ impl Lattice {
     }
 
     /// Returns the success under a subset according to the outcomes that selected the
-    /// configuration; `None` if they are missing or tied.
+    /// configuration; `None` if they are missing, quarantined or tied.
     pub(crate) fn selected(&self, set: AxisSet) -> Option<bool> {
         match self.evidence {
             Evidence::Once => self.verdict(set).success(),
@@ -170,7 +170,7 @@ impl Lattice {
     }
 
     /// Returns true if a requested rollout, or one by which the configuration may be selected,
-    /// has no result.
+    /// has no result yet. Nothing waits for nominal rollouts.
     pub(crate) fn is_waiting(&self) -> bool {
         let mut sets = self.sets().filter(|set| !set.is_empty());
         sets.any(|set| {

@@ -54,7 +54,7 @@ impl Explained {
     /// Explains a configuration, identified by its simultaneous rollout.
     ///
     /// # Errors
-    /// If the configuration has no transition to explain.
+    /// If the configuration has no transition to explain, or its repeats have not confirmed it.
     pub fn of(configuration: RolloutId, lattice: &Lattice) -> Result<Self, Unexplained> {
         let explanation = explain(lattice)?;
         Ok(Self {

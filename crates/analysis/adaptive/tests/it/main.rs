@@ -1,4 +1,4 @@
-//! Tests of both searches.
+//! Tests of the searches for thresholds and for minimal subsets.
 
 mod radii;
 mod subsets;

@@ -8,7 +8,7 @@ use adaptive::radii::Measurement;
 use libero_ctrl::{RolloutId, Thresholds};
 use paired::{Outcome, Record};
 
-/// Thresholds of all conditions and configurations.
+/// Returns a specification of the thresholds of all conditions and configurations.
 fn thresholds(tolerance: f64, max_radius: f64) -> Thresholds {
     Thresholds {
         campaign: "first".to_owned(),

@@ -82,8 +82,8 @@ fn full_of(outcomes: &Outcomes) -> AxisSet {
     *outcomes.keys().last().expect("sets")
 }
 
-/// Returns the lattice with the outcomes that every campaign runs: under fewer than two axes, and
-/// under all axes.
+/// Returns the lattice with the outcomes of the subsets that every campaign runs: those of fewer
+/// than two axes, and all axes.
 fn campaign(outcomes: &Outcomes) -> Lattice {
     source(full_of(outcomes), Evidence::Once, |set| outcomes[&set])
 }
