@@ -66,9 +66,9 @@ impl Comparison {
     /// Compares two policies, A − B. `setups` are the known digests of their rollouts.
     ///
     /// # Errors
-    /// If no rollouts can be paired: a campaign is of LIBERO's family, the policies were measured
-    /// with different asset packs, MuJoCo versions, renderers or realisation modes, or they have no
-    /// rollout in common.
+    /// If no rollouts can be paired: a campaign is of LIBERO's family or of a suite file, the
+    /// policies were measured with different asset packs, MuJoCo versions, renderers or realisation
+    /// modes, or they have no rollout in common.
     pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
         let [a, b] = analyses;
         let sides = sides(a, b);

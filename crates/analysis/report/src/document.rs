@@ -43,8 +43,8 @@ pub enum DocumentError {
     /// A campaign of LIBERO's family has a variant or protocol that this program does not know.
     #[error(transparent)]
     Family(#[from] FamilyError),
-    /// Rollouts of LIBERO's family are reported together with other subjects, or lack their
-    /// protocol.
+    /// Rollouts of LIBERO's family or of a suite file are reported together with other subjects, or
+    /// lack their protocol.
     #[error(
         "report on policy `{policy}`: its rollouts are of LIBERO's family, and such rollouts are \
          never pooled with others; report on one campaign alone, or on one file of its exported \
@@ -101,9 +101,9 @@ impl Document {
     /// Analyses the subjects.
     ///
     /// # Errors
-    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family have
-    /// an unknown variant or protocol, lack their protocol, or are given together with another
-    /// subject.
+    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family or
+    /// of a suite file have an unknown variant or protocol, lack their protocol, or are given
+    /// together with another subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
         let is_pooled = |subject: &&Subject| {
             let mut records = subject.records.iter();

@@ -93,7 +93,7 @@ impl Findings {
     ///
     /// # Errors
     /// If the explained campaign perturbs fewer than two axes or has a rollout and replicate twice,
-    /// or `explaining` perturbs an axis that it lacks.
+    /// or `explaining` perturbs an axis that the explained campaign lacks.
     pub fn of(explaining: &Subject) -> Result<Option<Self>, LatticeError> {
         let Some((explanation, records)) = explaining.explains() else {
             return Ok(None);

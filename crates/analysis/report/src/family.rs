@@ -1,6 +1,6 @@
 //! Report of a campaign of LIBERO's family or of a suite file: successes by dimension, suite or
 //! type and by difficulty, and the losses against the unperturbed rollouts of the same tasks and
-//! initial states, which suite files do not have.
+//! initial states. Suite files have no unperturbed rollouts.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -42,7 +42,7 @@ pub struct Family {
     /// Dimensions of LIBERO-Plus, suites of LIBERO-PRO, or the first two names of LIBERO-Para's
     /// types, in the benchmark's order, or suites of a suite file by name.
     pub groups: Vec<Line>,
-    /// Difficulties of LIBERO-Plus; the last line is of variants without a difficulty.
+    /// Difficulties of LIBERO-Plus; variants without a difficulty are in the last line.
     pub difficulties: Vec<Line>,
     /// Difficulties within each dimension of LIBERO-Plus, or the 43 types of LIBERO-Para.
     pub cells: Vec<Line>,

@@ -45,7 +45,7 @@ pub struct LevelInteractions {
     pub interactions: Interactions,
 }
 
-/// Error: no configuration of the campaign has an outcome under every subset of the axes.
+/// Reason why no interactions can be computed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum NoInteractions {
     #[error(transparent)]
@@ -71,7 +71,8 @@ impl AxisInteractions {
     /// from its outcomes and those of that campaign.
     ///
     /// # Errors
-    /// If no configuration has an outcome under every subset of the axes.
+    /// If the campaign's axes or records are invalid ([`LatticeError`]), or no configuration has an
+    /// outcome under every subset of the axes.
     pub fn of(subject: &Subject) -> Result<Self, NoInteractions> {
         let campaign = subject.origin_name();
         let explains = subject.explains();

@@ -67,8 +67,8 @@ pub fn warnings(document: &Document) -> Markup {
 }
 
 /// Renders the sections below the warnings, for another page that includes
-/// [`STYLE`]. The squares of the outcome matrices are linked to the URLs that
-/// `link` returns.
+/// [`STYLE`]. The squares of the outcome matrices and the explained configurations
+/// are linked to the URLs that `link` returns.
 pub fn sections(document: &Document, link: Option<Link>) -> Markup {
     if let Some(family) = &document.family {
         return family::sections(family);

@@ -22,11 +22,12 @@ pub struct Sequential {
     pub rule: StopRule,
     /// Seed of the drawn order of the configurations.
     pub seed: u64,
-    /// Strata of the order: each round has one configuration of each stratum.
+    /// Strata of the order: each round has one configuration, or one whole task, of each stratum.
     pub strata: Strata,
     /// True if the campaign stopped early.
     pub has_stopped: bool,
-    /// Configurations of the campaign: the population of the intervals.
+    /// Configurations of the campaign: the population of the intervals, unless the rule is about
+    /// new tasks.
     pub configurations: usize,
     /// Number of configurations from which the intervals are computed: the first in the drawn
     /// order.
@@ -38,7 +39,7 @@ pub struct Sequential {
     /// Interval by level and measure, fractions.
     pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
     /// Point estimates by level and measure, with strata weighted by their share of the
-    /// campaign; only for levels with a known outcome in every stratum.
+    /// intervals' population; only for levels with a known outcome in every stratum.
     pub estimates: BTreeMap<Level, BTreeMap<Measure, f64>>,
     /// Measures whose estimates are overstated, because the campaign ended as soon as the
     /// interval of the measure excluded a value. The end of the interval that is nearest to
@@ -62,7 +63,7 @@ pub fn describe_early_stop(
 
 impl Sequential {
     /// Computes the sequences; `None` if the campaign has no rule for ending early, or no
-    /// configuration.
+    /// configuration at a level other than L0.
     pub(crate) fn from_subject(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
         let Some(EarlyStop { stop, has_stopped }) = &subject.early_stop else {
             return Ok(None);
@@ -105,8 +106,9 @@ impl Sequential {
         }))
     }
 
-    /// Returns the findings that are valid at any look, which replace those of a fixed sample:
-    /// intervals of simultaneous success and its net effect over the campaign's configurations.
+    /// Returns the findings that are valid at any look, which replace those of a fixed sample: by
+    /// level, the intervals of simultaneous success and of the net effect of simultaneity or, for a
+    /// rule about new tasks, of the rule's measures.
     pub(crate) fn findings(&self) -> Vec<Finding> {
         if self.rule.is_about_new_tasks() {
             return self.findings_of_new_tasks();
@@ -154,8 +156,8 @@ impl Sequential {
         self.levels.iter().map(finding).collect()
     }
 
-    /// Returns the warning that figures cover only some configurations; `None` if the figures cover
-    /// all configurations.
+    /// Returns the warning that the campaign stopped early or may still do so; `None` if it did not
+    /// stop and all configurations are complete.
     pub(crate) fn warning(&self) -> Option<String> {
         if self.has_stopped {
             let configurations = [self.used as u64, self.configurations as u64];

@@ -16,11 +16,12 @@ use crate::sequential::{percent_text, strata_in_words};
 pub struct SequentialComparison {
     /// Seed of the drawn order of both campaigns.
     pub seed: u64,
-    /// Strata of the order: each round has one configuration of each stratum.
+    /// Strata of the order: each round has one configuration, or one whole task, of each stratum.
     pub strata: Strata,
     /// Rule to evaluate, if one was given.
     pub rule: Option<StopRule>,
-    /// Difference under every condition at every perturbed level.
+    /// Difference under each perturbed condition at each level, the placebo level included;
+    /// conditions with an unpaired rollout are left out.
     pub cells: Vec<SequentialCell>,
 }
 
@@ -36,7 +37,8 @@ pub struct SequentialCell {
     pub used: usize,
     /// Interval of the difference, fractions.
     pub difference: [f64; 2],
-    /// Number of configurations after which the rule was first met; `None` if it was not met.
+    /// Number of configurations after which the rule was first met; `None` if it was not met, or
+    /// without a rule.
     pub met_after: Option<usize>,
 }
 
@@ -66,7 +68,7 @@ pub enum NoCommonOrder {
 }
 
 impl SequentialComparison {
-    /// Compares two campaigns, A − B, without the `unpaired` rollouts.
+    /// Compares two campaigns, A − B, without the conditions that have an `unpaired` rollout.
     ///
     /// # Errors
     /// If the campaigns did not run in the same drawn order.

@@ -21,7 +21,7 @@ pub struct Subject {
     /// Behaviour of the robot while a response of its policy was pending.
     #[serde(default)]
     pub execution: Execution,
-    /// Every planned rollout, with or without an outcome.
+    /// Every planned rollout of a campaign, with or without an outcome, or every row of a file.
     pub records: Vec<Record>,
     /// The last errors of the quarantined rollouts.
     pub errors: Vec<Quarantined>,

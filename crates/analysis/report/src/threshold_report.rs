@@ -325,8 +325,9 @@ fn push_survival(text: &mut String, curves: &[&Curve]) {
     }
 }
 
-/// Appends the table of median radii: a row per condition with the radius at which half of
-/// the configurations survive and the number of configurations behind the curve.
+/// Appends the table of median radii: a row per condition with the radius at which half of the
+/// configurations still succeed, its interval, and the numbers of configurations that fail
+/// nominally, succeed at the largest radius, or succeed again beyond a failure.
 fn push_half_success(text: &mut String, curves: &[&Curve]) {
     text.push_str("\nradius at which half of the configurations still succeed\n");
     let _ = writeln!(

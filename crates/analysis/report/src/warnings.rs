@@ -300,7 +300,7 @@ pub(crate) fn first_names(names: &[String]) -> String {
     text
 }
 
-/// Abbreviates a digest to [`DIGEST_DIGITS`] digits.
+/// Abbreviates a digest to [`DIGEST_DIGITS`] digits; `no digest` if it is empty.
 pub(crate) fn abbreviated_digest(digest: &str) -> &str {
     match digest.get(..DIGEST_DIGITS).unwrap_or(digest) {
         "" => "no digest",

@@ -48,8 +48,8 @@ fn campaign_sections(findings: &Findings, link: Option<Link>) -> Markup {
     }
 }
 
-/// Renders the number of configurations with a transition of this kind and the subset that
-/// explains most of them.
+/// Renders the number of explained configurations with this transition and their most frequent
+/// minimal subset.
 fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
     let is_of_kind = |explained: &&Explained| explained.explanation.transition == transition;
     let all: Vec<&Explained> = findings.configurations.iter().filter(is_of_kind).collect();
@@ -116,7 +116,7 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
     }
 }
 
-/// Renders the number of larger subsets that undo the change of smaller ones.
+/// Renders the number of pairs of a minimal subset and a larger subset that undoes its change.
 fn non_monotone(findings: &Findings) -> Markup {
     let pairs = |explained: &Explained| {
         let answers = explained.explanation.answers.iter();

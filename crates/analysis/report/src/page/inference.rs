@@ -114,7 +114,7 @@ fn targets(cells: &Cells<'_>, directions: Option<Directions>) -> Markup {
     }
 }
 
-/// Renders the table of noise floors and the effects that exceed them.
+/// Renders the table of the measures, their noise floors and the differences between both.
 fn floor(cells: &Cells<'_>) -> Markup {
     let heads = [
         "policy",

@@ -385,7 +385,8 @@ pub(super) fn solvable(document: &Document) -> Markup {
     }
 }
 
-/// Renders the range of each measure over all possible outcomes of quarantined rollouts.
+/// Renders the ranges of I, R_e, R_c, S_conj and S_sim over all possible outcomes of quarantined
+/// rollouts.
 pub(super) fn bounds(document: &Document) -> Markup {
     let range = |[low, high]: [f64; 2]| plain(format!("{} to {}", percent(low), percent(high)));
     let bounds_row = |policy: &str, cell: &Cell, bounds: &Bounds| {
