@@ -313,7 +313,7 @@ struct SpecText {
     execution: Option<Execution>,
 }
 
-/// Error in the combination of fields, or an unknown task.
+/// Error in the combination of fields, an unknown task, or an invalid placebo radius.
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(

@@ -8,7 +8,7 @@ use crate::axis::{Axis, LATENCY};
 use crate::axis_set::AxisSet;
 use crate::names::{UnknownName, serde_as_text};
 
-/// Name of the condition of every rollout of LIBERO's family.
+/// Name of the condition of every rollout of LIBERO's family or of a suite file.
 const VARIANT: &str = "variant";
 
 /// Perturbed axes of a rollout.
@@ -26,7 +26,8 @@ pub enum Condition {
     /// Simultaneous: all axes of the campaign at once. Rollout ids use the published name
     /// `combination`.
     Combination,
-    /// A rollout of LIBERO's family, perturbed or not; its id names the variant.
+    /// A rollout of LIBERO's family, perturbed or not, or of a suite file; its id names the variant
+    /// or the suite.
     Variant,
 }
 

@@ -36,7 +36,8 @@ const ROUNDING: f64 = 0.5e-6;
 /// # Errors
 /// If the manifest has no rows or more than [`MAX_ROWS`], or a line is not a row, contradicts
 /// itself or its configuration's other rows, has parameters of a different level, has another
-/// execution model than the first row, or repeats an id. The error lists the lines.
+/// execution model than the first row (rows of the latency axis aside), or repeats an id. The error
+/// lists up to 20 lines.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();
@@ -173,7 +174,7 @@ pub enum LineProblem {
     Duplicate {
         /// The id.
         id: RolloutId,
-        /// First line with the id, from 1.
+        /// Last earlier line with the id, from 1.
         first: usize,
     },
     /// The initial state or parameters differ from those of the configuration's other rows,
@@ -182,12 +183,12 @@ pub enum LineProblem {
     Unpaired {
         /// The row.
         id: RolloutId,
-        /// Names of the columns that differ.
+        /// Words for the values that differ, such as `initial states`.
         column: String,
         /// Line of the row that this row should agree with.
         first: usize,
     },
-    /// The execution model differs from that of the first row.
+    /// The execution model differs from that of the first row outside the latency axis.
     #[error(
         "{id}: execution model `{given}`, but `{expected}` in line {first}: put rows of different \
              models into separate manifests"
@@ -197,9 +198,9 @@ pub enum LineProblem {
         id: RolloutId,
         /// The row's model.
         given: Execution,
-        /// Model of the first row.
+        /// Model of that first row.
         expected: Execution,
-        /// Line of the first row.
+        /// Line of that first row.
         first: usize,
     },
     /// The manifest has more than [`MAX_ROWS`] rows.
@@ -265,7 +266,7 @@ impl std::error::Error for ManifestErrors {}
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
     configurations: BTreeMap<(TaskRef, Level, u16), Configuration>,
-    /// Execution model of the first row, and its line.
+    /// Execution model of the first row outside the latency axis, and the row's line.
     execution: Option<(Execution, usize)>,
     errors: ManifestErrors,
 }
@@ -294,8 +295,8 @@ impl Checker {
         }
     }
 
-    /// Compares the execution model with that of the first row. Rows of the latency axis are not
-    /// compared: their level sets their model.
+    /// Compares the execution model with that of the first row given here. Rows of the latency axis
+    /// are not given, because their level sets their model.
     fn check_execution(&mut self, line: usize, row: &ManifestRow) {
         let of_this_row = (row.execution.clone(), line);
         let (expected, first) = self.execution.get_or_insert(of_this_row).clone();
@@ -310,8 +311,8 @@ impl Checker {
         }
     }
 
-    /// Returns the columns in which a row contradicts its configuration, and the line of the
-    /// contradicted row.
+    /// Returns words for the first values in which a row contradicts its configuration, and the
+    /// line of the contradicted row.
     fn difference(&mut self, line: usize, row: &ManifestRow) -> Option<(String, usize)> {
         let key = (row.id.task(), row.id.level(), row.id.config()?);
         let entry = self.configurations.entry(key);

@@ -8,7 +8,8 @@ use crate::thresholds::Thresholds;
 /// Reason why the thresholds of a campaign cannot be measured, with a remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotMeasurable {
-    /// The rows are imported, or derived from the outcomes of another campaign.
+    /// The rows are imported, derived from the outcomes of another campaign, or of LIBERO's family
+    /// or a suite file.
     #[error(
         "its rows are not expanded from a design, so that their values at another radius are \
          unknown; create a campaign with `tasks`, `axes` and `levels`"

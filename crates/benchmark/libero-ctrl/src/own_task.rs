@@ -62,7 +62,8 @@ pub struct OwnTask {
 }
 
 impl OwnTask {
-    /// Returns the first path of the task that leaves its folder; `None` if all stay inside.
+    /// Returns the first path of the task for which [`stays_inside`] returns false; `None` if there
+    /// is none.
     pub(crate) fn path_outside(&self) -> Option<&str> {
         let mut paths = [&self.folder, &self.bddl, &self.states].into_iter();
         paths.find(|path| !stays_inside(path)).map(String::as_str)
@@ -72,7 +73,8 @@ impl OwnTask {
 /// Longest path of a task file in its folder, bytes.
 const MAX_PATH_BYTES: usize = 255;
 
-/// Returns true if a path stays in its folder, on every system.
+/// Returns true if a path stays in its folder, on every system, and has at most
+/// [`MAX_PATH_BYTES`] bytes.
 pub(crate) fn stays_inside(path: &str) -> bool {
     let is_plain = |part: &str| !matches!(part, "" | "." | "..");
     let is_excluded = |letter: char| matches!(letter, '\\' | ':') || letter.is_control();

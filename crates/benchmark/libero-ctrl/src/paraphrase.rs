@@ -46,8 +46,8 @@ pub struct Paraphrase {
 /// result is deterministic; at L0, the placebo level, it is the canonical instruction.
 ///
 /// # Panics
-/// If `level` is neither L0 nor one of [`Level::PERTURBED`], or `config` is not below
-/// [`PRESETS`](crate::presets::PRESETS).
+/// If `level` is neither L0 nor one of [`Level::PERTURBED`], or, at a level other than L0, `config`
+/// is not below [`PRESETS`](crate::presets::PRESETS).
 pub fn paraphrase(task: TaskRef, level: Level, config: u16) -> Paraphrase {
     if level == Level::L0 {
         return Paraphrase {

@@ -215,7 +215,8 @@ impl Perturbation {
     /// Parses the `perturb` object of a manifest row.
     ///
     /// # Errors
-    /// If a key is unknown or missing, or the object does not match the condition.
+    /// If a key is unknown or missing, a value is not a number, or the object does not match the
+    /// condition.
     pub fn from_manifest(
         condition: Condition,
         perturb: Map<String, Value>,

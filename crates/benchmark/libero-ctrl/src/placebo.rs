@@ -1,4 +1,5 @@
-//! The placebo level: all conditions of a design at a radius too small to affect any policy.
+//! The placebo level: the conditions of a design, without latency, at a radius too small to affect
+//! any policy.
 //! Changed outcomes at this level are the noise floor of every paired measure.
 
 use crate::level::Level;

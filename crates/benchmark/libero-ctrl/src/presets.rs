@@ -1,6 +1,6 @@
-//! Presets of LIBERO-CTRL v0.1: directions, units, radii, evaluation
-//! states and step budgets, read from `data/presets.json`. This module computes
-//! parameters from them; `perturbation` defines their meaning.
+//! Presets of LIBERO-CTRL v0.1: directions, units, evaluation states, step budgets
+//! and sizes of demonstrated actions, read from `data/presets.json`. This module computes
+//! parameters from them; `perturbation` defines the parameters' meaning.
 //!
 //! Source: the numbers in `manifests/v0.1/manifest.json` of the protocol's released
 //! code (arXiv 2609.15940).
@@ -50,7 +50,7 @@ pub fn apply_preset(perturbation: &mut Perturbation, axis: Axis, level: Level, c
 /// Every parameter is radius × unit × direction, rounded to six decimals.
 ///
 /// # Panics
-/// If `direction` does not have one component per parameter.
+/// If `direction` has fewer components than the axis has parameters.
 pub(crate) fn apply_direction(
     perturbation: &mut Perturbation,
     axis: Axis,

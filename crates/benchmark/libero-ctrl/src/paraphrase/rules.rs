@@ -64,7 +64,7 @@ pub(super) struct Construction {
     pub(super) defaults: BTreeMap<String, String>,
     /// The canonical word order.
     pub(super) plain: String,
-    /// Structures of L2 by variant: a body, or a lead, `|` and a body.
+    /// Structures of L2 and L3 by variant: a body, or a lead, `|` and a body.
     pub(super) structures: [String; VARIANTS],
 }
 

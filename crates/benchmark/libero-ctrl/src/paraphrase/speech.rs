@@ -21,7 +21,7 @@ impl<'r> Renderer<'r> {
     /// Renders a template. Verbs without a fixed form take `form`.
     ///
     /// # Panics
-    /// If the template uses an undefined name.
+    /// If the template uses an undefined name or verb form, or does not close a mark.
     pub(super) fn render(&self, template: &str, form: Form) -> String {
         let mut text = String::new();
         let mut rest = template;
