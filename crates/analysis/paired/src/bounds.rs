@@ -16,7 +16,8 @@ use crate::outcomes::{Matched, Outcome};
 /// exclude such rollouts; the range shows how much their outcomes could change a measure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
-    /// Configurations without a missing rollout.
+    /// Configurations without a missing rollout, single or simultaneous. Nominal rollouts do not
+    /// count.
     pub n: u64,
     /// Configurations counted in `n` that have a quarantined rollout.
     pub affected: u64,

@@ -36,8 +36,9 @@ const NO_WIDTH: f64 = 1e-12;
 pub enum NoInterval {
     /// There are fewer tasks than [`MIN_TASKS`].
     TooFewTasks,
-    /// All resamplings give the same value, for example if no outcome ever changes. An
-    /// interval of width 0 would suggest a certainty that the data do not support.
+    /// Both ends of the interval are equal, for example because no outcome ever changes, or there
+    /// are no resamplings. An interval of width 0 would suggest a certainty that the data do not
+    /// support.
     NoSpread,
 }
 

@@ -156,7 +156,8 @@ impl Assumed {
         }
     }
 
-    /// Returns the entry whose level, other than L0, has the radius nearest to that of `level`.
+    /// Returns the entry whose level, other than L0, has the radius nearest to that of `level`;
+    /// `None` if there is none.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
         let perturbed = all.iter().filter(|assumed| assumed.level != Level::L0);
         perturbed.min_by(|a, b| {
@@ -233,7 +234,8 @@ impl Planned {
 /// configurations: those of the level and those of the reference. Solves δ = z₀.₉₇₅·σ(pooled,
 /// pooled) + z₀.₈·σ(base + δ, base), with σ(p, q) the standard error of the difference of shares p
 /// and q, and `pooled` the share over all of these configurations. Smaller differences are
-/// detectable if both shares are of the same, positively correlated configurations.
+/// detectable if both shares are of the same, positively correlated configurations. `None` if
+/// either has no configurations, or not even a share of 1 is detectable.
 ///
 /// Source: J. L. Fleiss, B. Levin, M. C. Paik, Statistical Methods for Rates and Proportions,
 /// third edition (2003), section 4.2.

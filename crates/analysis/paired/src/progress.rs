@@ -26,7 +26,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Returns the largest share of the goal's predicates that held together at any step.
+    /// Returns the largest share of the goal's predicates that held together at any step; `None` if
+    /// it is unknown or the goal has no predicates.
     pub fn goal_share(&self) -> Option<f64> {
         let goal = self.goal.filter(|goal| goal.predicates > 0)?;
         Some(f64::from(goal.at_most) / f64::from(goal.predicates))

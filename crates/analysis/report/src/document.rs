@@ -40,7 +40,8 @@ pub enum DocumentError {
         policy: String,
         source: DuplicateRecord,
     },
-    /// A campaign of LIBERO's family has a variant or protocol that this program does not know.
+    /// A campaign of LIBERO's family or of a suite file has a variant or protocol that this program
+    /// does not know.
     #[error(transparent)]
     Family(#[from] FamilyError),
     /// Rollouts of LIBERO's family or of a suite file are reported together with other subjects, or
@@ -88,7 +89,7 @@ struct JsonReport<'a> {
     interactions: Option<interactions::JsonForm<'a>>,
 }
 
-/// The JSON form of a campaign of LIBERO's family.
+/// The JSON form of a campaign of LIBERO's family or of a suite file.
 #[derive(Serialize)]
 struct FamilyForm<'a> {
     warnings: Vec<&'a String>,

@@ -119,7 +119,7 @@ impl Line {
     }
 }
 
-/// Failure to report on a campaign of LIBERO's family.
+/// Failure to report on a campaign of LIBERO's family or of a suite file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FamilyError {
     /// A rollout's variant is unknown.

@@ -56,7 +56,7 @@ pub struct PairedLine {
     pub no_interval: Option<NoInterval>,
 }
 
-/// Failure to compare two campaigns of LIBERO's family.
+/// Failure to compare two campaigns of LIBERO's family or of suite files.
 #[derive(Debug, thiserror::Error)]
 pub enum FamilyComparisonError {
     /// This program does not know a campaign's protocol or one of its variants.

@@ -1,5 +1,6 @@
-//! Parameters of the five metric axes, as in a manifest row. The simulator applies
-//! them to cameras, pictures and actions; `streams` provides their random elements.
+//! Parameters of the five metric axes, as in a manifest row. The simulator applies them to the
+//! camera, the lights, the robot's initial pose, pictures and actions; `streams` provides their
+//! random elements.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -129,8 +130,8 @@ parameters! {
 }
 
 /// Perturbation of one rollout: the parameters of each perturbed axis. All are absent
-/// in a nominal rollout and in a rollout that perturbs only language, whose perturbation is the
-/// row's instruction.
+/// in a nominal rollout, in a rollout of the latency axis or of a variant, and in a rollout that
+/// perturbs only language, whose perturbation is the row's instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Perturbation {

@@ -179,7 +179,8 @@ pub(crate) fn share(part: usize, whole: usize) -> impl Fn(&[f64]) -> f64 {
     move |sums| sums[part] / sums[whole]
 }
 
-/// Unwraps an estimate over at least one row, which is always defined.
+/// Unwraps an estimate whose statistic divides only by the number of rows, at least one: it is
+/// always defined.
 pub(crate) fn defined(estimate: Option<Estimate>) -> Estimate {
     estimate.expect("a share of at least one configuration is defined")
 }

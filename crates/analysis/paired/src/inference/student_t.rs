@@ -92,7 +92,7 @@ fn fraction(x: f64, a: f64, b: f64) -> f64 {
     value
 }
 
-/// Returns ln Γ(z) by Stirling's series after shifting the argument above 10.
+/// Returns ln Γ(z) by Stirling's series after shifting the argument to at least 10.
 ///
 /// Source: Abramowitz and Stegun, 6.1.41.
 fn ln_gamma(z: f64) -> f64 {

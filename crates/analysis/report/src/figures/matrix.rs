@@ -173,8 +173,8 @@ fn simultaneous_rollout(matched: &Matched) -> RolloutId {
     .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
-/// Draws a square with a cross for an emergent failure or a plus for a compensated
-/// success.
+/// Draws a square, with a cross for an emergent failure or a plus for a compensated success. A
+/// smaller square marks an incomplete configuration.
 fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
     let side = SQUARE_PITCH - 2.0;
     let class = match transition {

@@ -26,8 +26,8 @@ fn fails(task: usize, axes: AxisSet) -> bool {
     }
 }
 
-/// Records of one configuration in each of twelve tasks, under the subsets for which `is_included`
-/// returns true.
+/// Returns the records of one configuration in each of twelve tasks, under the subsets for which
+/// `is_included` returns true.
 fn records(is_included: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
     let mut records = Vec::new();
     for (index, task) in TaskRef::all().take(12).enumerate() {

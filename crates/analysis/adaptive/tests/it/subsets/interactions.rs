@@ -68,7 +68,7 @@ proptest! {
         prop_assert_eq!(interactions.moebius.len(), (1 << axes) - 1);
         prop_assert_eq!(interactions.shapley.len(), axes);
         prop_assert_eq!(interactions.pairs.len(), axes * (axes - 1) / 2);
-        // Every v(A) is the sum of m over the subsets of A.
+        // Every v(A) is v(∅) plus the sum of m over the non-empty subsets of A.
         for (set, success) in &interactions.success {
             let below = interactions.moebius.iter().filter(|(below, _)| below.is_subset(*set));
             prop_assert_eq!(nominal.numerator + sum(below.map(|(_, m)| m)), success.numerator);
