@@ -95,8 +95,8 @@ impl RolloutId {
         self.condition
     }
 
-    /// Returns the level of perturbation; L0 in clean rollouts, those of the placebo level, and
-    /// those of LIBERO's family.
+    /// Returns the level of perturbation; L0 in clean rollouts, at the placebo level, and in
+    /// rollouts of LIBERO's family or of a suite file.
     pub const fn level(&self) -> Level {
         self.level
     }
@@ -107,7 +107,8 @@ impl RolloutId {
         self.level == Level::L0 && has_config(self.condition)
     }
 
-    /// Returns the configuration; `None` for a clean rollout and those of LIBERO's family.
+    /// Returns the configuration; `None` for a clean rollout, and for a rollout of LIBERO's family
+    /// or of a suite file.
     pub fn config(&self) -> Option<u16> {
         has_config(self.condition).then_some(self.number)
     }
@@ -127,8 +128,8 @@ impl RolloutId {
         }
     }
 
-    /// Returns the last number of the id: the configuration, or the initial state of a clean
-    /// rollout or one of LIBERO's family.
+    /// Returns the last number of the id: the configuration, or in a rollout without a
+    /// configuration the initial state.
     pub const fn number(&self) -> u16 {
         self.number
     }

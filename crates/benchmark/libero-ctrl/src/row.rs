@@ -1,5 +1,5 @@
 //! One row of a manifest: the unit of work, in the format of the reference's JSON Lines.
-//! A row holds the drawn parameter values, so that nothing is drawn again when it runs.
+//! A row holds the drawn parameter values, so that no parameter is drawn again when it runs.
 //! `manifest` parses whole files of rows.
 
 use serde::{Deserialize, Serialize};
@@ -22,8 +22,8 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite};
 /// Largest number of rows of a campaign, designed or imported.
 pub const MAX_ROWS: usize = 250_000;
 
-/// Everything that a worker needs to run a rollout, except the values that differ between
-/// replicates.
+/// Definition of a rollout, without the values that differ between replicates and without the
+/// realisation and the policy, which are the same in all rollouts of a campaign.
 ///
 /// Serialises to the row format of the reference implementation, whose columns repeat suite, task,
 /// axis, level, configuration and split; when a row is parsed, these columns must agree with the
@@ -33,8 +33,8 @@ pub const MAX_ROWS: usize = 250_000;
 pub struct ManifestRow {
     /// Identity of the rollout.
     pub id: RolloutId,
-    /// Index of the initial state in the design: the configuration, or the initial state
-    /// itself in a clean row.
+    /// Index of the initial state in the design: the configuration, or in a row without a
+    /// configuration the initial state itself.
     pub init_slot: u16,
     /// Index of the initial state among the task's released initial states.
     pub init_id: u16,
@@ -46,7 +46,7 @@ pub struct ManifestRow {
     pub max_steps: u32,
     /// Control steps without action before the policy starts.
     pub settle_steps: u32,
-    /// Perturbed axes and their parameters.
+    /// Parameters of the perturbed axes other than language.
     pub perturbation: Perturbation,
     /// Radius of a row at the placebo level; `None` for all other rows.
     pub placebo_radius: Option<Level>,

@@ -28,7 +28,7 @@ pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
 
 /// Returns the seed of an axis in the `reference` realisation: `default_rng(seed)` draws
 /// the elements that are fixed for the rollout, `default_rng(seed + 1)` the noise of each
-/// step. If several axes are perturbed, the metric axis with index k adds 1000·k.
+/// step. In a condition of several axes, the axis at index k of [`Axis::METRIC`] adds 1000·k.
 pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
     let index = match id.condition() {
         Condition::Subset(_) | Condition::Combination => {

@@ -18,7 +18,7 @@ use crate::suite::TaskRef;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
-    /// Condition under which the campaign ends.
+    /// Rule under which the campaign ends.
     pub rule: StopRule,
     /// Seed of the random order of configurations.
     #[serde(default)]

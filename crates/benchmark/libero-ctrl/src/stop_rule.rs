@@ -106,7 +106,7 @@ pub struct StopRule {
     clauses: Vec<Clause>,
 }
 
-/// A condition on one interval.
+/// A requirement on one interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Clause {
     /// `width(M) < X`: the interval of M is narrower than X, a fraction.

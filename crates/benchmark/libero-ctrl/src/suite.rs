@@ -32,7 +32,7 @@ impl Suite {
     /// LIBERO's suites, in the reference's order.
     pub const ALL: [Self; 4] = [Self::Spatial, Self::Object, Self::Goal, Self::Long];
 
-    /// Returns LIBERO's name: `libero_spatial`, ..., `libero_10`.
+    /// Returns LIBERO's name: `libero_spatial`, …, `libero_10`; `own` for [`Self::Own`].
     pub const fn name(self) -> &'static str {
         match self {
             Self::Spatial => "libero_spatial",

@@ -104,7 +104,7 @@ pub struct FileTask {
     pub name: String,
     /// Prompt; `None` if it comes from the source [`SuiteFile::prompt`].
     pub prompt: Option<String>,
-    /// Further conditions.
+    /// Settings that differ from LIBERO's, and the checksum of the task's files.
     pub changes: Changes,
 }
 

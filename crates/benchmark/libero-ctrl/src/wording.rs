@@ -104,8 +104,8 @@ fn before_comma(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }
 
-/// Rewords serde's list of valid choices, such as one of `a`, `b`, or `a` or `b`, and writes it
-/// after `word`.
+/// Rewords serde's list of valid choices, such as "one of `a`, `b`" or "`a` or `b`", and writes
+/// it after `word`.
 fn choice(word: &str, valid: &str) -> String {
     match (word, valid.strip_prefix("one of ")) {
         ("write", Some(several)) => format!("write one of {several}"),
@@ -118,7 +118,8 @@ fn choice(word: &str, valid: &str) -> String {
     }
 }
 
-/// Rewords serde's description of the value given, such as string "x", integer `7`, map or null.
+/// Rewords serde's description of the value given, which begins with the type of the value: string
+/// "x", integer `7`, map or null.
 fn value(given: &str) -> String {
     for kind in ["string ", "integer ", "floating point ", "boolean "] {
         if let Some(value) = given.strip_prefix(kind) {

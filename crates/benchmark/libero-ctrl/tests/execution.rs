@@ -60,7 +60,7 @@ fn drawn_delays_have_the_frequencies_of_the_distribution() {
     assert_eq!(counts.keys().copied().collect::<Vec<_>>(), [2, 3, 9]);
     for (steps, expected) in [(2, 14_000.0), (3, 4_000.0), (9, 2_000.0)] {
         let deviation = f64::from(counts[&steps]) - expected;
-        // More than four standard deviations, which are at most 65.
+        // 300 is more than four standard deviations, each of at most 65.
         assert!(deviation.abs() < 300.0, "{steps}: {counts:?}");
     }
     let first: Vec<u16> = (0..9)

@@ -1,5 +1,5 @@
 //! Tests of the texts of the 1,200 paraphrases against a table of the words that each task's
-//! sentences must contain, which is independent of the rules.
+//! sentences must contain. The table is independent of the rules in `data/paraphrases.json`.
 
 use std::collections::BTreeSet;
 

@@ -142,7 +142,7 @@ fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseEr
     prop_assert_eq!(steps, query_steps);
     for (query, (step, delay, under_way)) in run_result.queries.iter().enumerate() {
         prop_assert_eq!(*delay as usize, delay_of(query as u32));
-        // The commands sent with the query are those executed until its response takes effect.
+        // The first commands sent with the query are executed until its response takes effect.
         let until = STEPS.min(step + *delay as usize);
         prop_assert_eq!(&under_way[..until - step], &executed[*step..until]);
     }
