@@ -54,7 +54,8 @@ impl Case {
     /// Returns the case of a rollout id.
     ///
     /// # Errors
-    /// If the id is not of LIBERO's family, or its benchmark has no such change of the task.
+    /// If the id is neither of LIBERO's family nor of a suite file, or its benchmark has no such
+    /// change of the task.
     pub fn of_id(id: RolloutId) -> Result<Self, SelectionError> {
         let task = id.task();
         let subject = id.variant().and_then(|name| subject(task, name));
@@ -90,9 +91,9 @@ impl Case {
         }
     }
 
-    /// Returns the name in results and of the output folder: the name that the benchmark uses, with
-    /// the number of the trial if there are several trials. A suite file's task is named by its
-    /// suite and its position in the file.
+    /// Returns the name in results and of the output folder: the name that the benchmark uses and,
+    /// except for LIBERO-Plus and LIBERO-Para, the number of the trial. A suite file's task is
+    /// named by its suite and its position in the file.
     pub fn name(&self) -> String {
         let (task, trial) = (self.task.name(), self.trial);
         match self.subject {
@@ -208,7 +209,7 @@ pub enum Further {
     Models,
 }
 
-/// Returns the origin of the variant of a task with the given name; `None` if there is none.
+/// Returns the origin of a task's variant from its name; `None` if the task has no such variant.
 fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
     if name.is_unperturbed() {
         return Some(Subject::Unperturbed);

@@ -114,7 +114,8 @@ impl Corruption {
     /// Checks that the corruption supports pictures of a size, in rows, columns and bytes.
     ///
     /// # Errors
-    /// If the released code cannot corrupt a picture of this size either.
+    /// If the released code fails on a picture of this size, too, the picture is empty, or it does
+    /// not have three bytes per pixel.
     pub fn check(self, height: usize, width: usize, bytes: usize) -> Result<(), UnsuitedPicture> {
         let is_complete = bytes == height * width * CHANNELS && bytes > 0;
         let is_supported = match self.kind {
@@ -136,8 +137,7 @@ impl Corruption {
     /// Corrupts a picture, drawing random numbers from the generator.
     ///
     /// # Errors
-    /// If the released code cannot corrupt a picture of this size either; the generator and
-    /// the picture are then unchanged.
+    /// If [`Self::check`] refuses the picture; the generator and the picture are then unchanged.
     pub fn apply(
         self,
         picture: &mut Picture<'_>,

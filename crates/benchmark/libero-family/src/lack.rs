@@ -9,8 +9,8 @@ use crate::protocol::Benchmark;
 /// Largest number of rollouts that a report names per reason; the others are counted.
 const MAX_NAMED: usize = 3;
 
-/// Reason why a rollout cannot run. Displays as the missing thing and its remedy, such as
-/// `task files; run …`, to be written after "this worker lacks".
+/// Reason why a rollout cannot run. Displays as the missing thing and, if there is one, its remedy,
+/// such as `task files; run …`, to be written after "this worker lacks".
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Lack {
     /// The BDDL file or the initial states are missing.

@@ -140,7 +140,7 @@ impl Protocol {
     /// Protocol of LIBERO-Para's scripts.
     pub const PARA_OFFICIAL: Self = PROTOCOLS[8];
 
-    /// Returns the protocol of a benchmark's published table.
+    /// Returns the protocol of a benchmark's published table or, for LIBERO-Para, of its scripts.
     pub const fn official(benchmark: Benchmark) -> Self {
         match benchmark {
             Benchmark::Plus => Self::PLUS_OFFICIAL,

@@ -225,8 +225,8 @@ impl ParaFilters {
 /// benchmark's order.
 ///
 /// # Errors
-/// If the specification is invalid, or no worker can run one of the chosen variants and
-/// `runnable` is not set.
+/// If the specification is invalid, a chosen variant can run on no worker and `runnable` is not
+/// set, or none of the chosen variants can run.
 pub fn expand(spec: &CampaignSpec) -> Result<Vec<ManifestRow>, SpecError> {
     let Rollouts::Variants(variants) = &spec.rollouts else {
         return spec.expand();

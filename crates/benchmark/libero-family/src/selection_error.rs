@@ -76,7 +76,7 @@ pub enum SelectionError {
     /// No variant has the name.
     #[error(transparent)]
     Variant(#[from] UnknownVariant),
-    /// A suite, dimension or protocol is unknown.
+    /// A suite, dimension, type of paraphrase, task or protocol is unknown.
     #[error(transparent)]
     Name(#[from] UnknownName),
 }

@@ -47,7 +47,7 @@ impl TaskKey {
         files.map(move |files| Self { task, files })
     }
 
-    /// Returns the keys of all tasks that need a benchmark's task files.
+    /// Returns for every task the key of the rollouts that need a benchmark's task files.
     pub fn needing(benchmark: Benchmark) -> impl Iterator<Item = Self> {
         TaskRef::all().map(move |task| Self {
             task,

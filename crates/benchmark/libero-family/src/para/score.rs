@@ -32,7 +32,7 @@ impl Distances {
         }
     }
 
-    /// Returns PRIDE in per cent; `None` if the distances of all sentences are 0.
+    /// Returns PRIDE in per cent; `None` if the sum of the distances of all sentences is 0.
     pub fn pride(&self) -> Option<f64> {
         (self.total > 0.0).then(|| 100.0 * self.reached / self.total)
     }

@@ -45,8 +45,9 @@ impl Entry {
         styles.flatten().all(|style| style.is_liberos)
     }
 
-    /// Returns true if a variant's scene can be composed of LIBERO's assets and the given files,
-    /// named relative to the assets' folder. Added objects are not supported.
+    /// Returns true if the variant's scene can be composed of LIBERO's assets and the files that
+    /// `is_present` finds, given their paths relative to the assets' folder. Always false for
+    /// variants with added objects.
     pub fn is_composable(&self, is_present: impl Fn(&str) -> bool) -> bool {
         match (self.assets(), &self.class) {
             (Assets::Libero, _) => true,
@@ -107,7 +108,7 @@ pub fn entry(variant: &Variant) -> Option<&'static Entry> {
 /// benchmark's variants.
 ///
 /// # Errors
-/// If neither LIBERO nor LIBERO-Plus has the class.
+/// If the name does not have the form of LIBERO's and LIBERO-Plus' names.
 pub fn problem_class(name: &str) -> Result<ProblemClass, ProblemError> {
     static CLASSES: OnceLock<HashMap<FileNames, &'static ProblemClass>> = OnceLock::new();
     let classes = CLASSES.get_or_init(|| {

@@ -141,16 +141,17 @@ const LIBEROS_WALLS: usize = 16;
 /// textures are in a folder such as `scenes/kitchen250/`.
 const ROOT_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles", "woodfine"];
 
-/// Error: LIBERO-Plus has no problem class of this name.
+/// Error: the name does not have the form of LIBERO's and LIBERO-Plus' problem classes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("read problem class `{0}`: neither LIBERO nor LIBERO-Plus has it")]
 pub struct ProblemError(String);
 
 impl ProblemClass {
-    /// Parses a class's name, as written in BDDL files.
+    /// Parses a class's name, as written in BDDL files. Textures and scenes that LIBERO-Plus does
+    /// not have are accepted.
     ///
     /// # Errors
-    /// If neither LIBERO nor LIBERO-Plus has the class.
+    /// If the name does not have the form of LIBERO's and LIBERO-Plus' names.
     pub fn parse(name: &str) -> Result<Self, ProblemError> {
         let lower = name.to_lowercase();
         let unknown = || ProblemError(name.to_owned());
