@@ -23,7 +23,7 @@ pub enum ExpertError {
         /// Name of the joint.
         name: String,
     },
-    /// The fixture to open or turn cannot move.
+    /// The fixture to turn on or close has no joint.
     #[error("'{fixture}' has no joint")]
     NoJoint {
         /// Name of the fixture.

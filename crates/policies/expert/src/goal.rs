@@ -24,7 +24,7 @@ impl Skill {
     /// Returns the command for this step; `None` if the skill is complete.
     ///
     /// # Errors
-    /// If the scene lacks an entity or joint.
+    /// If the scene lacks an entity or joint, or the region to open or close is in no drawer.
     pub(crate) fn step(
         &mut self,
         world: &World,
@@ -84,12 +84,12 @@ fn let_go(world: &World) -> Option<Command> {
 }
 
 /// Replans after another controller has driven the robot: like [`plan`], but the skill of the
-/// held object comes first, so that the object is not dropped, and the first skill resumes at the
-/// phase that follows from the state of the scene. Grasps are taken from `earlier`, the previous
-/// plan.
+/// held object comes first or, if drawers must be opened, right after their opening, so that the
+/// object is not dropped without need; and the first skill resumes at the phase that follows from
+/// the state of the scene. Grasps are taken from `earlier`, the previous plan.
 ///
 /// # Errors
-/// As for [`plan`].
+/// As for [`plan`], or if no grasp of the next object is known.
 pub(crate) fn resume(
     world: &World,
     motion: &Motion,
@@ -144,7 +144,8 @@ pub(crate) fn resume(
 /// hold are skipped.
 ///
 /// # Errors
-/// If the expert has no skill for a predicate, or the scene lacks an argument.
+/// If the expert has no skill for a predicate, or the scene lacks an argument or the joint that
+/// moves it.
 pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
     let (mut opening, mut placing, mut closing) = (Vec::new(), Vec::new(), Vec::new());
     for predicate in &world.goal {
@@ -200,7 +201,8 @@ fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
     Ok((!is_on).then(|| Skill::Routine(Routine::new(turn))))
 }
 
-/// Plans to close a drawer, given by its region, or a door, given by its fixture.
+/// Plans to close a drawer, given by its region, or a door, given by its fixture; `None` if it is
+/// closed.
 fn close(world: &World, target: &str) -> Result<Option<Skill>, ExpertError> {
     let drawer = drawer_joint(target).and_then(|joint| world.joint(&joint).ok());
     let (task, is_closed) = match drawer {

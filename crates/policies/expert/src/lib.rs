@@ -77,9 +77,9 @@ impl Expert {
 
     /// Reports that the robot did not execute the last action. The next action is then replanned:
     /// the expert derives the remaining goals, the held object and the phase of its skill from the
-    /// state and the hand's motion. It keeps only what it knows of grasping the next object. Without
-    /// this call, the other controller's steps would count as the expert's own, and a hand that the
-    /// other controller holds still would be mistaken for a hand that an object has stopped.
+    /// state and the hand's motion. Of its plan, it keeps only the grasps tried on the next object.
+    /// Without this call, the other controller's steps would count as the expert's own, and a hand
+    /// held still by the other controller would be mistaken for a hand stopped by an object.
     pub fn interrupt(&mut self) {
         self.is_interrupted = true;
     }

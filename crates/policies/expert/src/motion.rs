@@ -120,9 +120,9 @@ pub(crate) fn pointing_down(angle: f64) -> Quat {
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
 }
 
-/// Returns [`pointing_down`] or its half turn, whichever is nearer to the hand's orientation. At a
-/// quarter turn from the rest pose, [`pointing_down`] alone would jump by half a turn with the
-/// slightest rotation of an object.
+/// Returns the half turn of [`pointing_down`] if the hand is within [`SYMMETRIC_RAD`] of it, and
+/// otherwise [`pointing_down`]. At a quarter turn from the rest pose, [`pointing_down`] alone would
+/// jump by half a turn with the slightest rotation of an object.
 pub(crate) fn pointing_down_like(world: &World, angle: f64) -> Quat {
     let quat = pointing_down(angle);
     let turn = quat.after(world.grip_quat.inverse()).rotation_vector();
@@ -256,7 +256,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> 
 }
 
 /// Returns the horizontal direction out from under the solid above the held object; `None` if no
-/// solid is above it.
+/// object is held or no solid is above it.
 fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     let HandLoad::With(object) = load else {
         return None;

@@ -31,7 +31,7 @@ const ON_OBJECT_M: f64 = 0.03;
 /// Height above a region up to which an object counts as on it, m (LIBERO's tolerance).
 const ON_REGION_M: f64 = 0.1;
 
-/// A goal for one object.
+/// Destination of one object, from a predicate of the goal.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Place {
     pub(crate) relation: Relation,

@@ -51,7 +51,7 @@ const NEAR_M: f64 = 0.01;
 const NEAR_RAD: f64 = 0.1;
 /// Number of steps in which the fingers open or close.
 const FINGER_STEPS: u32 = 8;
-/// Number of steps after which a stage without progress ends.
+/// Number of steps after which a stage ends regardless of progress.
 const PATIENCE_STEPS: u32 = 80;
 // Tolerances with which a resumed routine recognises its stage.
 
@@ -130,7 +130,7 @@ impl Routine {
     /// Resumes at the stage derived from the state of the world.
     ///
     /// # Errors
-    /// If the scene lacks an entity or joint.
+    /// If the scene lacks an entity or joint, or the region to open or close is in no drawer.
     pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), ExpertError> {
         self.stage = self.task.current_stage(world, motion)?;
         self.ticks = 0;
@@ -140,7 +140,7 @@ impl Routine {
     /// Returns the command for this step; `None` after the last stage.
     ///
     /// # Errors
-    /// If the scene lacks an entity or joint.
+    /// If the scene lacks an entity or joint, or the region to open or close is in no drawer.
     pub(crate) fn step(
         &mut self,
         world: &World,

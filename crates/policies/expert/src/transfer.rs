@@ -137,7 +137,7 @@ impl Transfer {
     /// before another controller drove the robot.
     ///
     /// # Errors
-    /// If the scene lacks an object or region.
+    /// If the scene lacks an object or region, or no grasp of the object is known.
     pub(crate) fn resume(
         &mut self,
         earlier: Option<&Self>,
@@ -200,7 +200,7 @@ impl Transfer {
         Ok(())
     }
 
-    /// Returns the grasp nearest to the hand, and keeps it for the next choice.
+    /// Returns the best grasp for the hand's current position, and keeps it for the next choice.
     fn nearest_grasp(&mut self, world: &World, object: &Entity) -> Result<Grasp, ExpertError> {
         let purpose = self.purpose(world, object)?;
         let (earlier, blocked) = (self.grasp.as_ref(), self.blocked.as_ref());
