@@ -22,8 +22,8 @@ pub(crate) const SETTINGS: Settings = Settings {
 /// the caller's name of the route.
 #[tonic::async_trait]
 pub trait Backend: fmt::Display + Send + Sync {
-    /// Describes the policy and its inputs, with the checkpoint for `suite` if
-    /// it has several. The protocol version is [`proto::PROTOCOL_VERSION`].
+    /// Describes the policy and its inputs, with the checkpoint for `suite` if it has several. The
+    /// description is not checked; a remote server's may be of another protocol version.
     ///
     /// # Errors
     /// See [`BackendError`], as for every method here.
@@ -35,7 +35,7 @@ pub trait Backend: fmt::Display + Send + Sync {
     /// See [`BackendError`].
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
 
-    /// Ends an episode and ignores errors. Back-ends without state per episode do nothing.
+    /// Ends an episode and ignores errors. By default, does nothing.
     async fn end(&self, _session: &str) {}
 
     /// Answers one observation. The answer is not checked.
@@ -48,7 +48,8 @@ pub trait Backend: fmt::Display + Send + Sync {
     /// takes no batches. The answers are in the order of the requests, and are not checked.
     ///
     /// # Errors
-    /// See [`BackendError`], if no observation was answered.
+    /// If the batch failed as a whole; the error of a single observation is in its place among the
+    /// answers.
     async fn infer_batch(
         &self,
         requests: Vec<InferRequest>,

@@ -17,8 +17,8 @@ pub fn batch_size(described: &DescribeResponse) -> usize {
     declared.min(fitting).max(1) as usize
 }
 
-/// Describes the first difference of a description from the expected description; `None` if they
-/// are equal. The batch size is ignored, because it may differ between replicas.
+/// Describes the first difference of a description from the expected description; `None` if there
+/// is none. Ignores the protocol version, and batching, which may differ between replicas.
 pub fn difference(expected: &DescribeResponse, given: &DescribeResponse) -> Option<String> {
     let fields = |described: &DescribeResponse| {
         [

@@ -1,5 +1,5 @@
 //! Back-end of remote policy servers that implement `rollout.policy.v1`, including other gateways.
-//! Opens the connection at the first query and reopens a broken connection. The gateway's replicas
+//! Opens the connection at the first call and reopens a broken connection. The gateway's replicas
 //! implement deadlines, back-off and checks of the answers.
 
 use std::{fmt, str::FromStr, time::Duration};

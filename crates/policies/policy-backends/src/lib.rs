@@ -34,5 +34,5 @@ pub use open::{UnusableBackend, open};
 pub use spec::BackendSpec;
 
 /// Default of the gateway's longest wait for an answer: shorter than a worker's, so that the
-/// gateway detects a server that does not answer before the worker does.
+/// gateway, not the worker, is the first to detect a server that does not answer.
 pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);

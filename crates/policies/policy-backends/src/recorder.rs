@@ -1,5 +1,6 @@
 //! Back-end that records the queries and answers of another back-end. Decides when a recording
-//! starts and ends, and limits its size; a session whose recording fails continues unrecorded.
+//! starts and ends, and limits the size of all recordings together; a session whose recording fails
+//! continues unrecorded.
 
 use std::{
     collections::HashMap,
@@ -59,7 +60,7 @@ impl Recorder {
         }
     }
 
-    /// Runs `writing` on a blocking thread, so that writing does not delay other sessions.
+    /// Runs `writing` on a blocking thread, so that it does not block the threads of the runtime.
     async fn write(&self, writing: impl FnOnce(&mut OpenRecordings) + Send + 'static) {
         let shared = Arc::clone(&self.shared);
         let written = tokio::task::spawn_blocking(move || {

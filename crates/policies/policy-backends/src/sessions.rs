@@ -50,7 +50,7 @@ impl<V> SessionTable<V> {
             .value
     }
 
-    /// Returns a session if it is open, and counts the use.
+    /// Returns the value of a session if it is open, and counts the use.
     pub fn get(&mut self, session: &str) -> Option<&mut V> {
         let last_use = self.next_use();
         let entry = self.entries.get_mut(session)?;

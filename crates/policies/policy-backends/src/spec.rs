@@ -89,13 +89,13 @@ pub enum BackendSpecError {
     /// The built-in policy does not exist.
     #[error(transparent)]
     Builtin(#[from] UnknownBuiltin),
-    /// The address after `grpc://` is invalid.
+    /// The gRPC address is invalid.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// The address after `ws://` is invalid.
+    /// The openpi server's address is invalid.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
-    /// The address after `vla-eval://` is invalid.
+    /// The vla-eval model server's address is invalid.
     #[error(transparent)]
     VlaEval(#[from] VlaEvalAddressError),
 }

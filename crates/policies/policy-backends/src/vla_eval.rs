@@ -168,10 +168,11 @@ impl Link {
         self.connection.send(message).await
     }
 
-    /// Sends one query.
+    /// Sends one query, and decodes the answer.
     ///
     /// # Errors
-    /// If the connection is lost.
+    /// If the connection is lost, or the answer is too long. The inner error is a fault of the
+    /// answer.
     async fn send_query(
         &mut self,
         observation: Value,

@@ -157,7 +157,7 @@ fn describe(network: &Network, checkpoint: String) -> DescribeResponse {
     }
 }
 
-/// Episode of the student, whose only state is the instruction.
+/// Episode of the student. Its only state is the instruction.
 struct Student {
     network: Arc<Network>,
     instruction: String,

@@ -29,7 +29,7 @@ const CAMPAIGN_PARAMETERS: [&str; 4] = ["seed", "env_seed", "max_steps", "num_st
 /// HELLO.
 const RECORDED_BYTES: usize = 512;
 
-/// Negotiated conditions of a server's episodes.
+/// Negotiated settings of a server's episodes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Terms {
     /// Suite of the server, if it names exactly one.

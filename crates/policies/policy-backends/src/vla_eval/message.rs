@@ -93,7 +93,8 @@ pub(super) fn hello_payload(bytes: &[u8]) -> Option<Value> {
 /// LIBERO benchmark.
 ///
 /// # Errors
-/// If the answer does not hold the actions to execute.
+/// If the answer does not hold the actions to execute, or is a chunk of several actions although
+/// `execute` is 1.
 pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, AnswerError> {
     let message = numpy::read(bytes);
     let reply = message.as_ref().and_then(reply);
@@ -198,8 +199,8 @@ pub enum AnswerError {
         /// Error message of the server.
         String,
     ),
-    /// The server reported an error at the start of the episode, which it does not acknowledge
-    /// otherwise; the error arrives in place of the answer to the first query.
+    /// The server reported an error at the start of the episode. A successful start has no answer,
+    /// so the error arrives in place of the answer to the first query.
     #[error("{0}")]
     Start(
         /// Error message of the server.
