@@ -91,11 +91,10 @@ pub enum CommandError {
 }
 
 impl Compare {
-    /// Compares two servers, and passes each line of output to `print`. Returns true if they answer
-    /// alike.
+    /// Compares two servers, and passes the output to `print`. Returns true if they answer alike.
     ///
     /// # Errors
-    /// If a server cannot be queried.
+    /// See [`CommandError`].
     pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;
@@ -126,11 +125,10 @@ impl Compare {
 }
 
 impl Doctor {
-    /// Diagnoses a server, and passes each line of output to `print`. Returns true if nothing is
-    /// wrong.
+    /// Diagnoses a server, and passes the output to `print`. Returns true if no check failed.
     ///
     /// # Errors
-    /// If the server cannot be queried.
+    /// See [`CommandError`].
     pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;

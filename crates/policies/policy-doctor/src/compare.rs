@@ -33,7 +33,7 @@ const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 pub struct Comparison {
     /// Differences between the descriptions.
     pub descriptions: Vec<DescriptionDifference>,
-    /// Differences between the answers; empty if they are the same.
+    /// Differences between the answers; empty if the answers count as the same.
     pub differences: Vec<Difference>,
     /// Method of the comparison, and the sizes of the differences.
     pub note: String,
@@ -300,8 +300,8 @@ fn floor(pair: &AnswerPair, randomness: [Randomness; 2]) -> Limit {
 }
 
 /// Returns the differences to report if no explanation makes the answers alike. An explanation by
-/// frame size is accepted with a larger remainder, because no two libraries resize frames to the
-/// same bits.
+/// frame size is accepted with a larger remainder, because the search has the filters of only a few
+/// libraries.
 fn not_explained(
     pair: &AnswerPair,
     largest: LargestDifference,

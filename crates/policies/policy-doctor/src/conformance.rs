@@ -112,12 +112,12 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Checks a policy server point by point, and reports each finding at once. Returns true if no
-/// point failed.
+/// Checks a policy server point by point, and reports each finding as soon as it is made. Returns
+/// true if no point failed.
 ///
 /// # Errors
-/// If the server cannot be reached, does not describe itself or answers no query, so that nothing
-/// can be checked.
+/// If the URL or the credentials cannot be used, or the server cannot be reached, does not describe
+/// itself or does not answer every query of the reference episode, so that nothing can be checked.
 pub async fn check(
     target: &Target,
     report: &mut dyn FnMut(&Finding),

@@ -3,10 +3,10 @@
 use proto::policy::{DescribeResponse, Language};
 use serde::Serialize;
 
-/// Field in which two descriptions differ.
+/// Field or setting in which two descriptions differ.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct DescriptionDifference {
-    /// Field of the description, for example "cameras".
+    /// Name of the field or setting, for example "cameras".
     pub what: String,
     /// Value of the first server.
     pub a: String,

@@ -101,12 +101,12 @@ pub struct Measures {
     pub episodes: u32,
 }
 
-/// Checks a server point by point, and reports each finding at once. Returns true if no point
-/// failed.
+/// Checks a server point by point, and reports each finding as soon as it is made. Returns true if
+/// no point failed.
 ///
 /// # Errors
-/// If the server answers no query, or needs an input that the situations lack, so that nothing can
-/// be checked.
+/// If the server needs an input that the situations lack, or does not answer a query about an
+/// unchanged situation, so that nothing can be checked.
 pub async fn examine(
     server: &Server,
     situations: &[Situation],
@@ -128,7 +128,7 @@ pub async fn examine(
 /// Checks one point.
 ///
 /// # Errors
-/// If the server does not answer, or the situations lack an input.
+/// If the server does not answer, or not with valid actions.
 async fn verdict_on(
     point: Point,
     diagnosed: &mut DiagnosedServer<'_>,
@@ -174,7 +174,8 @@ async fn verdict_on(
     })
 }
 
-/// Plays episodes, and checks that the server's memory or latency does not grow with them.
+/// Plays episodes, and checks that the server's memory does not grow with them or, if the memory
+/// cannot be read, its latency.
 async fn memory(
     diagnosed: &mut DiagnosedServer<'_>,
     episodes: u32,

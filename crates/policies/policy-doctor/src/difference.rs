@@ -184,7 +184,7 @@ fn with_sizes(
     differences
 }
 
-/// Formats a number for people: 0.25, or 3e-6.
+/// Formats a number for people: 0.250, or 3e-6.
 pub(crate) fn size(number: f64) -> String {
     match number {
         0.0 => "0".to_owned(),

@@ -2,7 +2,7 @@
 //! `policy-gateway`. [`conformance`] checks that a server conforms to the policy protocol. The
 //! other modules are for conforming servers whose rollouts fail: [`compare`] finds differences
 //! between the pipelines of two servers, and [`diagnosis`] finds common mistakes of one server.
-//! These two query servers in synthetic or recorded situations, and judge only the answers.
+//! These two query servers in synthetic or recorded situations, without a simulator.
 //!
 //! `situation` is the input of a query, from [`synthetic`] or `recorded`; `variant`, `filter` and
 //! `layout` modify it; [`server`] and `server_pair` send queries; `fit` and `search` explain

@@ -66,7 +66,8 @@ fn pixels(count: u64, query_index: u32) -> Vec<u8> {
     (0..3 * count).map(hash).collect()
 }
 
-/// Returns a reading of the Panda's rest pose, shifted by a millimetre or milliradian per query.
+/// Returns a reading of the Panda's rest pose. The hand's x and the first joint are shifted by a
+/// millimetre and a milliradian per query.
 fn reading(field: StateField, query: f64) -> Vec<f64> {
     let drift = 1e-3 * query;
     match field {

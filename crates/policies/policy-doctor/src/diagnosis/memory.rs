@@ -15,8 +15,8 @@ const LISTENING: &str = "0A";
 const PAGE_BYTES: u64 = 4096;
 
 impl Process {
-    /// Finds the process that listens at a URL of this machine; `None` for other machines and for
-    /// this process itself.
+    /// Finds the process that listens at a URL of this machine; `None` if the URL is another
+    /// machine's, or no process except this one is found.
     pub(super) fn listening_at(url: &str) -> Option<Self> {
         let sockets = sockets(port_of_this_machine(url)?);
         let mut ids = vec![];

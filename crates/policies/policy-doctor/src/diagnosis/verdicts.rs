@@ -283,8 +283,8 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
     ))
 }
 
-/// Checks that episodes do not become slower, for servers on other machines, whose memory cannot
-/// be read.
+/// Checks that episodes do not become slower, for servers whose memory cannot be read, such as
+/// those on other machines.
 pub(super) fn slowing(durations: &[Duration]) -> Verdict {
     let third = durations.len() / 3;
     if third == 0 {

@@ -1,5 +1,5 @@
-//! Policy servers on free loopback ports whose answers are defined by the test, and the points of
-//! the policy protocol on which a server fails. The gateway's tests include this file, too.
+//! Policy servers on free loopback ports, with answers that the test defines, and the points of the
+//! policy protocol on which a server fails. The gateway's tests include this file, too.
 
 use std::{
     collections::HashMap,
