@@ -181,8 +181,8 @@ fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
     Ok(())
 }
 
-/// Reason why a response is not a valid chunk of actions. The message is a clause about the
-/// policy, which it calls "it".
+/// Reason why a response is not a valid chunk of actions. The message is a clause, in which "it" is
+/// the policy.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ActionFault {
     /// The actions do not have [`ACTION_WIDTH`] numbers.
@@ -213,8 +213,7 @@ pub enum ActionFault {
     },
 }
 
-/// Reason why a description is unusable. The message is a clause about the policy, which it
-/// calls "it".
+/// Reason why a description is unusable. The message is a clause, in which "it" is the policy.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
     #[error(
@@ -234,7 +233,7 @@ pub enum DescriptionFault {
         /// Length of the text, bytes.
         bytes: usize,
     },
-    /// The horizon is 0, or longer than any episode.
+    /// The horizon is 0 or exceeds [`MAX_HORIZON`].
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon { horizon: u32 },
     /// The number of executed actions is 0 or exceeds the horizon.
