@@ -1,6 +1,6 @@
 //! Expansion of a campaign's specification into the rows of the job table, and the digest of the
 //! specification. The crates `libero-ctrl` and `libero-family` define the contents and the order of
-//! manifest rows: in a design, a configuration's nominal rollout is followed by its perturbed ones.
+//! manifest rows: in a design, a configuration's nominal rollout precedes its perturbed rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 

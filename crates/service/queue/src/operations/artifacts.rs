@@ -53,7 +53,7 @@ impl Queue {
     /// Starts receiving the video of an attempt whose outcome is committed.
     ///
     /// # Errors
-    /// If there is no such outcome, or the file cannot be created.
+    /// If there is no such outcome, the file cannot be created, or the database fails.
     pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
         let shared = &*self.shared;
         let mut view = shared.store.read().await?;
@@ -99,7 +99,7 @@ impl Upload<'_> {
     /// Moves the complete file into place. Returns its path below the data folder.
     ///
     /// # Errors
-    /// If the outcome was deleted in the meantime, or the disk fails.
+    /// If the outcome was deleted in the meantime, or the disk or the database fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
         // Writes run in the background; only a flush reports a failure of the last one.
         self.file

@@ -72,7 +72,7 @@ impl Cache {
     }
 
     /// Returns the campaigns with waiting jobs. May include a campaign whose last waiting job was
-    /// leased after they were read.
+    /// leased after the list was read.
     pub(super) async fn waiting(
         &mut self,
         tx: &mut SqliteConnection,

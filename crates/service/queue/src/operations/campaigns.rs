@@ -33,8 +33,8 @@ impl Queue {
     /// Stores a campaign and its jobs. Creating the same specification again adds nothing.
     ///
     /// # Errors
-    /// If another specification has this name; if the source campaign does not exist, measures
-    /// another policy or cannot be derived from; or if the database fails.
+    /// If a campaign of this name has another specification; if the source campaign does not exist,
+    /// measures another policy or cannot be derived from; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -79,8 +79,8 @@ impl Queue {
     /// worker learns of the revocation from the response to its next heartbeat.
     ///
     /// # Errors
-    /// If there is no such campaign, the campaign is already cancelled or stopped, or the database
-    /// fails.
+    /// If there is no such campaign, the campaign is cancelled or stopped (but a cancelled campaign
+    /// may be cancelled again), or the database fails.
     pub async fn change_campaign(
         &self,
         name: &CampaignName,
@@ -157,7 +157,7 @@ impl Queue {
     }
 }
 
-/// Wakes waiting claims and logs a campaign that was added with its jobs.
+/// Logs a campaign that was added with its jobs, wakes waiting claims, and returns the reply.
 fn report_created(shared: &Shared, new: &NewCampaign) -> Created {
     let jobs = new.jobs.len() as u64;
     tracing::info!(campaign = %new.name, jobs, "campaign created");

@@ -44,9 +44,9 @@ pub(super) struct PendingClaim<'a> {
 }
 
 impl Context<'_> {
-    /// Assigns up to `room` jobs of a campaign to claims: first jobs of warm tasks; then, for
-    /// claims whose warm tasks have no job left, jobs of the tasks with the fewest leases. Removes
-    /// served claims from `pending`. Returns the grants with the indices of their claims.
+    /// Assigns up to `room` jobs of a campaign to claims: each claim gets a job of its warm task
+    /// or, if that task has no job left, of the task with the fewest leases. Removes served claims
+    /// from `pending`. Returns the grants with the indices of their claims.
     pub(super) async fn choose(
         &mut self,
         campaign: &Campaign,
@@ -160,7 +160,7 @@ impl Context<'_> {
     }
 
     /// Assigns a job that must run alone to one of the claims. Returns the index of the claim, the
-    /// grant, and the reason why the job runs alone.
+    /// grant, and the reason why the job runs alone; `None` if no such job suits any of the claims.
     pub(super) async fn choose_lone(
         &mut self,
         campaign: &Campaign,

@@ -363,8 +363,8 @@ impl Context<'_> {
     }
 }
 
-/// Describes the files that all waiting tasks of a campaign need and a worker lacks; `None` if
-/// no task waits, or the worker has the files of at least one waiting task.
+/// Describes the files that a worker lacks for a campaign's waiting tasks, by the example of one
+/// task; `None` if no task waits, or the worker has the files of at least one waiting task.
 fn missing_files(
     campaign: &CampaignName,
     waiting: &[WaitingTask],

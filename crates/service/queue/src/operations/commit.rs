@@ -36,9 +36,9 @@ pub enum CommitVerdict {
     Stale,
     /// A different outcome of the job is already stored; this one is recorded separately.
     Divergent,
-    /// Refused, because the result is inconsistent with its siblings or with its campaign. The
-    /// attempt is charged, unless the worker is not to blame: the campaign was pinned only after
-    /// the lease was granted, another policy answered, or the siblings cannot be read.
+    /// Refused, because the result is inconsistent with its siblings, its campaign or its manifest
+    /// row. The attempt is charged, unless the worker is not to blame: the campaign was pinned only
+    /// after the lease was granted, another policy answered, or the siblings cannot be read.
     Unpaired,
 }
 
