@@ -63,8 +63,8 @@ pub trait Backend: fmt::Display + Send + Sync {
 }
 
 /// Reason why a back-end did not answer. Its gRPC code tells a worker whether the infrastructure
-/// failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`, `RESOURCE_EXHAUSTED`: not charged to the rollout),
-/// or whether the policy failed.
+/// failed (a code of [`is_outage_code`], such as `UNAVAILABLE`: not charged to the rollout), or
+/// whether the policy failed.
 #[derive(Clone, Debug, Error)]
 pub enum BackendError {
     /// The connection failed or broke, or leads to another service.

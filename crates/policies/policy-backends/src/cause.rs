@@ -39,7 +39,8 @@ impl Cause {
         }
     }
 
-    /// Returns true if only an answered query shows that the server has recovered.
+    /// Returns true if the server counts as recovered only after an answered query or, if it
+    /// repeated an error, also after a different error.
     pub fn needs_query(&self) -> bool {
         matches!(
             self,

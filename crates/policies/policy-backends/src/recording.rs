@@ -151,7 +151,7 @@ impl Reader {
     /// Reads the next pair; `None` at the end.
     ///
     /// # Errors
-    /// If the file is damaged.
+    /// If the file is damaged or cannot be read.
     pub fn pair(&mut self) -> Result<Option<Pair>, RecordingError> {
         let Some(query) = self.message()? else {
             return Ok(None);

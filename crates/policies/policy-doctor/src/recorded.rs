@@ -10,7 +10,7 @@ use crate::situation::Situation;
 /// possible, and evenly spaced within each session.
 ///
 /// # Errors
-/// If there is no recording, or a recording is damaged.
+/// If the folder or a recording cannot be used, or no query was recorded.
 pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, RecordingError> {
     let files = recording::files(folder)?;
     let mut situations = vec![];

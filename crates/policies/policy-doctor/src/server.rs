@@ -57,7 +57,8 @@ impl Server {
     /// Connects to the server of a route and reads its description.
     ///
     /// # Errors
-    /// If the server cannot be reached, or its description is invalid.
+    /// If the back-end cannot be created, the server cannot be reached, or its description is
+    /// invalid.
     pub async fn connect(
         spec: &BackendSpec,
         access: &Access,

@@ -46,7 +46,8 @@ pub struct Latency {
 /// Measures the latency of a policy server.
 ///
 /// # Errors
-/// If the server cannot be reached, or fails to answer.
+/// If the URL or the credentials cannot be used, or the server cannot be reached, does not describe
+/// itself or fails to answer.
 pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
