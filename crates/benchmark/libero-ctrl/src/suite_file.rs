@@ -18,7 +18,7 @@ use crate::wording::JsonError;
 
 /// Placeholder for the task's name in the paths of a suite.
 const NAME: char = '*';
-/// Largest number of tasks of a file, whose positions must fit a byte in rollout ids.
+/// Largest number of tasks of a file: their positions must fit a byte in rollout ids.
 const MAX_TASKS: usize = 256;
 /// Largest step budget, control steps.
 const MAX_BUDGET: u32 = 100_000;

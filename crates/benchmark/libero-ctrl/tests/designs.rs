@@ -177,7 +177,7 @@ fn drawn_directions_are_uniform_on_the_sphere() {
             let mean = values.clone().sum::<f64>() / directions.len() as f64;
             let square = values.map(|x| x * x).sum::<f64>() / directions.len() as f64;
             let dimension = unit(axis).len() as f64;
-            // Five standard errors of the mean of 990 values, whose variance is 1 / dimension.
+            // Five standard errors of the mean of 990 values, each of variance 1 / dimension.
             let tolerance = 5.0 / (dimension * directions.len() as f64).sqrt();
             assert!(
                 mean.abs() < tolerance || is_half_space(component),

@@ -264,8 +264,8 @@ pub fn left_out(variants: &Variants) -> Result<Lacking, SelectionError> {
     Ok(audit(chosen).1)
 }
 
-/// Separates the rollouts whose files are LIBERO's or in a package index from the others. The
-/// workers of a campaign run only the former, because its results are pinned to one asset pack.
+/// Separates the rollouts whose files are LIBERO's or in a package index from all others, which a
+/// campaign does not run, because its results are pinned to one asset pack.
 fn audit(chosen: Vec<Case>) -> (Vec<Case>, Lacking) {
     let (mut runnable, mut lacking) = (Vec::new(), Lacking::default());
     for case in chosen {

@@ -84,9 +84,9 @@ fn let_go(world: &World) -> Option<Command> {
 }
 
 /// Replans after another controller has driven the robot: like [`plan`], but the skill of the
-/// held object comes first or, if drawers must be opened, right after their opening, so that the
-/// object is not dropped without need; and the first skill resumes at the phase that follows from
-/// the state of the scene. Grasps are taken from `earlier`, the previous plan.
+/// held object comes first, so that the object is not dropped, or, if drawers must be opened, right
+/// after their opening; and the first skill resumes at the phase that follows from the state of the
+/// scene. Grasps are taken from `earlier`, the previous plan.
 ///
 /// # Errors
 /// As for [`plan`], or if no grasp of the next object is known.

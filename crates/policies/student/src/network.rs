@@ -16,10 +16,10 @@ const TEXT: usize = 128;
 const STATE_WIDTH: usize = 64;
 /// Width of the head's input: both cameras, the robot's state and the instruction.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
-/// Width of the head's hidden layers in format `rollout-student/1`, whose points are located
+/// Width of the head's hidden layers in format `rollout-student/1`, in which points are located
 /// on a grid of 16 x 16.
 const HEAD: usize = 384;
-/// Width of the head's hidden layers in format `rollout-student/2`, whose points are located
+/// Width of the head's hidden layers in format `rollout-student/2`, in which points are located
 /// on a grid of 32 x 32.
 const WIDE_HEAD: usize = 512;
 
@@ -47,7 +47,7 @@ pub struct Network {
 
 impl Network {
     /// Loads a weights file: safetensors of the format `rollout-student/2`, or of
-    /// `rollout-student/1`, whose points are located on a grid of 16 x 16 and whose head is
+    /// `rollout-student/1`, in which points are located on a grid of 16 x 16 and the head is
     /// narrower.
     ///
     /// # Errors

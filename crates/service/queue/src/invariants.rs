@@ -245,8 +245,8 @@ pub const INVARIANTS: [Invariant; 20] = [
              wall_secs)
          FROM divergence WHERE steps > 4294967295 OR wall_secs > 1e9",
     },
-    // The results of one initial state agree on scene and initial state, except in LIBERO's family
-    // and suite files, whose ids have a colon: they have scenes and states of their own.
+    // The results of one initial state agree on scene and initial state. Rollouts of LIBERO's
+    // family and of suite files, whose ids have a colon, have scenes and states of their own.
     Invariant {
         name: "configurations_agree",
         query: "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '

@@ -123,8 +123,8 @@ impl Cache {
         Ok(&self.siblings[state])
     }
 
-    /// Adds a rollout whose result this transaction stores to the siblings of its initial state, if
-    /// they are cached.
+    /// Adds a rollout to the siblings of its initial state, if they are cached. This transaction
+    /// stores the rollout's result.
     pub(super) fn add_sibling(&mut self, state: &InitialState, sibling: Sibling) {
         if let Some(siblings) = self.siblings.get_mut(state)
             && !siblings.iter().any(|other| other.stands_for(&sibling))
