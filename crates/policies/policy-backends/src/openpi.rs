@@ -1,7 +1,7 @@
-//! Back-end of unmodified openpi policy servers, for example of π0.5. Their protocol is msgpack over
-//! WebSocket. Acts like openpi's LIBERO client: sends the same part of an observation, and executes
-//! the same number of actions of a chunk. Also manages the connections. [`frame`] resizes frames,
-//! [`codec`] encodes and decodes messages.
+//! Back-end of unmodified openpi policy servers, for example of π0.5. Their protocol is msgpack
+//! over WebSocket. Acts like openpi's LIBERO client: sends the same part of an observation, and
+//! executes the same number of actions of a chunk. Also manages the connections. [`frame`] resizes
+//! frames, [`codec`] encodes and decodes messages.
 //!
 //! Such a server keeps no state between queries, does not name its checkpoint, and draws its noise
 //! from a single stream that cannot be seeded. The description declares all three.

@@ -1,11 +1,11 @@
 //! Cache of database rows.
 //!
-//! Cached for one transaction: the campaigns that have waiting jobs and single campaigns with their
-//! policies, both cleared when an operation changes a campaign; and the live workers, which are read
-//! once and kept even if the transaction stops one of them. Cached across transactions: results and
-//! origins, which are immutable once stored and stored only by this process; and the
-//! turns at which campaigns last received leases, which only break ties between campaigns. A
-//! transaction that is rolled back, or that deletes a campaign, clears the whole cache.
+//! Cached for one transaction: the campaigns that have waiting jobs, and single campaigns with
+//! their policies, both cleared when an operation changes a campaign; and the live workers, which
+//! are read once and kept even if the transaction stops one of them. Cached across transactions:
+//! results and origins, which never change and are stored only by this process; and the turns at
+//! which campaigns last received leases, which only break ties between campaigns. A transaction
+//! that is rolled back, or that deletes a campaign, clears the whole cache.
 
 use std::collections::HashMap;
 use std::collections::btree_map::{BTreeMap, Entry};
