@@ -166,8 +166,8 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
 
 /// Returns the best grasp of `object` for the current position of the hand: ranked like
 /// [`choices`], with penalties on the distance from the hand and on a change from `earlier`, so
-/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, has a
-/// high penalty.
+/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, has
+/// a high penalty.
 ///
 /// `None` if there is no grasp.
 pub(crate) fn nearest(

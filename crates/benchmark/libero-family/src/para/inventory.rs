@@ -115,8 +115,8 @@ pub fn paraphrase(task: TaskRef, label: &str) -> Option<&'static Paraphrase> {
     inventory().get(*index)
 }
 
-/// Name of a set of paraphrases: `all`, an entry of the metadata's columns `high`, `mid` or `low`, the
-/// three joined by `_`, or the name of one paraphrase.
+/// Name of a set of paraphrases: `all`, an entry of the metadata's columns `high`, `mid` or `low`,
+/// the three joined by `_`, or the name of one paraphrase.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TypeName(String);
 
