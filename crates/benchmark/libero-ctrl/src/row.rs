@@ -90,7 +90,7 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the radius of the perturbation; 0 for a nominal row.
+    /// Returns the radius of the perturbation; 0 for a nominal row or one of another benchmark.
     pub fn radius(&self) -> f64 {
         self.placebo_radius.unwrap_or(self.id.level()).radius()
     }

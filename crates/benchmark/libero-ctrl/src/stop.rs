@@ -28,8 +28,8 @@ pub struct Stop {
     pub strata: Strata,
 }
 
-/// Strata of the random order: each round of the order has one configuration of each stratum or,
-/// with [`Self::WholeTasks`], one whole task of each stratum.
+/// Strata of the random order: each round of the order has one configuration of each stratum that
+/// has any left or, with [`Self::WholeTasks`], one whole task of each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {

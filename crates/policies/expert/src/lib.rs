@@ -84,9 +84,9 @@ impl Expert {
         self.is_interrupted = true;
     }
 
-    /// Returns `command`, unless the hand is stuck, caught on an object or at a joint limit of the
-    /// arm, which the expert does not foresee. A stuck hand moves up and back to its rest position
-    /// for a number of steps.
+    /// Returns `command`, unless the hand is stuck: caught on an object, or at a joint limit of the
+    /// arm, which the expert does not foresee. A stuck hand first moves up and then back to its rest
+    /// position, for a number of steps.
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
         // Commands at a lower pace move the hand near obstacles, where contact may stop it.
         let travels = command.pace >= 1.0;
