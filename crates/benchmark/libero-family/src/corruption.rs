@@ -114,8 +114,8 @@ impl Corruption {
     /// Checks that the corruption supports pictures of a size, in rows, columns and bytes.
     ///
     /// # Errors
-    /// If the released code fails on a picture of this size, too, the picture is empty, or it does
-    /// not have three bytes per pixel.
+    /// If the picture is empty or does not have three bytes per pixel, or if the released code
+    /// cannot corrupt pictures of this size either.
     pub fn check(self, height: usize, width: usize, bytes: usize) -> Result<(), UnsuitedPicture> {
         let is_complete = bytes == height * width * CHANNELS && bytes > 0;
         let is_supported = match self.kind {

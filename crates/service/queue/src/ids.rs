@@ -119,7 +119,7 @@ impl WorkerId {
     /// Checks an id.
     ///
     /// # Errors
-    /// If the id is empty, too long, or holds another character than visible ASCII.
+    /// If the id is empty, too long, or holds a space or a character that is not visible ASCII.
     pub fn parse(id: &str) -> Result<WorkerId, NameError> {
         let fits = (1..=MAX_WORKER_ID_BYTES).contains(&id.len());
         if fits && id.chars().all(|c| c.is_ascii_graphic()) {
