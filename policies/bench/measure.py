@@ -1,5 +1,4 @@
-"""Measures the answers per second of a GPU policy: the network alone, the network behind the
-Python server, and that server behind the gateway.
+"""Measures the answers per second of a GPU policy: alone, served, and behind the gateway.
 
 Writes one JSON object. Slots are those of `bench_gateway slots`: each has its own connection
 and sends its next query immediately after an answer.

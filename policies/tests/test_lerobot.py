@@ -272,7 +272,7 @@ def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
 
 
 def acting_tensor_of(name, tensors):
-    """Returns the tensor in ACTING_TENSOR, or else the last one whose name contains `action`."""
+    """Returns the name in ACTING_TENSOR, or else the last weight's name that contains `action`."""
     if ACTING_TENSOR[name] in tensors:
         return ACTING_TENSOR[name]
     return sorted(key for key in tensors if "action" in key and key.endswith("weight"))[-1]

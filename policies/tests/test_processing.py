@@ -138,7 +138,7 @@ def test_frames_become_planes_between_0_and_1():
     ("quaternion", "expected"),
     [
         ([0.0, 0.0, 0.0, 1.0], [0, 0, 0]),
-        # 2 acos(0.8), and the same rotation in the other direction: 2 pi minus that angle.
+        # 2 acos(0.8), and the opposite rotation, whose angle about the same axis is 2 pi minus it.
         ([0.6, 0.0, 0.0, 0.8], [2 * math.acos(0.8), 0, 0]),
         ([0.6, 0.0, 0.0, -0.8], [2 * math.pi - 2 * math.acos(0.8), 0, 0]),
         # A hand that points down, as LIBERO's does.

@@ -1,4 +1,4 @@
-"""The gateway's commands `compare` and `doctor` find the faults of this package's servers.
+"""The gateway's commands `compare` and `doctor` find faults of servers made with this package.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
@@ -17,7 +17,7 @@ CAMERAS = (Camera("agentview", 128, 128), Camera("robot0_eye_in_hand", 128, 128)
 
 
 class PositionSensitive(Policy):
-    """Answers depend on the positions in its frames, its state and its instruction."""
+    """Its answers depend on the content of each part of a frame, the state and the instruction."""
 
     description = Description(
         name="position-sensitive",

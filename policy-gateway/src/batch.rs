@@ -29,7 +29,7 @@ pub struct Queue<T> {
 /// Next action of a batcher.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Next<T> {
-    /// Send this batch, and call [`Queue::done`] when it is answered.
+    /// Send this batch, and call [`Queue::done`] when it has ended.
     Send(Vec<T>),
     /// Call [`Queue::next`] again at this time, or earlier if the queue changes.
     WaitUntil(Instant),

@@ -71,7 +71,7 @@ pub struct RouteSpec {
 pub struct AccessFiles {
     /// Certificate authority of the TLS servers, PEM.
     pub ca: Option<PathBuf>,
-    /// File with the token for the servers, in the form `worker TOKEN`.
+    /// File with the token for the servers, as `worker TOKEN` or `operator TOKEN`.
     pub token_file: Option<PathBuf>,
 }
 
@@ -111,7 +111,7 @@ pub enum Batching {
 }
 
 impl Batching {
-    /// Returns the batch mode, as recorded with every result of a policy with batches of
+    /// Returns the batch mode, as recorded with every result of a policy whose largest batch is
     /// `batch_size`.
     pub fn describe(self, batch_size: usize) -> String {
         match self {

@@ -22,8 +22,8 @@ pub const WAITS: Waits = Waits {
 pub const BROKEN_WAITS: Waits = Waits::USUAL;
 /// Longest time for a probing session to produce an answer before another session may probe.
 pub const PROBE_TIMEOUT: Duration = Duration::from_secs(60);
-/// Number of tasks that must receive the same error, with no answer in between, before the server
-/// counts as broken. A task may cause an error itself, so its retries count once.
+/// Number of tasks that must receive the same error, with no answered query in between, before the
+/// server counts as broken. A task may cause an error itself, so its retries count once.
 pub const SAME_ERROR_TASKS: usize = 3;
 /// Number of leading characters of two errors that are compared.
 const COMPARED_CHARS: usize = 160;
@@ -106,7 +106,8 @@ impl Health {
     /// Decides whether a call may be sent at `now`.
     ///
     /// # Errors
-    /// If the server is out. Returns the reason and the time left to wait.
+    /// If the server is out and the call may not probe it. Returns the reason and the time left to
+    /// wait.
     pub fn admit(&mut self, call: Call<'_>, now: Instant) -> Result<(), (Cause, Duration)> {
         let Self::Out(outage) = self else {
             return Ok(());

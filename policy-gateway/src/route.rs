@@ -66,7 +66,7 @@ struct Session {
 
 struct SessionState {
     described: Arc<DescribeResponse>,
-    /// Replicas that have received the session's Reset.
+    /// Replicas at which the session is open.
     open_on: Vec<Arc<Replica>>,
     last_answer: Option<Answer>,
 }
@@ -207,8 +207,8 @@ impl Route {
     ///
     /// # Errors
     /// If the session's name is invalid or the session is not open, the budget of observations is
-    /// exhausted, no replica answers, or the answer is not a valid chunk of actions (see
-    /// [`policy_protocol::actions`]).
+    /// exhausted, no replica answers, or the answer is an error or not a valid chunk of actions
+    /// (see [`policy_protocol::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
         let _reserved = self
@@ -234,8 +234,8 @@ impl Route {
         Ok(response)
     }
 
-    /// Closes a session after its query in flight, if it is open, and ends it at every replica
-    /// that received its Reset.
+    /// Closes a session, if it is open; after its query in flight, ends it at every replica where
+    /// it is open.
     pub async fn end(&self, session: &str) {
         let Some(open) = self.sessions().close(session) else {
             return;
@@ -437,8 +437,8 @@ async fn query_replica(
     replica.infer(request.clone(), horizon, task).await
 }
 
-/// Returns the failure of a call to report: the earlier one, unless there is none or its replica
-/// was already out of service.
+/// Returns the failure to report for a call that failed at several replicas: the earlier failure,
+/// unless there is none or its replica was already out of service.
 fn most_informative(earlier: Option<RouteError>, new: RouteError) -> RouteError {
     let is_out_of_service = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }

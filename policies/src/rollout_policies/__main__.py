@@ -1,5 +1,4 @@
-"""Serves one of the policies of the LIBERO-CTRL paper, lists them, or checks a
-server of any policy.
+"""Serves a policy of the LIBERO-CTRL paper, lists them, or checks any policy server.
 
     python -m rollout_policies list
     python -m rollout_policies check grpc://127.0.0.1:5000

@@ -67,7 +67,7 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
 
 
 def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:
-    """Returns the actions that are executed while a query is answered; None if it has none.
+    """Returns the actions that were scheduled when a query was sent; None if it holds none.
 
     Raises UnusableObservation if their shape is wrong.
     """

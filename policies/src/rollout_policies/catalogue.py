@@ -22,8 +22,8 @@ class UnknownPolicy(ValueError):
 
 
 class NoCheckpoint(ValueError):
-    """No checkpoint was specified, or its name is neither that of a local file or folder nor of a
-    repository on the hub."""
+    """The suite that selects the checkpoint is missing or unknown, or the checkpoint's name is
+    neither that of a local file or folder nor of a repository on the hub."""
 
 
 @dataclass(frozen=True)

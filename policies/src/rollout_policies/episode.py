@@ -41,7 +41,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class UnderWay:
-    """Actions that the robot executes while the answer to a query is computed."""
+    """Actions that were already scheduled when a query was sent."""
 
     #: Commands of the control steps from this observation on, float32 [n, 7], in the description's
     #: gripper convention. The first `delay` commands are executed in any case; the new answer

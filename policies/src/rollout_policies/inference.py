@@ -23,8 +23,8 @@ class InferenceThread:
         self._closed = False
 
     def submit(self, call: Callable, *arguments: Any) -> Future:
-        """Queues a call behind earlier ones. The returned future is cancelled
-        if `work` has ended."""
+        """Queues a call behind earlier ones. The returned future is cancelled if `close` is called
+        before the call begins."""
         answer: Future = Future()
         with self._lock:
             if self._closed:

@@ -69,8 +69,8 @@ class Policy(abc.ABC):
         return None
 
     def end(self, episode: Episode) -> None:  # noqa: B027 - most policies need nothing here
-        """Called when an episode is over: it ended, was started again, or was
-        removed after a long idle time. The server releases `episode.memory`
+        """Called when an episode is over: it ended, was started again, or was removed after a long
+        idle time or because too many were open. The server releases `episode.memory`
         afterwards, so most policies need nothing here."""
 
     def warm_up(self) -> None:

@@ -59,7 +59,8 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     Ok(report)
 }
 
-/// Runs the slots against a server; fails if a query fails.
+/// Runs the slots against a server. Returns the answers per second and the latencies as JSON; fails
+/// if a query fails.
 pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
     let counted_from = Instant::now() + WARM_UP;
     let ends = counted_from + Duration::from_secs(slots.secs);
@@ -77,7 +78,7 @@ pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
     let mut seconds = vec![0.0; slots.secs as usize];
     for (answered_at, _) in &answers {
         let second = (*answered_at - counted_from).as_secs() as usize;
-        // Answers to queries still in flight at the end arrive later and are not counted.
+        // Answers to queries still in flight at the end arrive later and are not in the rate.
         if let Some(second) = seconds.get_mut(second) {
             *second += 1.0;
         }

@@ -1,7 +1,7 @@
-//! Throughput and memory use of the gateway: simulated slots query a simulated policy server
-//! through a gateway, each in a process of its own, over loopback sockets. Prints one JSON object;
-//! `cargo xtask bench gateway` runs it. The command `slots` puts the same load on any policy
-//! server.
+//! Throughput, latency and memory use of the gateway: simulated slots query a simulated policy
+//! server through a gateway, each in a process of its own, over loopback sockets. Prints one JSON
+//! object; `cargo xtask bench gateway` runs it. The command `slots` puts the same load on any
+//! policy server.
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};

@@ -9,7 +9,7 @@ mod walk;
 
 use walk::{Credentials, OPERATOR, Table, calls_of, guarded, is_call, open, walk};
 
-/// The gateway's access table; it has no log-in page.
+/// The gateway's access table; the gateway has no log-in page.
 const TABLE: Table = (resource, None);
 
 /// Returns paths, each with true if its calls need no token.

@@ -61,8 +61,8 @@ impl Batcher {
     /// the batch is sent. Dropping the future removes the query from the queue.
     ///
     /// # Errors
-    /// If the queue is full, the batch is not sent in time, the server does not answer in time, or
-    /// [`Backend::infer_batch`] fails.
+    /// If the queue is full, the batch is not sent in time or is lost, the server does not answer
+    /// in time, or [`Backend::infer_batch`] fails or returns an error for this query.
     pub async fn infer(
         &self,
         request: InferRequest,

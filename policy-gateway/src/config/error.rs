@@ -88,7 +88,7 @@ pub enum ConfigError {
         /// Text as written.
         text: String,
     },
-    /// The name has characters that are not allowed, or is too long.
+    /// The name is empty or too long, or has characters that are not allowed.
     #[error(transparent)]
     Name(#[from] RouteNameError),
     /// Two routes have the same name.

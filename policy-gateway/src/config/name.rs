@@ -39,7 +39,7 @@ impl fmt::Display for RouteName {
     }
 }
 
-/// The route's name has characters that are not allowed, or is too long.
+/// The route's name is empty or too long, or has characters that are not allowed.
 #[derive(Debug, Error)]
 #[error(
     "use {name:?} as a route's name: take 1 to {MAX_ROUTE_NAME_BYTES} letters, digits, '.', '_' \

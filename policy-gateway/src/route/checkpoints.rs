@@ -55,7 +55,7 @@ impl Checkpoints {
         }
     }
 
-    /// Lists the suites that have their own pool.
+    /// Lists the suites that have their own pool, separated by commas.
     pub(super) fn suites(&self) -> String {
         match self {
             Self::One(_) => String::new(),

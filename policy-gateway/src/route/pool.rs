@@ -151,9 +151,9 @@ impl Pool {
         self.replicas.iter().max_by_key(rank)
     }
 
-    /// Returns the replica with the fewest queries in flight that is not out; among equals, a
-    /// replica where the session is open, then the replica whose last new session is oldest. If
-    /// all are out, returns a replica that is out, whose error names the cause.
+    /// Returns the replica outside `tried` with the fewest queries in flight, of those that admit a
+    /// call; among equals, one where the session is open, then the one whose last new session is
+    /// oldest. If none admits a call, returns one of them, whose error names the cause.
     fn least_loaded(
         &self,
         session: &str,

@@ -242,8 +242,8 @@ impl Replica {
     /// Answers one observation of `task` with at most `horizon` actions.
     ///
     /// # Errors
-    /// If the replica does not answer, or its answer is not a valid chunk of actions (see
-    /// [`policy_protocol::actions`]).
+    /// If the replica does not answer, or its answer is an error or not a valid chunk of actions
+    /// (see [`policy_protocol::actions`]).
     pub async fn infer(
         &self,
         request: InferRequest,
@@ -429,7 +429,7 @@ fn is_no_evidence(error: &BackendError) -> bool {
 }
 
 /// Returns the number of sessions that get their answers in time if all of them query at once, from
-/// a server that takes `per_query` for each query.
+/// a server that takes `per_query` for each query; at least [`MIN_SESSIONS`].
 fn capacity(patience: Duration, execute: u32, per_query: Duration) -> usize {
     let longest = patience.min(MAX_STEP_WAIT * execute.max(1));
     let sessions = longest.as_secs_f64() / per_query.as_secs_f64().max(1e-9);

@@ -11,7 +11,7 @@ use tonic::{Code, Status};
 
 use crate::support::{Scripted, chunk, describe, description, gateway, infer, reset, serve};
 
-/// Sends one query to a server that answers `answer`, through a gateway.
+/// Returns a gateway's refusal of a query to a server that answers `answer`.
 async fn refusal(answer: Result<InferResponse, Status>) -> Status {
     let described = description("crooked", 2);
     let server = serve(Scripted::new(described, move |_| answer.clone())).await;

@@ -24,8 +24,8 @@ const LARGEST: u32 = 4;
 /// Time that the server takes for one batch.
 const BATCH_TIME: Duration = Duration::from_millis(5);
 
-/// A simulated server of fixed speed. It answers with the number in a session's name, with an error
-/// to session 3, and with a long error to session 99.
+/// A simulated server of fixed speed. It answers with a hundredth of the number in a session's
+/// name, with an error to session 3, and with a long error to session 99.
 struct FixedSpeed {
     computing: Mutex<()>,
     /// Size of the largest batch so far.

@@ -37,7 +37,8 @@ async fn send_query(
     client.infer(query).await.map(tonic::Response::into_inner)
 }
 
-/// Sends two queries of one session through a gateway that records up to `max_bytes`.
+/// Returns the answers to two queries of one session through a gateway that records up to
+/// `max_bytes`.
 async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
     let answer = |query: Query| Ok(chunk(&[0.1 * query.query_index as f32; 7], 7));
     let server = serve(Scripted::new(description("p", 1), answer)).await;

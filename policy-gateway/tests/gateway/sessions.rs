@@ -93,7 +93,8 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     rollouts.expect("every rollout got its own answers");
 }
 
-/// A server that records the starts of sessions and, if it implements End, their ends.
+/// A server that records the starts and ends of sessions. Unless `implements_end` is set, it
+/// answers End with UNIMPLEMENTED.
 struct RecordingPolicy {
     events: mpsc::UnboundedSender<String>,
     implements_end: bool,

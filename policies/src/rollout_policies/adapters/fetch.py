@@ -35,8 +35,8 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
     the hub (`owner/repository` or `owner/repository/folder`).
 
     Raises NoCheckpoint if the name is neither a local folder nor of the hub's form, UnusableOption
-    if a revision is given for a local folder, UnusableCheckpoint if the hub does not provide the
-    checkpoint.
+    if a revision is given for a local folder, UpstreamMissing without huggingface_hub,
+    UnusableCheckpoint if the hub does not provide the checkpoint.
     """
     local = Path(name).expanduser()
     if local.is_dir():
@@ -87,7 +87,7 @@ def _subfolder(snapshot: Path, folder: str | None, name: str) -> Path:
 
 @contextlib.contextmanager
 def naming_downloads(needed: Mapping[str, str]) -> Iterator[None]:
-    """Converts a package's error about a file that it cannot download into
+    """Converts an OSError, which packages raise if they cannot download a file, into
     UnusableCheckpoint, whose message lists the downloads besides the checkpoint."""
     try:
         yield
@@ -109,6 +109,7 @@ def downloads(needed: Mapping[str, str]) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """Returns the first line of an error's text."""
+    """Returns the first non-empty line of an error's text without final periods, or the error's
+    type if there is none."""
     lines: Iterable[str] = (line.strip() for line in str(error).splitlines())
     return next((line.rstrip(".") for line in lines if line), type(error).__name__)

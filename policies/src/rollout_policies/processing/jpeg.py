@@ -45,8 +45,8 @@ CHROMA_BIAS = np.array([0, -1, -1])
 TO_RGB = np.array([[0, 91881], [-22554, -46802], [116130, 0]])
 MIDDLE = 128
 
-#: The slow forward transform of eight values: the root of 2 times cosines, with
-#: thirteen fractional bits. These are sums of Loeffler, Ligtenberg and
+#: The slow forward transform of eight values: the root of 2 times cosines (1 in the first row),
+#: with thirteen fractional bits. These are sums of Loeffler, Ligtenberg and
 #: Moschytz's rounded multipliers, so some differ by one from the rounded product.
 #: The second half of each row mirrors the first, with the opposite sign in odd rows.
 SLOW_BITS = 13
