@@ -1,7 +1,8 @@
 """Measures the answers per second of a GPU policy: alone, served, and behind the gateway.
 
-Writes one JSON object. Slots are those of `bench_gateway slots`: each has its own connection
-and sends its next query immediately after an answer.
+Writes one JSON object. The policy is served by this package's Python server. Slots are those of
+`bench_gateway slots`: each has its own connection and sends its next query immediately after an
+answer.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ def module_name(path):
 
 
 def imported_by(path, modules):
-    """Yields the modules that a file imports by relative imports, also for type checkers only."""
+    """Yields the modules of a file's relative imports, including those for type checkers only."""
     package = path.relative_to(PACKAGE.parent).parts[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.level:

@@ -1,6 +1,6 @@
 //! Circuit breaker of a policy server. While the server is *out* (the breaker is open), calls fail
-//! at once, except those of one probing session at a time. Pure: callers pass in the time. The
-//! replica classifies the failures.
+//! at once, except those of one probing session at a time and a Describe when a probe is due. Pure:
+//! callers pass in the time. The replica classifies the failures.
 //!
 //! A server that did not answer in time, is broken or repeats an error counts as recovered only
 //! after an answered query, since Describe and Reset often keep working when the server's

@@ -151,9 +151,9 @@ impl Pool {
         self.replicas.iter().max_by_key(rank)
     }
 
-    /// Returns the replica outside `tried` with the fewest queries in flight, of those that admit a
-    /// call; among equals, one where the session is open, then the one whose last new session is
-    /// oldest. If none admits a call, returns one of them, whose error names the cause.
+    /// Returns the replica outside `tried` with the fewest queries in flight, of those that admit
+    /// the session's calls; among equals, one where the session is open, then the one whose last
+    /// new session is oldest. If none admits them, returns one, whose error names the cause.
     fn least_loaded(
         &self,
         session: &str,
