@@ -89,8 +89,8 @@ class Server:
         self._thread.start()
 
     def stop(self, grace_secs: float = SHUTDOWN_GRACE_SECS) -> None:
-        """Frees the port, and returns when the open requests have finished or `grace_secs` are
-        over."""
+        """Frees the port. Returns when the open requests have finished or `grace_secs` are over
+        and, after `work_in_background`, the policy's current call has ended."""
         self._server.stop(grace_secs).wait()
         self._inference.close()
         if self._thread is not None:
