@@ -148,8 +148,8 @@ pub trait Actor {
     fn end(&mut self, _session: PolicySession<'_>) {}
 
     /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.
-    /// `under_way` holds the commands executed while the answer is computed; `None` if the
-    /// actor does not receive them.
+    /// `under_way` holds the answer's delay and the commands that are scheduled already; `None`
+    /// unless the execution model sends them to the actor.
     ///
     /// # Errors
     /// If the actor does not answer, its answer is not a valid chunk of actions, or a recording has

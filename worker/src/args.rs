@@ -64,9 +64,9 @@ impl Arguments {
     /// this version.
     ///
     /// # Errors
-    /// If the command line is invalid or help was requested. The coordinator's address is checked
-    /// only for commands that call a coordinator; other commands and slots accept any value of
-    /// `COORDINATOR_URL`.
+    /// If the command line is invalid, or help or the version was requested. The coordinator's
+    /// address is checked only for commands that call a coordinator; other commands and slots
+    /// accept any value of `COORDINATOR_URL`.
     pub fn read<I>(version: &'static str, words: I) -> Result<Self, clap::Error>
     where
         I: IntoIterator<Item: Into<OsString>>,

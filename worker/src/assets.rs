@@ -382,8 +382,8 @@ fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
     })
 }
 
-/// Logs which tasks a pack can show. Returns the tasks that it cannot show, which this worker
-/// leaves to other workers.
+/// Logs how many tasks a pack can show. Names and returns the tasks that it cannot show, which this
+/// worker leaves to other workers.
 ///
 /// # Errors
 /// If the task files cannot be read, or the pack can show no task.

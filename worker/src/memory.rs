@@ -17,7 +17,7 @@ pub(crate) struct OomKills {
 /// Cause of a SIGKILL, according to the counters before and after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// The kernel killed a process of this control group, taken to have reached its memory limit.
+    /// The kernel killed a process of this control group, presumably at the group's memory limit.
     GroupLimit,
     /// The kernel killed a process on this machine, but none that is counted for this control
     /// group.

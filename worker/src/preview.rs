@@ -120,8 +120,8 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// Renders the policy's first view of a row, or if the row perturbs actuation, the view after a
-/// fixed motion.
+/// Renders the policy's first view of a row; under a condition with actuation, the view after a
+/// fixed motion, also for the unperturbed row.
 fn picture(
     simulator: &mut Simulator,
     request: &Request,

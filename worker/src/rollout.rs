@@ -26,7 +26,8 @@ use crate::stopwatch::{add_elapsed_time, add_processor_time};
 
 /// Control step of the policy.
 pub struct Step {
-    /// Action as the policy sent it.
+    /// Action as the policy sent it; the action that holds the arm still while no answer is in
+    /// effect; or a command of an earlier rollout, repeated by a resumed one.
     pub sent: Action,
     /// Command to the robot before the actuation axis distorts it; see
     /// [`sim::Conditions::command`].
@@ -393,8 +394,8 @@ fn continue_unless_abandoned(verdict: ControlFlow<()>) -> Result<(), RolloutErro
     }
 }
 
-/// Returns the settings that the policy's server resolved, the number of actions executed per
-/// answer, and the execution model.
+/// Returns the settings that the policy's server resolved, the maximum number of actions per answer
+/// and the number executed, and, unless it is `wait`, the execution model.
 fn settings(description: &Description, execution: &Execution) -> BTreeMap<String, String> {
     let resolved = description.about.settings.iter();
     // A server's own setting of this name is dropped, since it would pass for the rollout's

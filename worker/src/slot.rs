@@ -155,8 +155,8 @@ fn run_assignment(
     }
 }
 
-/// Prepares a rollout of LIBERO's family. Also returns the assignment with the completed row.
-/// `None` for any other rollout.
+/// Prepares a rollout of LIBERO's family or of a suite file; also returns the assignment with the
+/// completed row. `None` for any other rollout.
 fn prepare(
     assignment: &Assignment,
     simulator: &Simulator,

@@ -14,7 +14,7 @@ pub struct Stage<'a> {
     simulator: &'a mut Simulator,
     /// Task files in place of those of the row's task.
     files: Option<TaskFiles>,
-    /// Initial conditions of a LIBERO-Plus or LIBERO-PRO variant, in place of the row's
+    /// Initial conditions of a rollout of LIBERO's family or of a suite file, in place of the row's
     /// perturbation.
     variant: Option<VariantStart>,
     /// True if the renderer is named even for a rollout without frames.
@@ -32,7 +32,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Creates a stage for a user's own task in place of the row's.
+    /// Creates a stage for task files that replace those of the row's task.
     pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
         Self {
             simulator,
@@ -56,8 +56,8 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Returns the renderer's own name and the fingerprint, which covers rendering too; both are
-    /// empty if no renderer is needed.
+    /// Returns the renderer's own name and the fingerprint, which covers rendering too. Both are
+    /// empty if the renderer stays closed, see [`Self::with_a_renderer_only_if_needed`].
     pub(crate) fn renderer_and_fingerprint(
         &mut self,
         needs_renderer: bool,

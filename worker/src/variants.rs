@@ -35,7 +35,7 @@ pub use rules::Rules;
 pub struct Run<'a> {
     /// Rules of the rollouts.
     pub rules: Rules,
-    /// The unperturbed rollouts, followed by the variants.
+    /// The unperturbed rollouts, if any, followed by the chosen rollouts.
     pub cases: Vec<Case>,
     /// Folder of the results.
     pub output: &'a Path,

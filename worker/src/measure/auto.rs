@@ -8,9 +8,9 @@ use super::together::Slots;
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
 
-/// Longest measurement of all numbers of slots together, seconds.
+/// Longest duration of all measurements of throughput together, seconds.
 const ALL_SECS: f64 = 4.0;
-/// Longest measurement of one number at a time, seconds.
+/// Longest duration of one of these measurements, seconds.
 const ONE_SECS: f64 = 1.0;
 /// Measurements of each number of slots. The best measurement counts, since other load on the
 /// machine only slows slots down.

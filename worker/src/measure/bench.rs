@@ -35,7 +35,8 @@ const MIB: f64 = (1 << 20) as f64;
 /// last line.
 ///
 /// # Errors
-/// If slots cannot be measured, or the table cannot be printed.
+/// If the machine's cores or memory cannot be read, slots cannot be measured, or the table cannot
+/// be printed.
 pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     let (cores, available) = (cores()?, room::available()?);
     let mut slots = Slots::new(plan.program);

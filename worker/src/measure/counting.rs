@@ -228,7 +228,7 @@ impl Watcher for Counter {
 }
 
 impl SlotMemory {
-    /// Reads the memory use of this process; the scene's part is left at zero.
+    /// Reads the memory use of this process; the parts that the scene takes are left at zero.
     fn read() -> Result<Self, MeasureError> {
         let read = |file: &'static str, fields: &[&'static str]| {
             let file = Path::new(file);

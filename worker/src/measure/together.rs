@@ -15,8 +15,8 @@ use super::counting::{Count, SlotMemory, SlotReport};
 use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
 
-/// Longest silence of a slot beyond the measured period: it may hash an asset pack, compile a
-/// scene, render it, or finish a control step.
+/// Longest silence of a slot beyond the measured period: it may load libraries, compile a scene,
+/// render it, or finish a control step.
 const MAX_SILENCE: Duration = Duration::from_secs(120);
 
 /// Processes of measured slots. Dropping them kills the processes.

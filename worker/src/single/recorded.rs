@@ -1,6 +1,6 @@
-//! Replays recorded actions in place of a policy, regardless of the scene. Reads an NPZ file with
-//! an array `actions` (such as a `trace.npz`), an NPY file, or JSON lines, each with n rows of
-//! seven numbers.
+//! Replays recorded actions in place of a policy, regardless of the scene. Reads n rows of seven
+//! numbers from the array `actions` of an NPZ file (such as a `trace.npz`), from an NPY file, or
+//! from JSON lines.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read};
@@ -39,7 +39,8 @@ impl RecordedActions {
     /// Reads a file, whose extension determines its format.
     ///
     /// # Errors
-    /// If the file cannot be read, holds no action, or holds a number that is not finite.
+    /// If the file cannot be read, holds no action or more than `MAX_RECORDED_ACTIONS`, or holds a
+    /// number that is not finite.
     pub fn read(path: &Path) -> Result<Self, SingleError> {
         let failed = |problem: String| SingleError::Recorded {
             path: path.to_owned(),

@@ -388,7 +388,8 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
             assert!(corrupted[0] != nominal[0] && corrupted[1] != nominal[1]);
         }
         assert!(corrupted.film != unperturbed.film);
-        // Rendering at another size than the policy's does not change the policy's frames.
+        // The size of the policy's frames does not change the film, and a repetition of the rollout
+        // does not change the policy's frames.
         let small = run_and_film(&mut simulator, &sensor, realisation, 128);
         assert!(small.in_film == corrupted.in_film, "{realisation}");
         let again = run_and_film(&mut simulator, &sensor, realisation, 128);

@@ -3,7 +3,7 @@
 //!
 //! | array | shape | content |
 //! | --- | --- | --- |
-//! | `actions` | n × 7 | as the policy sent them |
+//! | `actions` | n × 7 | as the policy sent them; no motion where the arm holds still |
 //! | `executed` | n × 7 | input of the actuation axis: clipped to -1..1; unclipped in `reference` |
 //! | `eef_pos` | n+1 × 3 | site between the fingertips, world frame, m |
 //! | `eef_quat_xyzw` | n+1 × 4 | hand body, world frame |

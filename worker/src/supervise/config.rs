@@ -42,7 +42,7 @@ pub struct Config {
     pub seed: u64,
 }
 
-/// Identity of a worker and its software, sent with every result.
+/// Identity of a worker and its software, sent with the registration and in part with every result.
 #[derive(Clone, Debug)]
 pub struct Identity {
     /// Identifier of the worker, new at every start.
@@ -103,7 +103,7 @@ pub(super) struct Timing {
     pub(super) progress_timeout: Duration,
 }
 
-/// Time limits until the registration, before which nothing is simulated.
+/// Time limits until the registration, before which no rollout is simulated.
 pub(super) const TIMING_UNTIL_REGISTERED: Timing = Timing {
     heartbeat: Duration::from_secs(5),
     progress_timeout: Duration::from_secs(180),

@@ -14,7 +14,7 @@ use crate::message::SlotEvent;
 pub(crate) struct ProcessEnd {
     /// Description of the end, such as "exited with code 1"; it follows the words "the process".
     pub(crate) description: String,
-    /// The last lines that the process printed; the worker has relayed them already.
+    /// The last lines of the process's standard error, which the worker has relayed already.
     pub(crate) last_lines: Vec<String>,
 }
 

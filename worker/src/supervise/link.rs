@@ -31,7 +31,7 @@ const CALL_DEADLINE: Duration = Duration::from_secs(30);
 const SIGN_OFF_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a video to be stored.
 const UPLOAD_DEADLINE: Duration = Duration::from_secs(60);
-/// Attempts to send a video. They take about a minute if each is refused at once.
+/// Number of tries to send a video. They take up to about a minute if each is refused at once.
 const UPLOAD_TRIES: u32 = 7;
 /// Bytes of a video per message.
 const CHUNK_BYTES: usize = 256 << 10;
@@ -60,8 +60,7 @@ struct LinkState {
     url: String,
     peer: Peer,
     seed: u64,
-    /// True if the coordinator has ever answered; a later failure then cannot be a mistake in the
-    /// settings.
+    /// True once a call has succeeded; a later failure then cannot be a mistake in the settings.
     has_answered: AtomicBool,
     /// Start of the current outage; `None` while the coordinator answers.
     outage: Mutex<Option<Instant>>,
@@ -114,9 +113,9 @@ impl Link {
         .await
     }
 
-    /// Claims one job until the worker drains. Retries repeat the same claim id, so a lost answer
-    /// loses no lease. Draining drops the claim; a lease that is granted at that moment expires
-    /// without a charge.
+    /// Claims one job; returns an empty answer once the worker drains. Retries repeat the same
+    /// claim id, so a lost answer loses no lease. Draining drops the claim; a lease that is granted
+    /// at that moment expires without a charge.
     pub(crate) async fn claim(&self, mut request: ClaimRequest) -> Result<ClaimResponse, Status> {
         request.wait_secs = CLAIM_WAIT.as_secs_f64();
         let mut draining = self.draining.clone();
@@ -182,7 +181,7 @@ impl Link {
         .await
     }
 
-    /// Sends a video, with at most `UPLOAD_TRIES` attempts. A coordinator that cannot store videos
+    /// Sends a video, in at most `UPLOAD_TRIES` tries. A coordinator that cannot store videos
     /// does not count as an outage, because it may answer all other calls.
     pub(crate) async fn put_video(
         &self,
@@ -251,8 +250,8 @@ impl Link {
         answer
     }
 
-    /// Explains a failure by a diagnosis of the peer. Until the coordinator has answered once, a
-    /// mistake in the settings is not transient.
+    /// Explains a failure by a diagnosis of the peer. Until a call has succeeded, a mistake in the
+    /// settings is not transient.
     async fn explain(&self, status: Status) -> Failed {
         let is_transient = may_succeed_later(&status);
         match self.state.peer.diagnose(&status).await {

@@ -11,7 +11,8 @@ use tokio::time::Instant;
 
 use crate::message::FailureKind;
 
-/// Longest start of a slot's process, which hashes an asset pack and loads libraries.
+/// Longest start of a slot's process, which loads libraries, opens the renderer, and simulates and
+/// draws a fixed motion.
 pub(crate) const START_DEADLINE: Duration = Duration::from_secs(120);
 /// Longest time to abandon a rollout before the process is killed. The process checks for the
 /// command at every control step.
@@ -376,7 +377,8 @@ impl SlotState {
         is_wanted
     }
 
-    /// Records that an attempt's video is finished or cannot be made.
+    /// Records that an attempt's video is finished or cannot be made. Returns the action on the
+    /// video that is due now.
     pub(crate) fn filming_ended(&mut self, id: AttemptId, is_made: bool) -> Option<VideoDecision> {
         let Video::Filming {
             attempt, result, ..
@@ -399,7 +401,7 @@ impl SlotState {
     }
 
     /// Records the coordinator's answer to the slot's report; `is_committed` is true if the
-    /// coordinator has the result.
+    /// coordinator has the result. Returns the action on the video that is due now.
     pub(crate) fn delivered(&mut self, is_committed: bool) -> Option<VideoDecision> {
         self.work = Work::Nothing;
         match &mut self.video {

@@ -79,7 +79,7 @@ impl Audit {
         }
     }
 
-    /// Formats a table of dimensions or suites, followed by the missing files.
+    /// Formats a table of the rollouts by [`Case::group`], followed by the missing files.
     pub fn report(&self) -> String {
         let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
         let mut count = |cases: &[Case], runnable: usize| {

@@ -53,8 +53,8 @@ pub struct Row {
     pub task: String,
     /// Number of the trial, which is also the index of its initial state.
     pub trial: u16,
-    /// Dimension of LIBERO-Plus, or suite of LIBERO-PRO or of a suite file; `None` for an
-    /// unperturbed rollout.
+    /// Dimension of LIBERO-Plus, suite of LIBERO-PRO or of a suite file, or type of LIBERO-Para;
+    /// `None` for an unperturbed rollout.
     pub group: Option<String>,
     /// Difficulty, 1 to 5; `None` if not given.
     pub difficulty: Option<u8>,
@@ -260,7 +260,7 @@ impl Results {
     }
 }
 
-/// Successes by dimension or suite, paired with the unperturbed rollouts of the same tasks.
+/// Successes by group (see [`Row::group`]), paired with the unperturbed rollouts of the same tasks.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Counts of each group with results, followed by the counts of all groups together.
