@@ -147,7 +147,7 @@ impl ScriptedCoordinator {
         self.change(|state| reason.clone_into(&mut state.stop_leasing));
     }
 
-    /// Breaks the connection instead of answering the next claim that gets a lease.
+    /// Answers the next claim that gets a lease with UNAVAILABLE, as if the answer were lost.
     pub(crate) fn lose_an_answer_to_a_claim(&self) {
         self.change(|state| state.answers_to_lose += 1);
     }
