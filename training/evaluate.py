@@ -86,7 +86,8 @@ def report(
     results: Mapping[str, Sequence[tuple[int, bool]]],
     seconds: float,
 ) -> None:
-    """Prints the numbers of successes by suite and task, and writes the results to ``--table``.
+    """Prints the numbers of successes by suite and task, and writes the results to ``--table``, if
+    that file is given.
 
     Args:
         results: for each task, the number of the initial state and the success of each episode.

@@ -16,7 +16,8 @@ CONFIGURATIONS = 10
 
 
 def evaluation_sentences() -> list[str]:
-    """Returns the benchmark's wordings on the language axis and under all axes together."""
+    """Returns the benchmark's wordings on the language axis and under all axes together, except the
+    canonical instructions."""
     from rollout_libero._library import native
 
     sentences = set()

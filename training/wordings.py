@@ -99,8 +99,8 @@ def _choose_options(template: str, rng: random.Random) -> str:
 
 
 def _tidy(text: str) -> str:
-    """Removes spaces and punctuation that empty options leave, and corrects "a" before a vowel to
-    "an"."""
+    """Removes spaces and punctuation that empty options leave, and corrects "a" before a, e, i or o
+    to "an"."""
     text = re.sub(r"\s+", " ", text)
     text = re.sub(r" ([,.;:?])", r"\1", text)
     text = re.sub(r"[,;]+([.,;:?])", r"\1", text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 Templates = Sequence[str]
-"""Sentences with slots, ``{slot}``, and choices, ``[first|second]``. Choices may nest, and an
-option may be empty: ``[|please]``."""
+"""Words, phrases or sentences with slots, ``{slot}``, and choices, ``[first|second]``. Choices may
+nest, and an option may be empty: ``[|please]``."""
 Grammar = Mapping[str, Templates]
 """For each slot, by its name, the templates that may fill the slot."""
