@@ -49,7 +49,8 @@ enum Profile {
 /// Makes the archive, tests it in a bare root, and prints its path.
 ///
 /// # Errors
-/// If a part is unavailable, the archive would be incomplete, or its programs do not run.
+/// If a release has uncommitted changes, a part is unavailable, the archive would be incomplete, or
+/// its programs do not run.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     if options.profile == Profile::Release {

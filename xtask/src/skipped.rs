@@ -18,7 +18,8 @@ const NOT_RUN: &str = "not run";
 /// Part of every path to the reference data, from any checkout.
 const REFERENCE: &str = "/shared/";
 
-/// Prints the skipped tests of nextest's JUnit report with their reasons and number.
+/// Prints, from nextest's JUnit report, the documented commands that no test runs, and the skipped
+/// tests with their reasons and number.
 ///
 /// # Errors
 /// If a test found no reference data although the folder `shared` exists: a part of the data is

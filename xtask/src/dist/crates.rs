@@ -70,8 +70,8 @@ struct Kind {
     kind: Option<String>,
 }
 
-/// Returns all third-party crates that the programs link, by name. Leaves out build-time code:
-/// build scripts, macros and their dependencies.
+/// Returns all third-party crates that the programs link, sorted by name. Leaves out build-time
+/// code: build scripts, macros and their dependencies.
 pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let text = capture(cargo(root).args([
