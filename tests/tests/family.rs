@@ -213,7 +213,8 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
     assert!(largest <= TOLERANCE, "states differ by {largest:e}");
 }
 
-/// Compares what `family/record_chosen.py` recorded. Returns the number of compared cases.
+/// Compares the cases that `family/record_chosen.py` recorded and `is_chosen` selects. Returns the
+/// number of compared cases.
 fn compare_chosen(
     benchmark: Benchmark,
     test: &str,

@@ -9,8 +9,8 @@ fn gateway(arguments: &[&str]) -> Process {
     Process::serve(command.args(arguments).args(["--listen", "127.0.0.1:0"]))
 }
 
-/// Runs one rollout against an endpoint. Also returns success and steps of its result, `None` if it
-/// has no result.
+/// Runs one rollout against an endpoint. Returns the worker's output, and success and steps of the
+/// result; `None` in their place if there is no result.
 fn roll_out(id: &str, endpoint: &str) -> (Output, Option<serde_json::Value>) {
     let folder = tempfile::tempdir().unwrap();
     #[rustfmt::skip]

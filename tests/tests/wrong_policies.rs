@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use tests::programs::{Campaigns, Process, program};
 
-/// Timeout of the wait for a command's output.
+/// Longest wait for words in the output of a command that is repeated.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// A policy server built with the package `rollout_policies`, whose actions repeat one number seven
 /// times.
@@ -30,8 +30,8 @@ class Invalid(Policy):
 serve(Invalid())
 ";
 
-/// Creates a campaign of the policy `invalid`, whose actions consist of this number, beside other
-/// policies. Returns `None` if no interpreter is configured.
+/// Starts a gateway with the policies `invalid`, whose actions consist of `number`, and `noop`, and
+/// creates a campaign of `invalid`. Returns the programs; `None` if no interpreter is configured.
 fn start_campaigns(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)> {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
         eprintln!("SKIPPED {test}: `cargo xtask test` sets ROLLOUT_PYTHON");
@@ -49,7 +49,7 @@ fn start_campaigns(test: &str, number: &str, data: &Path) -> Option<(Campaigns, 
     Some((campaigns, policy))
 }
 
-/// Waits until the output of a command contains some words.
+/// Repeats a command until its output contains some words.
 fn wait_for(campaigns: &Campaigns, arguments: &[&str], words: &str) {
     let deadline = Instant::now() + PATIENCE;
     loop {

@@ -288,7 +288,7 @@ fn connect_errors() -> Vec<ConnectError> {
     connect_errors
 }
 
-/// Fails to compile if a variant is missing from the list above.
+/// Fails to compile once there is a further variant, which the list above needs too.
 fn is_known(found: &ProbeResult) {
     match found {
         ProbeResult::UnknownHost

@@ -22,8 +22,8 @@ prompt, and of the sentence that its parser reads from the BDDL file; for LIBERO
 its scripts read it. `camera`: compiled pose of agentview. `reset`: state after a reset with seed 7. `official`:
 state after the initial state and ten waits. `trial-1`: the same after a further reset of the same generator, with
 the second initial state. `draw`: the generator's next number after the first ten waits, during which both cameras
-were drawn at 128 × 128, with fog at 256 × 256. The pictures are those of the last wait, as the policy gets them,
-upright. No chosen corruption is glass blur, which the wheel changed.
+were drawn at 128 × 128, with fog at 256 × 256; `-` for LIBERO-PRO. The pictures are those of the last wait, as the
+policy gets them, upright. No chosen corruption is glass blur, which the wheel changed.
 """
 
 import base64
@@ -91,7 +91,8 @@ def configure(inner: pathlib.Path, assets: pathlib.Path) -> None:
 
 
 def record(envs, bddl: pathlib.Path, states, picture: pathlib.Path) -> list:
-    """Resets, sets the initial state and waits; with two states, twice."""
+    """Resets, sets the initial state and waits, once for each state. Saves the pictures of the first time; returns
+    the lines."""
     # The original's fog has 256 pixels a side.
     side = 2 * SIDE if re.search(r"_noise_(3[1-9]|40)$", bddl.stem) else SIDE
     env = envs.OffScreenRenderEnv(bddl_file_name=str(bddl), camera_heights=side, camera_widths=side)

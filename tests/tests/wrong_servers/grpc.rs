@@ -15,7 +15,8 @@ use tonic::server::NamedService;
 use tonic::transport::server::TcpIncoming;
 use tonic::transport::{Error, Server};
 
-/// Service that implements one path, whose calls fail, and no other path.
+/// Service that answers calls of one path with FAILED_PRECONDITION, and all others with
+/// UNIMPLEMENTED.
 #[derive(Clone)]
 struct SinglePath(&'static str);
 

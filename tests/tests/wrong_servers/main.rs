@@ -33,8 +33,7 @@ fn case(at: impl ToString, scheme: &str, is_final: bool, expected: &[&'static st
     }
 }
 
-/// Returns cases that clients of any kind can meet. Hosts are names, since no certificate is issued
-/// for an address.
+/// Returns cases that clients of any kind can meet.
 fn cases_for_any_client() -> Vec<Case> {
     let mail = serve_text("220 mail.example ESMTP\r\n", "");
     let web = serve_text("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
@@ -74,7 +73,8 @@ fn cases_for_any_client() -> Vec<Case> {
     ]
 }
 
-/// Returns cases over TLS at servers of the right kind, with the processes of the servers.
+/// Returns cases at servers of the right kind that use TLS, with the processes of the servers. The
+/// host in the cases is a name, since the certificates are issued for names.
 fn over_tls(
     serve: impl Fn([String; 4]) -> Process,
     trusted: &Authority,
@@ -137,8 +137,8 @@ fn list_command(case: &Case, ca: &Path) -> Command {
     command
 }
 
-/// Returns a worker with simulated slots, which is ended after 10 s because it never stops retrying
-/// if a failure may pass.
+/// Returns the command of a worker with simulated slots. `timeout` ends the worker after 10 s,
+/// because it retries a temporary failure for ever.
 fn worker_command(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "grpcs" } else { "grpc" };
     let mut command = Command::new("timeout");

@@ -17,7 +17,8 @@ pub(crate) fn unused_address() -> SocketAddr {
     listener.local_addr().expect("an address")
 }
 
-/// Starts a server that sends a text, reads, and then sends another text.
+/// Starts a server that sends a text, reads, and then sends another text. If both are empty, it
+/// closes each connection at once.
 pub(crate) fn serve_text(first: &'static str, then: &'static str) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("an address");
