@@ -76,7 +76,7 @@ pub enum PolicyError {
     RecordingEnded { path: PathBuf, actions: usize },
 }
 
-/// Returns a policy's name for use in a sentence; a server's only policy has no name.
+/// Returns a policy's name for use in a sentence; an empty name means the server's only policy.
 fn label(policy: &str) -> String {
     match policy {
         "" => "the policy".to_owned(),

@@ -16,7 +16,7 @@ pub struct Coverage {
     categories: Models,
     arenas: Models,
     shown: Vec<TaskRef>,
-    /// Tasks by the reason why they cannot be shown.
+    /// Tasks by the reason why they cannot be shown, or not before a fetch.
     not_shown: BTreeMap<String, Vec<TaskRef>>,
     /// Files still to be fetched; `None` for a pack that is not fetched on demand.
     to_fetch: Option<BTreeMap<&'static str, &'static FileFacts>>,
@@ -70,7 +70,8 @@ impl Coverage {
         }
     }
 
-    /// Returns the reason why a task cannot be shown; the text follows the words "failed to".
+    /// Returns the reason why a task cannot be shown now; the text follows the words "failed to".
+    /// Adds the task's missing files to those that are still to be fetched.
     fn reason_not_shown(
         &mut self,
         problem: &Problem,

@@ -22,7 +22,7 @@ pub(super) enum SearchResult {
     NeverSaved,
     /// Lifting at `saved` saves the rollout, and lifting at the next query does not.
     SavedUntil {
-        /// Last query from which the rollout is saved.
+        /// Last tried query from which the rollout is saved.
         saved: usize,
         /// True if lifting at each tried query before `saved` also saves the rollout.
         is_monotone: bool,
