@@ -1,5 +1,5 @@
-//! Installs the requirements of a build of the workspace, and optional parts: OpenGL rendering, a
-//! browser for the live page, a cluster scheduler for tests.
+//! Checks and fetches the requirements of a build of the workspace, and installs optional parts:
+//! OpenGL rendering, a browser for the live page, a cluster scheduler for tests.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -157,7 +157,7 @@ pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<P
     Ok(dir.join("bin/python"))
 }
 
-/// Tests the installed packages.
+/// Tests the installed packages, and with them the training of the student.
 ///
 /// # Errors
 /// If the packages cannot be built, or a test fails.
