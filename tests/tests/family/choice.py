@@ -16,7 +16,7 @@ new variant of each dimension.
 LIBERO-PRO: in a first round a task of each suite without an earlier recording by `record_pro.py`, in a second round
 a further task of each suite with only one recording; the lowest SHA-256 of `suite/task` decides.
 
-LIBERO-Para: the two sentences for each of the ten tasks with the lowest SHA-256 of the file's name.
+LIBERO-Para: for each of the ten tasks, the two sentences whose files' names have the lowest SHA-256.
 """
 
 import ast
