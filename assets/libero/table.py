@@ -51,7 +51,8 @@ def main():
 
 
 def tables(folder):
-    """Returns the tables by name. `files.tsv` lists the paths in LIBERO's git tree."""
+    """Returns the texts of the tables by file name. The paths are those of the present `files.tsv`,
+    which are the files of LIBERO's git tree."""
     paths = [line.split("\t")[0] for line in (HERE / "files.tsv").read_text().splitlines()[1:]]
     wheels, members = [], {}
     for number, sha256 in enumerate(WHEELS, 1):

@@ -3,7 +3,7 @@
     python3 assets/primitives_source            # write
     python3 assets/primitives_source --check    # exit 1 and name the files that differ
 
-Python 3.9 or newer, standard library only. README.md of the pack describes the result.
+Python 3.10 or newer, standard library only. README.md of the pack describes the result.
 """
 
 import argparse

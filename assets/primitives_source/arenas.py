@@ -119,7 +119,7 @@ def table(world):
 
 
 def kitchen(world):
-    """The table, and behind the robot a worktop and a fridge with a lamp above them."""
+    """The table, and behind the robot a fridge and a worktop with a lamp above it."""
     write_shapes(world, visible(
         box((-1.95, -1.60, 0), (-1.40, 1.90, 0.86), PORCELAIN),
         box((-1.96, -1.62, 0.86), (-1.38, 1.92, 0.90), SOOT),
@@ -169,7 +169,7 @@ def study(world):
 
 
 def png(colour, joint):
-    """Returns a square picture of 64 pixels with a one-pixel joint along two edges, so that a
+    """Returns a picture of 64 × 64 pixels with a one-pixel joint along two edges, so that a
     repeated texture shows tiles. The picture has one bit per pixel and is stored uncompressed: the
     output of zlib differs between versions, and the pack must be the same everywhere."""
     rows = [b"\xff" * 8] + [b"\x80" + b"\0" * 7] * 63

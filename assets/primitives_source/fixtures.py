@@ -8,7 +8,8 @@ from colours import *
 from mjcf import Extent, Joint, Part, Site, density_for, document, number
 from shapes import box, capsule, colliding, cylinder, moved, octagon, slab, turned, visible
 
-# Density of the boards in kg/m³. They never move; the density only keeps their mass finite.
+# Density of the boards in kg/m³. It has no effect: the fixtures never move, and their moving parts
+# have masses of their own.
 DENSITY = 100
 
 # Extent of cabinets and of the stove, for the placement sampler.
@@ -44,7 +45,8 @@ def cabinet(body, front, handle):
 
 
 def drawer(level, bottom, region, front, handle):
-    """An open box behind a front with a bar handle; `bottom` is the height of the box's underside."""
+    """An open box behind a front with a bar handle; `bottom` is the height of the box's underside,
+    `region` that of the centre of the region inside."""
     top, grip = bottom + 0.0640, bottom + 0.0300
     bar = [(x, -0.1016, grip) for x in (-0.0473, 0.0417)]
     posts = [((x, -0.0780, grip), (x, -0.1016, grip)) for x in (-0.0356, 0.0292)]
@@ -99,7 +101,8 @@ def flat_stove():
 
 
 def microwave():
-    """An oven with its door hinged on the left; LIBERO's door and housing do not collide."""
+    """An oven with its door hinged on the left. As in LIBERO, door and housing do not collide with
+    each other."""
     side, back, floor, roof, depth = -0.1435, 0.0805, 0.0240, 0.1680, -0.0880
     housing = [
         box((-0.1725, depth, 0), (side, 0.1105, 0.1870), SOOT),

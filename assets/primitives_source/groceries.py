@@ -2,7 +2,7 @@
 
 Every entry gives the object's extent for the placement sampler and its mass. These
 facts and the overall dimensions are taken from LIBERO (the pack's README says how); the
-shapes are this pack's own. Lids, labels and stripes are drawn but do not collide.
+shapes are this pack's own. Labels and stripes are drawn but do not collide.
 """
 
 from colours import *

@@ -1,7 +1,8 @@
 """The household objects: dishes, mugs, pots, the bottle, the book, the basket.
 
-Every entry gives the folder, the mass and the extent for the placement sampler. These facts and the
-overall dimensions are LIBERO's (the pack's README says how); the shapes are this pack's own.
+Every entry gives the folder and the mass; the extent for the placement sampler is the same for all.
+These facts and the overall dimensions are LIBERO's (the pack's README says how); the shapes are
+this pack's own.
 """
 
 from colours import *
@@ -15,7 +16,8 @@ EXTENT = Extent(bottom=-0.06, top=0.04, radius=0.025)
 
 
 def dish(base, profile, thickness, facets, colour, bottom_colour=None):
-    """A round vessel: a square base inside a round bottom, and one wall per step of the profile.
+    """A round vessel: a square base that collides, a round bottom that is drawn, and a wall for
+    each step of the profile.
 
     `base` is (radius, bottom, top); `profile` is a list of (radius, height). A `bottom_colour` other
     than `colour` makes the edge between bottom and wall visible from above in flat light."""
