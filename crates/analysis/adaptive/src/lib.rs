@@ -4,7 +4,7 @@
 //! [`subsets`] finds the subsets of the axes that flip a configuration's outcome, and
 //! [`radii`] the radius at which success turns to failure. A search has points: subsets, or
 //! radii. [`Outcomes`] holds the outcomes of both campaigns by point, and each search has a
-//! function `next` that turns them into a [`Decision`].
+//! function `next` that returns a [`Decision`].
 //!
 //! The crate does no I/O: decisions and numbers are functions of the set of outcomes, whose
 //! order does not matter. The crate keeps no state, so that a decision may be repeated at any time:

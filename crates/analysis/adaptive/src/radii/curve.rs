@@ -14,10 +14,9 @@
 //!
 //! Intervals cover the band: from the lower end of an interval of its minimum to the upper
 //! end of an interval of its maximum, over resampled tasks. They hold for any position of
-//! the thresholds in their brackets and are never narrower than the brackets
-//! (J. L. Horowitz, C. F. Manski, Nonparametric analysis of randomized experiments with
-//! missing covariate and outcome data, Journal of the American Statistical Association 95
-//! (2000), 77–84).
+//! the thresholds in their brackets (J. L. Horowitz, C. F. Manski, Nonparametric analysis of
+//! randomized experiments with missing covariate and outcome data, Journal of the American
+//! Statistical Association 95 (2000), 77–84).
 
 use std::collections::BTreeMap;
 
@@ -65,8 +64,8 @@ pub struct Curve {
     pub censored: u64,
     /// Configurations that succeed again at a radius beyond a failure, including excluded ones.
     pub not_monotone: u64,
-    /// Points of the curve from radius 0 on, with linear interpolation between them. Empty
-    /// without a configuration.
+    /// Points of the curve from radius 0 on, with linear interpolation between them. Empty if `n`
+    /// is 0.
     pub points: Vec<Point>,
     /// Radius at which half of the configurations survive.
     pub half_success: HalfSuccess,
@@ -91,9 +90,9 @@ pub struct Point {
 /// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
-    /// Radius at which the curve crosses one half; `None` if fewer than half succeed
-    /// nominally, more than half survive up to the largest radius, or the condition perturbs
-    /// language, so that brackets are not narrowed.
+    /// Radius at which the curve crosses one half; `None` without a configuration, if fewer than
+    /// half succeed nominally, if more than half survive up to the largest radius, or if the
+    /// condition perturbs language, so that brackets are not narrowed.
     pub radius: Option<f64>,
     /// Range of the radius over all positions of the thresholds in their brackets; `None` without a
     /// configuration.
@@ -102,7 +101,7 @@ pub struct HalfSuccess {
     /// that possibly no more than half survive beyond radius 0; an upper end at the largest radius
     /// means that possibly half survive up to every smaller one.
     pub ci95: Option<Interval>,
-    /// Reason why there is no interval.
+    /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
 }
 

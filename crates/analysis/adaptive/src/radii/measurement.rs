@@ -182,8 +182,9 @@ fn single_axis(condition: Condition) -> AxisSet {
 /// worst case.
 ///
 /// The choice depends on the seed and the campaign's rows but on no outcome, so that it is a random
-/// sample. Configurations are taken in rounds, one per task, so that a small sample has many tasks,
-/// and with all conditions, so that conditions are compared over the same configurations.
+/// sample. Each round takes one configuration of every task, so that a small sample has many tasks.
+/// A configuration is taken with all its conditions, so that these are compared over the same
+/// configurations.
 fn sample(
     costs: &BTreeMap<Configuration, u32>,
     thresholds: &Thresholds,

@@ -31,7 +31,7 @@ impl Outcomes<Level> {
     }
 
     /// Returns the outcome of most results at a radius. Without a majority it is missing while a
-    /// rollout is pending, and quarantined otherwise. `None` if no rollout was requested.
+    /// rollout is pending, and quarantined otherwise. `None` if no campaign has a rollout there.
     pub fn at(&self, level: Level) -> Option<Outcome> {
         let tally = self.both(level);
         match tally.majority() {
@@ -42,8 +42,8 @@ impl Outcomes<Level> {
         }
     }
 
-    /// Returns the radii beyond 0 with a requested rollout and their outcomes, in ascending
-    /// order.
+    /// Returns the radii beyond 0 with a rollout in either campaign, and their outcomes, in
+    /// ascending order.
     pub fn perturbed(&self) -> impl DoubleEndedIterator<Item = (Level, Outcome)> {
         let perturbed = self.points().filter(|level| *level != Level::L0);
         perturbed.filter_map(|level| Some((level, self.at(level)?)))

@@ -18,14 +18,14 @@ pub struct Search {
     /// Largest width of a finished bracket, in units of radius; `None` if no radii between
     /// those of the grid exist.
     pub tolerance: Option<f64>,
-    /// Distance between the radii that can be run; `None` without such a restriction.
+    /// Distance between neighbouring radii that can be run; `None` for all conditions but latency.
     pub spacing: Option<f64>,
 }
 
 impl Search {
     /// Returns the search for the thresholds of a condition in a campaign of the given axes. A
     /// condition that perturbs language runs only at the protocol's levels, because only those have
-    /// paraphrases. Latency runs only at radii that are a whole number of control steps.
+    /// paraphrases. Latency runs only at radii whose delay is a whole number of control steps.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
         if condition == Condition::Latency {
             let spacing = 1.0 / STEPS_PER_RADIUS;
@@ -77,9 +77,9 @@ impl Search {
         self.grid.last().copied()
     }
 
-    /// Returns the upper bound of the number of rollouts of a ray whose outcomes at some
-    /// radii are supplied: the other radii of the grid, and the halvings of the widest bracket
-    /// that quarantined rollouts can leave.
+    /// Returns the upper bound of the number of further rollouts of a ray: the radii of the grid
+    /// for which `is_supplied` is false, and the halvings of the widest bracket that quarantined
+    /// rollouts can leave.
     pub fn most_rollouts(&self, is_supplied: impl Fn(Level) -> bool) -> u32 {
         let grid = self.grid.iter().filter(|level| !is_supplied(**level));
         let widest = self.largest().map_or(0.0, Level::radius);

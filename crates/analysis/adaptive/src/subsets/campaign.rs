@@ -22,8 +22,9 @@ use crate::source::decisive;
 /// of the explaining campaign decide.
 ///
 /// # Errors
-/// If the explained campaign perturbs fewer than two axes, `explained` has a rollout and replicate
-/// twice, or `explaining` perturbs an axis that the explained campaign lacks.
+/// If the explained campaign runs fewer than two axes alone, `explained` has the same replicate of
+/// a rollout twice, or `explaining` perturbs an axis that the explained campaign does not run
+/// alone.
 pub fn configurations(
     explained: &[Record],
     explaining: &[Record],
@@ -64,8 +65,8 @@ fn simultaneous(task: TaskRef, level: Level, config: u16) -> Option<RolloutId> {
 /// the axes itself.
 ///
 /// # Errors
-/// If the campaign perturbs fewer than two axes alone, has a subset with any other axis, or has the
-/// same rollout of replicate 0 twice, unless it is under a subset.
+/// If the campaign runs fewer than two axes alone, runs a subset with an axis that it does not run
+/// alone, or has replicate 0 of a rollout twice; a rollout under a subset may occur twice.
 pub fn own_configurations(
     records: &[Record],
 ) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {

@@ -14,8 +14,8 @@
 //!
 //! A *minimal* subset flips the outcome, while none of its proper subsets that
 //! were run and contain the start does. Every one of its axes is therefore needed,
-//! as far as the outcomes show. It is *established* if every such proper subset was
-//! run; [`MinimalSubset::open`] lists those that were not. Outcomes are never
+//! as far as the outcomes show. It is *established* if every proper subset that contains
+//! the start has a verdict; [`MinimalSubset::open`] lists those without. Outcomes are never
 //! inferred.
 //!
 //! Outcomes need not be monotone: camera and robot may fail while camera, robot and
@@ -57,7 +57,7 @@ pub struct Answer {
 }
 
 /// A subset that flips the outcome, while none of its proper subsets that were
-/// run does.
+/// run and contain the start does.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MinimalSubset {
     /// The axes, including those of the start.

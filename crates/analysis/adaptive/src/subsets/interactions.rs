@@ -71,8 +71,8 @@ pub struct Estimate {
     /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
     /// 95 % interval that holds simultaneously with the intervals of all other estimates of its
-    /// kind: Möbius interactions, Shapley values or pairs ([`max_t`]). Absent for success and
-    /// sizes, and if `ci95` is absent.
+    /// kind: Möbius interactions, Shapley values or pairs. Absent for success and sizes, if `ci95`
+    /// is absent, and if [`max_t`] returns `None`.
     pub simultaneous_ci95: Option<Interval>,
 }
 
