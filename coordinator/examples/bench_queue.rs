@@ -57,8 +57,8 @@ const CLAIM_WAIT: Duration = Duration::from_secs(30);
 #[derive(Default)]
 struct Measured {
     committed: AtomicU64,
-    /// Latency of each slot's first claim, when it holds no compiled scene and all slots claim at
-    /// once.
+    /// Latency of each slot's first claim, when it holds no compiled scene and all slots claim
+    /// within the duration of a rollout.
     first_claim_micros: Mutex<Vec<u64>>,
     /// Latencies of all later claims.
     claim_micros: Mutex<Vec<u64>>,
@@ -377,8 +377,8 @@ fn pin() -> Pin {
     }
 }
 
-/// Returns the report of a rollout with a random outcome. Its digests depend on the initial state
-/// only, and its realised values on the perturbation only, since the queue compares them.
+/// Returns the report of a rollout with a random outcome. Its digests depend only on task and
+/// initial state, and its realised values only on the perturbation, since the queue compares them.
 fn outcome(
     worker: &WorkerId,
     job: &Assigned,

@@ -46,7 +46,7 @@ pub struct Contents {
     pub campaign: String,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Outcomes of the source campaign; `None` if this campaign is not derived.
+    /// Outcomes of the source campaign; `None` if this campaign is not derived from another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
     /// Archives that were merged into this one; empty if `coordinator merge` did not write it.

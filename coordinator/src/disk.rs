@@ -7,12 +7,12 @@ use std::path::Path;
 /// more than a hundred rollouts.
 pub const DEFAULT_MIN_FREE_MIB: u64 = 256;
 
-/// Free space of a disk, and the space that leasing requires.
+/// Free space of a disk, and the space that is required there, by leasing or by an archive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
     /// Free space available to this user, bytes.
     pub free_bytes: u64,
-    /// Space that leasing requires, bytes.
+    /// Required space, bytes.
     pub needed_bytes: u64,
 }
 

@@ -119,7 +119,8 @@ impl Coordinator {
     /// leasing, finishes requests in progress and closes the database.
     ///
     /// # Errors
-    /// If the socket or the database fails, or a background task ends.
+    /// If the certificate or its key is invalid, the socket or the database fails, or a background
+    /// task ends.
     pub async fn serve(
         self,
         listener: TcpListener,

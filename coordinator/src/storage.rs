@@ -159,7 +159,7 @@ impl Storage {
     /// Uploads a file atomically and verifies the size of the stored object.
     ///
     /// # Errors
-    /// If the storage fails or the file cannot be read.
+    /// If the storage fails, the stored object has another size, or the file cannot be read.
     pub async fn put(&self, key: &str, file: &Path) -> Result<(), StorageError> {
         let unreadable = |source| StorageError::File {
             path: file.to_owned(),

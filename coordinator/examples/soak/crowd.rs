@@ -1,5 +1,5 @@
 //! Simulated workers: tasks of this process, with one connection per worker. A slot claims, sleeps
-//! for the duration of a rollout, and commits an outcome that is a hash of the rollout's
+//! for the duration of a rollout, and commits an outcome that depends on a hash of the rollout's
 //! configuration. Failed calls are retried.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -144,7 +144,7 @@ impl Crowd {
         [&self.refused, &self.failed, &self.films].map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// Returns true if no rollout has been running for [`IDLE_TIME`].
+    /// Returns true if during the last [`IDLE_TIME`] no rollout has run and no call has failed.
     pub(crate) fn is_finished(&self) -> bool {
         let idle = self.last_busy.lock().expect("no panic").elapsed();
         self.running.load(Ordering::Relaxed) == 0 && idle > IDLE_TIME
@@ -395,7 +395,7 @@ fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
     }
 }
 
-/// Returns the parameters of each perturbed axis, with one constant element.
+/// Returns the parameters of each perturbed axis but language, each with one constant element.
 fn realised(row: &str) -> Vec<wire::RealisedAxis> {
     let row: serde_json::Value = serde_json::from_str(row).expect("a row");
     let parameters = &row["perturb"];

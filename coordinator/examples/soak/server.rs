@@ -124,7 +124,7 @@ impl Server {
         Ok(printed.lines().next().unwrap_or_default().to_owned())
     }
 
-    /// Returns the status of the campaigns that are neither finished nor stopped.
+    /// Returns name and rollout counts of each campaign that is neither finished nor stopped.
     pub(crate) fn unfinished(&self, names: &[&str]) -> Result<Vec<String>> {
         let mut unfinished = Vec::new();
         for name in names {

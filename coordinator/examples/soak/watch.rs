@@ -223,7 +223,7 @@ async fn get(coordinator: &CoordinatorAccess, path: &str) -> Result<()> {
     );
     stream.write_all(request.as_bytes()).await?;
     let mut answer = Vec::new();
-    // A server that closes immediately may omit TLS's close_notify, which is an error here.
+    // A server that closes immediately may omit TLS's close_notify, whose absence fails the read.
     let _ = stream.read_to_end(&mut answer).await;
     match answer.starts_with(b"HTTP/1.1 200") {
         true => Ok(()),

@@ -108,10 +108,10 @@ impl Package {
     }
 
     /// Writes the archive to `out`; `archive` is its path in errors. The output is reproducible:
-    /// the same campaign in the same state gives the same bytes.
+    /// one release writes the same bytes for the same campaign in the same state.
     ///
     /// # Errors
-    /// If `out` fails, or a file has changed since it was listed.
+    /// If `out` fails, or a file cannot be read or has changed since it was listed.
     pub fn write(&self, out: impl Write, archive: &Path) -> Result<(), ArchiveError> {
         let write_error = |source| ArchiveError::Write {
             path: archive.to_owned(),

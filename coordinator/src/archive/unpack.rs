@@ -383,9 +383,10 @@ fn write(path: &Path, from: impl Read) -> Result<(u64, String), CopyError> {
     Ok(copied)
 }
 
-/// Returns true if `file` is a name that this program gives to films. Names of films of LIBERO's
-/// family and of suite files contain a colon. Any other extension is refused, since a browser could
-/// render the file as a page, and so is any other character, since it could form a path.
+/// Returns true if `file` has the form of the names that this program gives to films. Names of
+/// films of LIBERO's family and of suite files contain a colon. Any other extension is refused,
+/// since a browser could render the file as a page, and so is any other character, since it could
+/// form a path.
 fn is_film(file: &str) -> bool {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-:".contains(&byte);
     file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)

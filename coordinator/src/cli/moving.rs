@@ -195,8 +195,8 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     ))?)
 }
 
-/// Uploads an archive after `first_chunk`, which holds the names and no data. Every retry of the
-/// call starts from the beginning of the file.
+/// Uploads an archive after `first_chunk`, which holds the campaign's new name and the archive's
+/// name, but no data. Every retry of the call starts from the beginning of the file.
 async fn send(
     service: &mut Service,
     path: &Path,

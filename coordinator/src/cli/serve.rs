@@ -156,7 +156,7 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
             ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
             worker_alive: lease,
-            // If two successive sweeps are half a lease apart, the queue concludes that the
+            // If two successive sweeps are half a lease or more apart, the queue concludes that the
             // coordinator was suspended. Sweeps are therefore far more frequent.
             sweep: heartbeat.min(Timing::default().sweep),
         },

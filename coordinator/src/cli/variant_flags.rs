@@ -11,15 +11,15 @@ use terminal::number;
 use super::command::CommandError;
 use super::files::read_suite_file;
 
-/// Flags of a design, which conflict with `--suite`, `--manifest` and `--spec`.
+/// Flags of a design, which conflict with `--suite`, `--suite-file`, `--manifest` and `--spec`.
 #[rustfmt::skip]
 pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
     "placebo_radius", "placebo_configs",
 ];
 
-/// Flags that conflict with `--suite-file`: those for LIBERO-Plus, LIBERO-PRO and LIBERO-Para, and
-/// the other sources of rollouts.
+/// Flags that conflict with `--suite-file`, in addition to [`DESIGN_FLAGS`]: those for LIBERO-Plus,
+/// LIBERO-PRO and LIBERO-Para, and the other sources of rollouts.
 #[rustfmt::skip]
 const VARIANT_FLAGS: [&str; 10] = [
     "suite", "manifest", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",

@@ -243,7 +243,8 @@ fn heading(requested: RolloutId) -> String {
     )
 }
 
-/// Describes the effect of simultaneous perturbation; `None` while outcomes are missing.
+/// Describes the effect of simultaneous perturbation; `None` unless the outcomes under each axis
+/// alone and under all axes are known.
 fn transition(shown: &[ShownRollout], replicate: u32) -> Option<&'static str> {
     let records: Vec<Record> = shown
         .iter()

@@ -27,8 +27,8 @@ pub(super) struct LatticeView {
     pub(super) explaining: Option<Source>,
 }
 
-/// Reads the outcomes of a configuration; `None` if `requested` is a nominal rollout or the
-/// configuration has fewer than two axes.
+/// Reads the outcomes of a configuration; `None` if they form no lattice, for example because
+/// `requested` is a nominal rollout or the campaign has fewer than two axes.
 pub(super) async fn read(
     view: &mut View,
     campaign: &Campaign,

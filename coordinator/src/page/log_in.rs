@@ -25,7 +25,8 @@ pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
     }
 }
 
-/// Checks the token and redirects to the page that was requested before the login.
+/// Checks the token and redirects to the page that was requested before the login; shows the form
+/// again if the token is invalid.
 pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Response {
     if body.len() > MAX_FORM_BYTES {
         let message = "This text is longer than any token.";

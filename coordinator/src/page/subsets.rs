@@ -90,7 +90,8 @@ pub(super) async fn section(
     })
 }
 
-/// Renders a link between the measuring and the explaining campaign, if both exist.
+/// Renders a link from the shown campaign, which measures or explains the configuration, to the
+/// other one; nothing without an explaining campaign.
 fn sources(lattice: &LatticeView, shown: &Campaign) -> Markup {
     let link = |campaign: &Campaign| {
         let name = campaign.name.as_str();

@@ -425,7 +425,7 @@ async fn a_report_refused_by_the_database_affects_no_other_report() {
         .execute(&pool)
         .await;
     created.expect("a trigger");
-    // While this transaction is open, the reports wait for the next one.
+    // While this transaction is open, the reports wait, and then share the next transaction.
     let mut writing = pool
         .begin_with("BEGIN IMMEDIATE")
         .await

@@ -14,7 +14,8 @@ use tempfile::TempDir;
 use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
-/// For each invariant: a statement that violates it, and a word of the violation's description.
+/// For each invariant: its name, a statement that violates it, and a part of the violation's
+/// description.
 const BREACHES: [(&str, &str, &str); 20] = [
     (
         "file_is_whole",
