@@ -18,10 +18,10 @@ use super::command::{CommandError, Connection, usage};
 /// its policy is served.
 const DEADLINE: Duration = Duration::from_secs(3);
 
-/// Refuses a campaign under `overlap`, or with the latency axis, if its delays are at least as long
-/// as its policy's answers in one of the suites. Returns a warning if the policy cannot be reached:
-/// if its answers then turn out too short, the first rollout under the campaign's own `overlap`
-/// fails, while rollouts of the latency axis run with an arm that holds still.
+/// Refuses a campaign if every delay of one of its [`overlap_models`] is at least as long as the
+/// policy's answers in one of the suites. Returns a warning if the policy cannot be reached: if its
+/// answers then turn out too short, the first rollout under the campaign's own `overlap` fails,
+/// while rollouts of the latency axis run with an arm that holds still.
 pub(super) async fn check(
     spec: &CampaignSpec,
     suites: impl IntoIterator<Item = &str>,

@@ -65,7 +65,7 @@ pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     films
 }
 
-/// Rollout that shows the outcome under one subset; `is_filmed` if its video exists.
+/// Rollout that shows the outcome under one subset; `is_filmed` is true if its video exists.
 struct Film<'a> {
     source: &'a Source,
     id: RolloutId,

@@ -46,7 +46,7 @@ pub(super) async fn read(
     let Some(configuration) = requested.config().and_then(simultaneous) else {
         return Ok(None);
     };
-    // A thresholds campaign varies the radius of single conditions, so it yields no lattice.
+    // A campaign that explains no other one counts as the measuring campaign.
     let (measured, candidates) = match explanation(view, campaign).await? {
         None => (campaign.clone(), view.derived_campaigns(campaign.id).await?),
         Some(_) => match view.source(campaign.id).await? {

@@ -329,7 +329,7 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(worker.claim(64).await.len(), 5);
 }
 
-/// Campaigns that a worker cannot run are pinned to other assets or wait for their policy. They do
+/// A worker cannot run campaigns that are pinned to other assets or wait for their policy. They do
 /// not delay campaigns of lower priority.
 #[tokio::test]
 async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {

@@ -162,7 +162,7 @@ impl Repeats {
     /// decide, if `most` allows it: earlier looks would spend significance level and decide
     /// nothing.
     pub fn looks(&self, role: Role) -> Looks {
-        // A one-sided test at a level rejects as one side of a two-sided test at twice that level.
+        // A one-sided test at some level is one side of the two-sided test at twice that level.
         let level = match role {
             Role::Transition => 2.0 * self.error,
             Role::Further { subsets } => self.error / f64::from(subsets.max(1)),
