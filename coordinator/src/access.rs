@@ -4,13 +4,13 @@
 
 use transport::{Allowed, Resource, Role};
 
-/// Roles that may read everything.
+/// Roles that may read all pages and make the calls in [`READ_ONLY_CALLS`].
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
 pub(crate) const LOG_IN: &str = "/login";
 
 /// Path prefix of the worker service's calls.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
-/// Read-only calls of the operator service.
+/// Calls of the operator service that viewers may make, too. They change nothing.
 const READ_ONLY_CALLS: [&str; 8] = [
     "/rollout.coordinator.v1.OperatorService/ListCampaigns",
     "/rollout.coordinator.v1.OperatorService/GetCampaign",

@@ -16,9 +16,9 @@ use crate::reading::ReadError;
 const PAGE_ROWS: u32 = 1_000;
 
 /// Exported row: the reference's columns in its order, then optional columns: the replicate unless
-/// it is the first, the radius of a placebo, the execution model unless it is `wait`, the
-/// protocol of a variant of LIBERO's family, the goal's progress if the worker reported it, and a
-/// variant's prompt.
+/// it is the first, the radius of a placebo, the execution model unless it is `wait`, the protocol
+/// of LIBERO's family or of a suite file, the goal's progress if the worker reported it, and the
+/// prompt of a rollout with a protocol.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,
@@ -111,7 +111,7 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         goal_predicates: result.goal_predicates,
         goal_at_end: result.goal_at_end,
         goal_at_most: result.goal_at_most,
-        // The prompt of a rollout that is not a variant follows from its id.
+        // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
         prompt: result
             .prompt
             .as_deref()

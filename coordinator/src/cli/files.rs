@@ -11,8 +11,8 @@ use terminal::counted;
 
 use super::command::{CommandError, usage};
 
-/// Largest accepted specification or manifest, bytes: it must fit into one gRPC message to the
-/// coordinator.
+/// Largest accepted specification, manifest or suite file, bytes: it must fit into one gRPC message
+/// to the coordinator.
 const MAX_INPUT_BYTES: u64 = 24 << 20;
 
 /// Reads a text file; `-` is standard input.

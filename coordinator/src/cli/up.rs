@@ -30,7 +30,7 @@ use super::siblings::sibling;
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Width of the program name that prefixes each output line, columns.
 const NAME_COLUMNS: usize = 11;
-/// Default routes: the policies built into the gateway.
+/// Default routes: two of the policies that are built into the gateway.
 const BUILT_IN: [&str; 2] = ["student=builtin:student", "expert=builtin:expert"];
 
 /// Printed below the long help.
