@@ -415,8 +415,8 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
             (&cell["used"], &cell["configurations"]),
             (&json!(20), &json!(40))
         );
-        // In each of the twenty observed configurations, the outcomes differ by one. The outcomes
-        // of the other twenty configurations are unknown.
+        // In each of the twenty observed configurations, A succeeds and B fails. The outcomes of the
+        // other twenty configurations are unknown.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
         let after = cell["met_after"].as_u64().expect("a met rule");
