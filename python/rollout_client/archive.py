@@ -34,7 +34,7 @@ READ_BYTES = 1 << 20
 LIST, DATABASE = "archive.json", "coordinator.sqlite"
 #: Place that an error names if it is about bytes after the last member.
 END = "the end"
-#: Members of every archive, in order; all others are films.
+#: Members that follow LIST in every archive, in this order; all later members are films.
 MEMBERS = ("specification.json", "provenance.json", "report.json", DATABASE)
 #: File name of a film.
 FILM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.mp4")
@@ -74,10 +74,10 @@ class Rollout:
     task: str
     #: The instruction for the policy.
     instruction: str
-    #: Condition, as in rollout ids: `clean` (nominal), axes such as `camera` or `camera+robot`, or
-    #: `combination` (all axes).
+    #: Condition, as in rollout ids: `clean` (nominal), axes such as `camera` or `camera+robot`,
+    #: `combination` (all axes of the campaign), or `variant` (LIBERO's family or a suite file).
     axis: str
-    #: Level: `L0` for nominal rollouts and for rollouts of the placebo level.
+    #: Level: `L0` for nominal rollouts, variants, and rollouts of the placebo level.
     level: str
     success: bool
     #: Number of the policy's control steps.

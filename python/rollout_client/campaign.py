@@ -66,16 +66,16 @@ class Campaign:
             return
 
     def results(self) -> pd.DataFrame:
-        """Returns a row per committed rollout, by rollout id and replicate. `axis` and `level` are
-        the condition: `clean` and `L0` (nominal), axes, or `combination` (all axes). `config` is
-        missing for nominal rollouts. Only rollouts with a displaced robot have `ik_res_mm`, the
-        residual of the inverse kinematics, mm, and only rollouts that are perturbed at level `L0`
-        have `placebo_radius`.
-        `execution` is the execution model, `wait` unless the campaign names another.
+        """Returns a row per committed rollout, sorted by rollout id and replicate. `axis` and
+        `level` are the condition: `clean` and `L0` (nominal), axes, `combination` (all axes), or
+        `variant` and `L0` (of LIBERO's family or a suite file). `config` is missing for nominal
+        rollouts and variants, and only variants have `protocol` and `prompt`. Only rollouts with a
+        displaced robot have `ik_res_mm`, the residual of the inverse kinematics, mm, and only
+        rollouts of the placebo level have `placebo_radius`.
+        `execution` is the execution model, `wait` unless the campaign or its row sets another.
         `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
         and `goal_at_most` the largest number that held at one time; all three are missing in
-        results from workers of earlier releases. Only variants of LIBERO's family have `protocol`
-        and `prompt`."""
+        results from workers of earlier releases."""
         request = wire.ExportRequest(campaign=self._name)
         lines = self._connection.collect(self._connection.operator.Export, request)
         rows = ({"replicate": 0, "execution": "wait", **json.loads(line.json)} for line in lines)
@@ -90,8 +90,8 @@ class Campaign:
         condition: str | None = None,
         level: str | None = None,
     ) -> pd.DataFrame:
-        """Returns a row per rollout, in the order of creation: all conditions of a configuration
-        follow one another, except those that were added to the campaign later.
+        """Returns a row per job, in the order of creation: in each replicate, all conditions of a
+        configuration follow one another, except those that were added to the campaign later.
 
         state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
         task: `libero_object/0`, or a suite. condition and level: as in rollout ids.

@@ -63,8 +63,8 @@ class Connection:
         return answer
 
     def call(self, method: Callable[..., T], request: object) -> T:
-        """Calls until the coordinator answers or the time for retries is over.
-        All operator calls may be repeated safely. Raises CoordinatorError."""
+        """Calls until the coordinator answers, the time for retries is over, or a retry could not
+        help. All operator calls may be repeated safely. Raises CoordinatorError."""
         return self._with_retries(
             lambda: method(request, timeout=ANSWER_TIMEOUT, metadata=self.access.metadata)
         )

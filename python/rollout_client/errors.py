@@ -13,7 +13,7 @@ class SettingsError(CoordinatorError, ValueError):
 
 
 class UnreachableError(CoordinatorError, ConnectionError):
-    """No coordinator answers at the URL."""
+    """A call got no answer from a coordinator at the URL."""
 
     def __init__(self, url: str, found: str, remedy: str) -> None:
         super().__init__(f"failed to reach the coordinator at {url}: {found}; {remedy}")

@@ -1,5 +1,5 @@
-"""Conversion of rows to frames with typed columns: texts are `string`, outcomes are
-`boolean`, and instants are in UTC. Absent values become missing values of pandas."""
+"""Conversion of rows to frames with typed columns: texts are `string`, outcomes that may be missing
+are `boolean`, and instants are in UTC. Absent values become missing values of pandas."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ QUOTED_CHARS = 60
 #: HTTP statuses of a proxy that cannot reach its server.
 PROXY_STATUSES = ("502", "503", "504")
 #: Calls without side effects that identify a kind of server: only a coordinator implements the
-#: first, and only a policy server the second.
+#: first, and only a policy server or gateway the second.
 COORDINATOR_CALL = "/rollout.coordinator.v1.OperatorService/ListCampaigns"
 POLICY_CALL = "/rollout.policy.v1.Policy/Describe"
 #: Start of gRPC's message about an answer from a web server.
@@ -229,8 +229,8 @@ def _identify_grpc_server(access: Access) -> Finding:
 
 
 def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Finding:
-    """Returns True if a server has the method `path`, False if a gRPC server lacks the method, or a
-    description of a server of another kind."""
+    """Returns False if a gRPC server lacks the method `path`, a description of a web server that
+    answers, and True otherwise, even if the call fails."""
     call = opened.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
         call(b"", timeout=ANSWER_TIMEOUT, metadata=access.metadata)

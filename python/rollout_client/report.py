@@ -109,8 +109,8 @@ CELLS = {
 class Report:
     """Results of campaigns and result files so far.
 
-    Rates are fractions. The column `policy` holds the report's label of a policy: its name, and the
-    campaign's name, too, if several campaigns have a policy of that name.
+    Rates are fractions. The column `policy` holds the report's label of a policy: its name,
+    followed by that of the campaign or file if several of these have a policy of that name.
     """
 
     #: The whole report, as `coordinator report --json` prints it.

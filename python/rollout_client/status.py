@@ -12,7 +12,7 @@ from .proto import coordinator_pb2 as wire
 
 @dataclass(frozen=True)
 class Status:
-    """Status of a campaign, as `coordinator campaign status --json` prints it."""
+    """Status of a campaign, with the values that `coordinator campaign status --json` prints."""
 
     name: str
     #: The policy's name at its endpoint.
