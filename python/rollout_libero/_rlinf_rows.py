@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rollout_libero.training import Start, TrainingEnvironment
 
 Frames = dict[str, NDArray[np.uint8]]
-"""Frames of one row by key, row 0 at the bottom."""
+"""Frames of one environment by key; pixel row 0 is the bottom."""
 
 _CAMERAS = {"agentview": "agentview_image", "robot0_eye_in_hand": "robot0_eye_in_hand_image"}
 _READINGS = {
@@ -263,7 +263,7 @@ def as_array(actions: Any) -> NDArray[np.float64]:
 
 
 def assets_of_libero() -> str | None:
-    """Returns the asset pack of LIBERO's configuration, as in the shim."""
+    """Returns the asset pack that the package ``libero`` uses; None without that package."""
     try:
         from libero.libero import get_assets_path
     except ImportError:

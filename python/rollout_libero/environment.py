@@ -61,8 +61,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world
             frame: m, and axis times angle, rad), which cannot be combined with the actuation
             axis.
-        renderer: ``"software"``; ``"gl"`` or ``"gl:N"`` for OpenGL, of which each thread that
-            renders opens a context of its own.
+        renderer: ``"software"``; ``"gl"`` for OpenGL, or ``"gl:N"`` for OpenGL on device N, from
+            0. Each thread that renders opens an OpenGL context of its own.
 
     The reward is 1 in the successful step, which ends the rollout, and 0 in all other steps.
     ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.

@@ -106,7 +106,7 @@ def sources() -> Path:
 
 def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Path:
     """Returns the folder with the files of a wheel, which is fetched if they are missing.
-    `complete` is called with the unpacked files, before their folder is renamed to its final name.
+    `complete` is called with the folder of the unpacked files, before it gets its final name.
 
     Raises:
         FileNotFoundError: if it cannot be fetched.
@@ -176,7 +176,8 @@ def fetch_assets(
         The folder with the assets.
 
     Raises:
-        FilesError: if they cannot be fetched or written.
+        FileNotFoundError: if they cannot be fetched or written.
+        ValueError: if there is no such task.
     """
     chosen = all_tasks() if tasks is None else map(_task, tasks)
     folder, _, _ = native.fetch_assets(
