@@ -74,7 +74,7 @@ struct Task<'a> {
 struct Outputs<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
-    /// Per step: true if the goal holds after it. Empty if the first success ends the task.
+    /// Per step: true if the goal holds after it. Empty if steps end at the first success.
     successes: &'a mut [bool],
     /// Per step: action of the expert, if it is queried.
     expert_actions: &'a mut [[f64; WIDTH]],
@@ -429,7 +429,11 @@ fn exceeds_expert(added: &[f64; WIDTH]) -> bool {
     added[..3].iter().any(|value| value.abs() > 1.0)
 }
 
-/// Returns, row by row, true for each step at which the given action is added to the expert's. Checks the shape and the action frame.
+/// Returns, environment by environment, true for each step at which the given action is added to
+/// the expert's.
+///
+/// # Errors
+/// If the shape differs from `shape`, or actions are absolute.
 fn expert_drives(
     drives: &PyReadonlyArrayDyn<'_, bool>,
     shape: [usize; 2],

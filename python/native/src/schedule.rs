@@ -22,8 +22,8 @@ pub(crate) struct Schedule {
 
 #[pymethods]
 impl Schedule {
-    /// Creates the schedule of a rollout of `task` from an initial state, which executes `execute`
-    /// actions of each response; all of them by default. The gripper starts open.
+    /// Creates the schedule of a rollout of `task` from an initial state. `execute` is the number
+    /// of actions of each response that are executed; by default all. The gripper starts open.
     #[new]
     #[pyo3(signature = (execution, task, init_state, *, execute = None))]
     fn new(execution: &str, task: &str, init_state: u16, execute: Option<usize>) -> PyResult<Self> {

@@ -79,8 +79,8 @@ impl Start {
     /// and frames; `None` if the start has no manifest row.
     ///
     /// # Errors
-    /// If the task has no such initial state, objects cannot be placed, or the physics
-    /// diverges.
+    /// If `ready` is needed and missing, the task has no such initial state, a state has the wrong
+    /// length, objects cannot be placed, or the physics diverges.
     pub(crate) fn begin(
         &self,
         ready: Option<&ReadyScene>,
