@@ -36,7 +36,7 @@ class Folders:
         return paths.get_libero_path(query_key)
 
     def get_default_path_dict(self, custom_location: str | None = None) -> dict[str, str]:
-        """Returns the folder of each key. Raises ValueError for a custom location."""
+        """Returns the folder of each key. Raises ValueError for any location but the default."""
         self.set_libero_default_path(custom_location)
         keys = ("benchmark_root", "bddl_files", "init_states", "datasets")
         folders = {key: self.get_libero_path(key) for key in keys}

@@ -59,7 +59,7 @@ class _Array:
             content = content.text.encode("latin1")
         if not isinstance(content, bytes) or not isinstance(shape, tuple):
             raise ValueError("it is not a table of numbers")
-        # LIBERO-plus has files with a single state as a vector.
+        # LIBERO-Plus has files with a single state as a vector.
         if len(shape) not in (1, 2):
             raise ValueError(f"it has {len(shape)} dimensions")
         order = "F" if is_fortran else "C"

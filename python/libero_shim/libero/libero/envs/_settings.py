@@ -195,13 +195,13 @@ def _cameras(
 
 def _segmentations(given: Any, count: int) -> list[tuple[str, ...]]:
     """Returns the kinds of segmentation of each camera. All kinds of a flat list apply to every
-    camera, as in robosuite."""
+    camera whose entry in the list is not None, as in robosuite."""
     listed = _listed(given, count)
     if any(isinstance(kinds, (list, tuple)) for kinds in listed):
         by_camera = [() if kinds is None else tuple(_listed(kinds, 1)) for kinds in listed]
     else:
         all_kinds = tuple(dict.fromkeys(kind for kind in listed if kind is not None))
-        # A camera whose own entry is None has no segmentation, even if other entries are set.
+        # Cameras beyond the end of the list have all kinds.
         by_camera = [
             all_kinds if i >= len(listed) or listed[i] is not None else () for i in range(count)
         ]

@@ -45,8 +45,8 @@ def draw_numbers(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) 
 
 
 class SimulationHandle:
-    """Handle of a simulation of a BDDL file's scene, which is freed by `close`. All environments of
-    a scene share the compiled scene.
+    """Handle of a simulation of a BDDL file's scene. `close` frees the simulation. All environments
+    of a scene share the compiled scene.
 
     Raises FileNotFoundError if assets are missing; the message has the remedy.
     """

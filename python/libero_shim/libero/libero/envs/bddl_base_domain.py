@@ -204,8 +204,8 @@ class BDDLBaseDomain:
         )
 
     def check_contact(self, geoms_1: Any, geoms_2: Any = None) -> bool:
-        """Returns True if geoms touch: names, lists of names, or objects.
-        Without a second group, any contact of the first group counts."""
+        """Returns True if a geom of the first group touches one of the second group or, without a
+        second group, anything. A group is a name, several names, or an object."""
         first = _geoms(geoms_1)
         second = None if geoms_2 is None else _geoms(geoms_2)
         names = self.sim.model.geom_names

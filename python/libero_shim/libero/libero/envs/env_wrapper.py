@@ -208,8 +208,8 @@ class OffScreenRenderEnv(ControlEnv):
 
 
 class SegmentationRenderEnv(OffScreenRenderEnv):
-    """A task whose cameras also label each pixel. The labels of a segmentation by `instance` are
-    the numbers in `instance_to_id`; label 0 is the room."""
+    """A task whose cameras also label each pixel. In a segmentation by `instance`, `instance_to_id`
+    has the labels of objects, fixtures and arm; larger labels are mount and gripper, 0 the room."""
 
     def __init__(
         self,
