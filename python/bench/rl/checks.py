@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from stand_ins import prepare
 
-#: Largest number of recorded control steps.
+#: Largest number of control steps that the expert has for a task.
 MAX_STEPS = 300
 #: Largest difference of a reading (rad or m) before the robot first touches anything.
 TOLERANCE = 1e-9

@@ -3,11 +3,11 @@ simulator in turn, and prints a table in Markdown. Needs no network and no build
 
     python compare.py --original FOLDERS --shim FOLDERS --out FOLDER
 
-`FOLDERS` are entries of PYTHONPATH, separated by colons: of robosuite 1.4.0 and rlinf-libero or
-hf-libero, and of the wheels of this project. RLinf and the packages that both simulators need may
-be in either `FOLDERS`, or installed in Python's environment. The original uses LIBERO_CONFIG_PATH,
-and rollout_libero uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are written after every run, so
-that an interrupted comparison keeps the results of its complete runs.
+`FOLDERS` are entries of PYTHONPATH, separated by colons: those of `--original` hold robosuite 1.4.0
+and rlinf-libero or hf-libero, those of `--shim` this project's wheels. RLinf and the packages that
+both simulators need must be in both `FOLDERS`, or installed in Python's environment. The original
+uses LIBERO_CONFIG_PATH, and rollout_libero uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are
+written after every run, so that an interrupted comparison keeps the results of its complete runs.
 
 Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
 a chunk. S, the shim with every frame read. S+, the shim with only the last frames of chunks read:

@@ -53,7 +53,7 @@ def main() -> None:
 def record(task: str, each: int, folder: Path) -> None:
     """Writes the trajectories of a task: actions [rows, steps, 7], readings [rows, steps, …],
     success [rows, steps], and ends [rows]: the number of steps of each row, which ends
-    `AFTER_SUCCESS` steps after its success."""
+    `AFTER_SUCCESS` steps after its first success, at the latest with the task's budget."""
     from rollout_libero._library import native
     from rollout_libero.tasks import Task
     from rollout_libero.training import LOADS, Start, TrainingEnvironment
