@@ -232,7 +232,7 @@ def test_corruptions_of_pictures_equal_the_originals() -> None:
 
 
 def picture_of_the_recordings(side: int) -> Any:
-    """Returns the picture of `corruptions.py`: flat squares above, a gradient and noise below."""
+    """Returns the picture of `corruptions.py`: flat tiles above, a gradient and noise below."""
     noise = np.random.RandomState(side).randint(0, 256, size=(side, side, 3))
     rows, columns = np.mgrid[0:side, 0:side]
     block = (rows // 8) * (side // 16) + columns // 16

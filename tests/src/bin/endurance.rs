@@ -1,7 +1,7 @@
 //! Leak test: measures memory over many short rollouts in one process. There are more
 //! tasks than cached scenes, so that scenes and their textures are constantly created
-//! and dropped. Exits with 1 if memory grows after the warm-up, or the number of threads or
-//! open files changes.
+//! and dropped. Exits with 1 if memory grows by more than 5 % after the warm-up, or the number of
+//! threads or open files changes.
 //!
 //! With a software renderer, textures and buffers are in this process's memory and
 //! are counted; with a GPU driver, check the memory that the driver reports.

@@ -18,7 +18,8 @@ pub(super) fn faketime() -> Option<PathBuf> {
     libraries.find(|library| library.is_file())
 }
 
-/// Returns a command prefix that runs a program without write access to a folder.
+/// Returns a command prefix that runs a program without write access to a folder; `None` if this
+/// process is root's and cannot run programs as another user.
 pub(super) fn without_write_access(folder: &Path) -> Option<Command> {
     let id = Command::new("id").arg("-u").output().expect("id runs");
     if id.stdout.trim_ascii() != b"0" {

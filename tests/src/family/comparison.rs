@@ -40,10 +40,10 @@ pub struct Findings {
     pub states: f64,
     /// Largest difference of the compiled pose of `agentview`; `None` if it was not recorded.
     pub camera: Option<f64>,
-    /// True if the generator's next number is the same; `None` if it was not recorded.
+    /// True if the generator's next number is the recorded one; `None` if it was not recorded.
     pub draw: Option<bool>,
-    /// True if prompt and sentence are the same; `None` if no prompt was recorded or the file with
-    /// the sentence is missing.
+    /// True if prompt and sentence equal the recorded ones; `None` if no prompt was recorded or the
+    /// file with the sentence is missing.
     pub prompt: Option<bool>,
     /// `None` if there is no recorded picture.
     pub frames: Option<FrameFindings>,
@@ -122,7 +122,8 @@ impl Comparison {
         })
     }
 
-    /// Compares a case, unless its files are missing.
+    /// Compares a case. Returns [`Skipped`] if its files are missing, or its variant is not one of
+    /// the benchmark's.
     ///
     /// # Errors
     /// If the recording belongs to no case, or the case cannot be run.

@@ -9,7 +9,8 @@ use super::frames::{FrameFindings, FrameLimits, RendererRelation};
 pub struct Limits {
     /// Model arrays, relative.
     pub arrays: f64,
-    /// Joint positions after every smooth step, m or rad.
+    /// Joint positions after loading, settling and every smooth step, and in contact-rich steps
+    /// while the original is insensitive, m or rad.
     pub smooth: f64,
     /// Observed readings, in their own units.
     pub observed: f64,
