@@ -16,8 +16,9 @@ A comparison of two policies has a "name" and "compared": per row, its "name", "
 "difference", "progress" and "pairs": [suite, task, number, A, B, [goal of A, of B],
 [steps of A, of B]], where a goal is [predicates that held, predicates].
 
-Prints how many figures agree; fails with the names of those that do not. Shares no code with the
-crate `paired`; the formulas are those of docs/REPORT.md. Variances up to 1e-24 count as zero.
+Prints how many figures agree; fails if any does not, and names at most 20 of those. Shares no code
+with the crate `paired`; the formulas are those of docs/REPORT.md. Variances up to 1e-24 count as
+zero.
 """
 
 import json
@@ -70,7 +71,7 @@ class Sample:
 
     def leave_out(self, strata):
         """Returns the sums after leaving out each group, with the rest of its stratum scaled by
-        g / (g - 1), and the number g of groups in each stratum."""
+        g / (g - 1), and the number g of groups in each stratum; None if a stratum has one group."""
         if any(len(groups) < 2 for groups in strata):
             return None
         total, parts = self.x.sum(axis=0), []

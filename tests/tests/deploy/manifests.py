@@ -1,7 +1,8 @@
 """Checks Kubernetes manifests against the API's schemas, and against each other.
 
 `manifests.py FILE…` prints one line per fault and exits with status 1 if there are any. Otherwise
-it prints each container's command line as JSON, and then the kinds that have no schema.
+it prints each container's command line as JSON, and then the kinds that have no schema and the
+number of resources.
 """
 
 import json
