@@ -88,8 +88,9 @@ class Rollout:
     #: Position of the end-effector at rest and after each step: steps + 1 rows of x, y, z, m, in
     #: the world frame, rounded to 0.1 mm; float32. Empty if the archive lacks it.
     path: np.ndarray[Any, np.dtype[np.float32]]
-    #: The policy's actions: seven numbers per step, clipped to [-1, 1] in matched campaigns;
-    #: float32. Empty unless the campaign records transitions.
+    #: The robot's commands, before the actuation axis distorts them: seven numbers per step,
+    #: clipped to [-1, 1] in matched campaigns; float32. Empty unless the campaign records
+    #: transitions.
     actions: np.ndarray[Any, np.dtype[np.float32]]
     #: Film with a picture at rest and one after each step; None if there is no film.
     film: Path | None

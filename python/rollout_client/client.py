@@ -114,7 +114,8 @@ class Client:
         return Forecast.of(rollouts, answer)
 
     def workers(self) -> pd.DataFrame:
-        """Returns a row per worker, including workers that have ended, latest calls first."""
+        """Returns a row per worker, including workers that have ended, latest calls first; at most
+        1,000 rows."""
         answer = self._connection.call(
             self._connection.operator.ListWorkers, wire.ListWorkersRequest()
         )
