@@ -23,8 +23,7 @@ def main() -> None:
     parser.add_argument("task", nargs="?", default="libero_goal/8")
     parser.add_argument("--rows", nargs="+", type=int, default=[16, 48])
     flags = parser.parse_args()
-    # A first row, which is not counted, loads the libraries and the scene, and allocates each
-    # thread's buffers.
+    # A first row, which is not counted, loads the libraries and the scene.
     kept_alive = [_rows(flags.task, 1)]
     before = pss_mib()
     for count in flags.rows:

@@ -96,7 +96,7 @@ impl PlusVariant {
     }
 }
 
-/// Returns LIBERO's problem class whose code a class of LIBERO-Plus uses. For a class of LIBERO,
+/// Returns the problem class of LIBERO that a class of LIBERO-Plus copies. For a class of LIBERO,
 /// returns that class; for any other name, `None`.
 #[pyfunction]
 pub(crate) fn plus_problem_parent(problem: &str) -> Option<&'static str> {
