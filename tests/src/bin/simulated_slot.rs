@@ -1,6 +1,6 @@
 //! A simulated slot: handles a slot's commands, sends its events and queries the real
-//! policy over the real protocol, but runs no physics. Its outcomes depend only on the
-//! rollout's id and the policy's actions, so that a campaign must give the same
+//! policy over the real protocol, but runs no physics. By default, its outcomes depend only
+//! on the rollout's id and the policy's actions, so that a campaign must give the same
 //! results under any faults. For tests of faults and of the live page, which do not
 //! need MuJoCo; its results are meaningless.
 //!

@@ -378,7 +378,7 @@ fn number_of_task(name: &str) -> Result<usize> {
     Ok(number.parse()?)
 }
 
-/// LIBERO-Para numbers the tasks of libero_goal alphabetically.
+/// Returns the task of a file of LIBERO-Para, which numbers libero_goal's tasks alphabetically.
 fn task_of_sentence(name: &str) -> Result<TaskRef> {
     let mut tasks: Vec<TaskRef> = Suite::Goal.tasks().collect();
     tasks.sort_by_key(|task| task.name());

@@ -53,7 +53,7 @@ impl RendererRelation {
         }
     }
 
-    /// Returns the limits, whose measurements are in docs/FIDELITY.md.
+    /// Returns the limits; docs/FIDELITY.md has the measurements behind them.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),
