@@ -12,7 +12,7 @@ pub(crate) type Generator<'py> = (String, Bound<'py, PyArray1<u32>>, usize, i32,
 /// Converts a state to a generator.
 ///
 /// # Errors
-/// If the state is of another generator or has the wrong size.
+/// If the state is of another generator, or its key or position is invalid.
 pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> PyResult<LegacyRng> {
     let wrong = |problem: String| {
         invalid(format_args!(
