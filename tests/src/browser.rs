@@ -114,7 +114,7 @@ impl Browser {
     /// Evaluates a JavaScript expression on the page.
     ///
     /// # Panics
-    /// If the expression throws.
+    /// If the expression throws or the page navigates meanwhile.
     pub fn value(&mut self, expression: &str) -> Value {
         let value = self.try_value(expression);
         value.unwrap_or_else(|error| panic!("{expression}: {error}"))

@@ -119,8 +119,8 @@ struct PathUse {
 }
 
 impl PathUse {
-    /// Resolves the path from a module to another file and the item used; `None` if it does
-    /// not lead to another file.
+    /// Resolves the path from a module to another file and the item used; `None` if it does not
+    /// lead to another file, or re-exports an item of a child.
     fn resolve(
         &self,
         module: &Module,

@@ -92,7 +92,7 @@ impl Session {
     /// Runs a command to its end or, for a server, until it is ready.
     ///
     /// # Errors
-    /// If the command fails or times out, or a server exits.
+    /// If the command fails or times out, or a server exits before it is ready.
     pub fn run(&mut self, command: &str) -> Result<(), Failure> {
         if runs_until_stopped(command) {
             return self.start_server(command);

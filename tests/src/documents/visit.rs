@@ -24,7 +24,7 @@ pub fn run_page(page: &str) {
 /// output. Continues after a failure if the shell is still usable.
 ///
 /// # Panics
-/// If the page cannot be read.
+/// If `text` cannot be parsed or names an unknown requirement.
 pub fn failures(page: &str, text: &str) -> Vec<String> {
     let steps = steps(text).unwrap_or_else(|error| panic!("{page}, {error}"));
     let folder = Folder::make();
