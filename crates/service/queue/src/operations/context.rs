@@ -32,8 +32,8 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// True if the transaction settles a job, after which derived campaigns may grow and a campaign
-    /// may stop early.
+    /// True if derived campaigns may grow or a campaign may stop early after the transaction, for
+    /// example because it settles a job.
     pub(super) settles: bool,
 }
 
@@ -100,8 +100,8 @@ impl<'a> Context<'a> {
         Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
     }
 
-    /// Restores the lease of an attempt whose worker was cut off and has reconnected, if possible.
-    /// Returns the lease.
+    /// Restores the lease of an attempt whose worker was cut off and has reconnected. Returns the
+    /// lease; `None` if the attempt cannot be resumed.
     pub(super) async fn resume(
         &mut self,
         attempt: &NamedAttempt,

@@ -1,7 +1,8 @@
-//! Campaigns that derive from others: jobs are added as the outcomes of the source arrive.
+//! Campaigns that derive from others: jobs are added once all rollouts of the source are settled,
+//! and then as the outcomes of the campaign's own jobs arrive.
 //!
 //! Derived jobs are a pure function of the outcomes, and jobs are only ever added. They are
-//! therefore recomputed after every settled job and at every start, which also repairs interrupted
+//! therefore recomputed after jobs settle and at every start, which also repairs interrupted
 //! work. A campaign is skipped if its own outcomes and its source's are unchanged since the last
 //! pass, so that a pass reads one row for a finished campaign.
 
@@ -173,7 +174,7 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     spec.doing("read a campaign's specification")
 }
 
-/// Computes the subsets of axes to run in order to explain a transition.
+/// Computes the rollouts under subsets of axes that are to explain the source's transitions.
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -218,7 +219,7 @@ async fn subsets(
     Ok(rollouts)
 }
 
-/// Computes the radii to run in order to find thresholds.
+/// Computes the rollouts at further radii that are to locate thresholds.
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -242,8 +243,8 @@ async fn radii(
     rollouts.doing("derive rows at other radii")
 }
 
-/// Returns the records of a campaign's source, all of whose rollouts are settled. The records are
-/// cached; they are read again if some rollouts have come back from quarantine.
+/// Returns the records of the source of a derived campaign. All rollouts of the source are settled,
+/// so the records are cached; they are read again if rollouts have come back from quarantine.
 async fn source_records(
     tx: &mut SqliteConnection,
     campaign: &Derived,

@@ -54,7 +54,7 @@ impl Queue {
     /// Removes a video from the data folder, if its file is still the one that was listed.
     ///
     /// # Errors
-    /// If the film cannot be removed.
+    /// If the file's metadata cannot be read, or the file cannot be removed.
     pub async fn remove_local_film(&self, film: &LocalFilm) -> io::Result<FilmRemoval> {
         let _guard = self.shared.files.lock().await;
         match identity(&film.file) {

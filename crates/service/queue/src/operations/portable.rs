@@ -140,7 +140,7 @@ impl Portable {
     }
 
     /// Begins a read-only view of the database, at the instant of the campaign's creation: a copy
-    /// has no workers or leases whose ages would matter.
+    /// has neither live workers nor leases, so ages do not matter.
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
         let settled = Arc::new(SettlementWatch::new());
@@ -209,7 +209,7 @@ impl Queue {
     /// if the specification is not of a derived campaign.
     ///
     /// # Errors
-    /// If the database fails.
+    /// If this coordinator lacks the source campaign, or the database fails.
     pub async fn source_outcomes(&self, spec: &str) -> Result<Option<SourceOutcomes>, QueueError> {
         let Some(source) = source_of(spec)? else {
             return Ok(None);
@@ -230,8 +230,8 @@ impl Queue {
     /// jobs by state.
     ///
     /// # Errors
-    /// If the name is taken, the campaign's source is missing or has other outcomes, or the
-    /// database or disk fails; in these cases nothing has changed.
+    /// If the name is taken, the campaign's source is missing or has other outcomes or step
+    /// budgets, or the database or disk fails. The campaign is then not added.
     pub async fn adopt(
         &self,
         from: &Portable,
@@ -488,7 +488,7 @@ pub(super) async fn copy_into(
     Portable::from_store(store).await
 }
 
-/// Returns the name of the campaign that a specification derives from.
+/// Returns the name of the campaign that a specification derives from, if there is one.
 pub(super) fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     let spec = CampaignSpec::from_json(spec).map_err(undecodable);
     let spec = spec.doing("read a campaign's specification")?;

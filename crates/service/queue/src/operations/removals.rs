@@ -1,5 +1,5 @@
-//! Removal of files of deleted campaigns. A failed removal is logged and retried: local files at
-//! the next start, remote ones continuously.
+//! Removal of files of deleted campaigns. A failed removal is logged and retried: continuously if
+//! there is remote storage, otherwise at the next start.
 
 use std::io::ErrorKind;
 

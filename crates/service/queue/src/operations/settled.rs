@@ -52,8 +52,8 @@ impl SettlementWatch {
         self.processed.load(Ordering::SeqCst)
     }
 
-    /// Returns true if no transaction has settled jobs since `processed` was read, so that a view
-    /// read in between is complete. To be called after the view was read.
+    /// Returns true if `processed` counts all settling transactions that have begun so far. A view
+    /// that began after `processed` was read then holds all jobs that derive from its outcomes.
     pub(crate) fn is_current(&self, processed: u64) -> bool {
         self.begun.load(Ordering::SeqCst) == processed
     }

@@ -37,7 +37,8 @@ pub struct CampaignStatus {
     pub campaign: Campaign,
     /// Numbers of the campaign's jobs, by state.
     pub counts: Counts,
-    /// Reason why the campaign's policy is paused; `None` if it is not paused.
+    /// Reason why the campaign's policy is paused, kept while a probe tries it; `None` if the policy
+    /// is available.
     pub policy_pause_reason: Option<String>,
     /// Time until a probe tries the paused policy again; `None` if it is not paused or a probe is
     /// running.
@@ -49,7 +50,8 @@ pub struct CampaignStatus {
     pub eta_secs: Option<f64>,
     /// Live workers that meet the campaign's requirements and its pin.
     pub live_workers: u32,
-    /// Reason why no job is leased although jobs wait; empty otherwise.
+    /// Reason why no job is leased although jobs wait, or why a derived campaign has no jobs to run
+    /// yet; empty if there is no such reason.
     pub waiting_reason: String,
     /// Mix of fingerprints among the campaign's results; `None` unless there are several.
     pub fingerprints: Option<Fingerprints>,
@@ -106,7 +108,8 @@ impl View {
         campaigns::spec(self.tx(), campaign.id).await
     }
 
-    /// Returns the early stop of a campaign; `None` for a campaign that always runs to its end.
+    /// Returns a campaign's stop rule, and the point at which the campaign stopped; `None` without
+    /// a rule.
     pub async fn early_stop(
         &mut self,
         campaign: &Campaign,

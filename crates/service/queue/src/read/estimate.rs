@@ -35,7 +35,8 @@ pub struct Speed {
     pub results: u64,
     /// Mean time of one rollout, by part.
     pub spent: Spent,
-    /// Rate on the workers of the forecast; `None` if a worker does not report its number of cores.
+    /// Rate on the workers of the forecast; `None` if a worker does not report its number of cores,
+    /// or the results took no processor time.
     pub rate: Option<Rate>,
     /// Seconds that the rollouts take with [`Rate::enough_slots`]; further slots do not raise the
     /// rate.

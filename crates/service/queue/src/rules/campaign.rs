@@ -46,7 +46,7 @@ impl CampaignState {
     /// Returns the state after a change, which may be the same state.
     ///
     /// # Errors
-    /// If the campaign is cancelled or stopped, which is final.
+    /// If the campaign is stopped, or is cancelled and the change is not another `Cancel`.
     pub fn after(self, change: Change, now: UnixMillis) -> Result<Self, EndedIsFinal> {
         match (self, change) {
             (CampaignState::Running { .. }, Change::Resume)

@@ -58,8 +58,8 @@ pub fn choose_task(waiting: &[WaitingTask]) -> Option<&WaitingTask> {
         .min_by_key(|candidate| (candidate.leased, candidate.first_unit))
 }
 
-/// Returns the tasks that contain the next `jobs` jobs of a campaign leased in job order. The first
-/// waiting job of every other task comes after all of these jobs.
+/// Returns the tasks whose first waiting jobs come first, up to `jobs` tasks. They contain the next
+/// `jobs` jobs of a campaign leased in job order: every other task's jobs come after these.
 pub fn first_tasks(mut waiting: Vec<WaitingTask>, jobs: usize) -> Vec<String> {
     waiting.sort_by_key(|task| task.first_unit);
     let first = waiting.into_iter().take(jobs);

@@ -21,9 +21,9 @@ pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
 /// From this number on, each attempt of a job that is cut off with its worker (whose heartbeats
 /// stopped) is followed by a back-off, so that other jobs get the remaining workers.
 pub const SILENCES_UNTIL_BACKOFF: u32 = 3;
-/// Attempts of one job that were cut off with their worker after which the job is quarantined,
-/// since it probably crashes its workers: otherwise, network failures would have to hit this job
-/// that often, each lasting until the worker counts as gone.
+/// Attempts of one job that were cut off with their worker after which the job is quarantined, if
+/// they ran on enough machines ([`MIN_MACHINES_TO_QUARANTINE`]). The job then probably crashes its
+/// workers: so many network failures, each as long as a lease, are unlikely to hit one job.
 pub const MAX_SILENCES: u32 = 10;
 /// From this number on, each attempt of a job that loses its policy is followed by a back-off, so
 /// that other jobs run while the policy is available.
@@ -186,7 +186,7 @@ pub struct Suspicion {
 pub struct CutOff {
     /// Number of the attempt within its job.
     pub number: AttemptNumber,
-    /// The lease as it was granted; its `expires` is past.
+    /// The lease; its `expires` is the instant at which the attempt ended.
     pub lease: Lease,
 }
 

@@ -23,7 +23,7 @@ pub enum Standing {
     /// Still to be run.
     #[default]
     Open,
-    /// Quarantined after too many attempts.
+    /// Quarantined: too many attempts failed, or an operator skipped the rollout.
     Quarantined,
     Committed(OutcomeKey),
 }

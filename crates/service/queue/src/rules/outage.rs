@@ -2,8 +2,8 @@
 //! automatically. A policy is one name at one endpoint; other policies are not affected.
 //!
 //! After an outage, or several invalid answers in a row, the policy's jobs wait for a back-off.
-//! Then one job, the probe, is leased. Its first answered query resumes the other jobs; another
-//! failure doubles the back-off.
+//! Then one job, the probe, is leased. Its first answered query resumes the other jobs; if it fails
+//! because of the policy, the next back-off is twice as long, up to a limit.
 
 use rand_chacha::rand_core::Rng;
 use rollout_types::{AttemptId, Waits};
@@ -35,7 +35,7 @@ pub enum PolicyState {
     Paused {
         /// Earliest instant of a probe.
         resume: UnixMillis,
-        /// Error that the last attempt reported.
+        /// Error because of which the policy was paused.
         reason: String,
     },
     /// One job, the probe, is leased; the others wait.

@@ -142,8 +142,8 @@ fn must_share(axis: Axis, mode: Realisation, first: &RolloutId, second: &Rollout
 /// Compares first frames. For one scene and initial state, the axes in `IN_FIRST_FRAME` determine
 /// the policy's first observation. It is therefore equal in all replicates of a rollout, and in the
 /// nominal rollout and the rollouts that perturb only actions or the instruction. Frames are
-/// compared bit by bit, and only between results whose fingerprint and realised values have the
-/// same bits.
+/// compared bit by bit, and only between results with the same renderer, fingerprint and policy, in
+/// which the realised values of these axes have the same bits.
 fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
     if result.digests.first_frame.is_empty() {
         return None;

@@ -20,8 +20,8 @@ pub(crate) struct ArtifactOwner {
     pub(crate) replicate: u32,
 }
 
-/// Returns the rollout whose outcome was committed by this attempt; `None` while its campaign is in
-/// `passage`, that is, being inserted or deleted in batches.
+/// Returns the rollout whose outcome was committed by this attempt; `None` if there is none, or its
+/// campaign is in `passage`, that is, being inserted or deleted in batches.
 pub(crate) async fn owner(
     tx: &mut SqliteConnection,
     attempt: AttemptId,

@@ -19,7 +19,7 @@ pub(crate) struct Derived {
     pub(crate) spec: String,
     /// Number of jobs of `campaign` so far.
     pub(crate) jobs: i64,
-    /// Number of the source's jobs without an outcome; 0 if the source has stopped early.
+    /// Number of the source's jobs that are not settled; 0 if the source has stopped early.
     pub(crate) unsettled: i64,
     /// Revision of the outcomes of `campaign`: equal revisions mean equal outcomes.
     pub(crate) revision: i64,
@@ -37,8 +37,8 @@ pub(crate) struct SourceEdition {
     has_stopped: bool,
 }
 
-/// SQL for the number of jobs of `d`'s source that still lack an outcome; 0 if the source has
-/// stopped early. Reads one row of `tally`.
+/// SQL for the number of jobs of `d`'s source that are not settled; 0 if the source has stopped
+/// early. Reads one row of `tally`.
 macro_rules! unsettled {
     () => {
         "(SELECT iif(EXISTS (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
@@ -114,9 +114,9 @@ pub(crate) async fn source(
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
     pub name: CampaignName,
-    /// Rollouts of the source that still lack an outcome; no rollout is derived until this is 0.
+    /// Rollouts of the source that are not settled; no rollout is derived until this is 0.
     pub awaited: u32,
-    /// True if the outcomes will never arrive, because the source is cancelled.
+    /// True if the source is cancelled, so that awaited rollouts will never be settled.
     pub is_cancelled: bool,
 }
 
@@ -152,7 +152,7 @@ pub(crate) async fn derived_names(
     .doing("list the campaigns derived from a campaign")
 }
 
-/// Returns the known outcomes of a campaign's jobs.
+/// Returns all jobs of a campaign with their outcomes so far, by rollout id, then replicate.
 pub(crate) async fn outcomes(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -169,7 +169,7 @@ pub(crate) async fn outcomes(
     .doing("read a campaign's outcomes")
 }
 
-/// Returns the manifest rows of a campaign's rollouts, JSON.
+/// Returns the manifest rows of those of the named rollouts that a campaign has, JSON.
 pub(crate) async fn rows(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -485,8 +485,8 @@ pub(crate) async fn last_without_policy(
     .doing("find a job's last failure to reach its policy")
 }
 
-/// Returns true if another job of the policy waits that has lost the policy fewer than `losses`
-/// times.
+/// Returns true if another job of the policy waits in a running campaign and has lost the policy
+/// fewer than `losses` times.
 pub(crate) async fn has_other_waiting(
     tx: &mut SqliteConnection,
     policy: PolicyId,

@@ -27,7 +27,7 @@ struct TableCopy {
     table: &'static str,
     /// The `FROM` clause; the copied rows have the alias `s`.
     from: &'static str,
-    /// Columns with a changed value; NULL stands for a new row number.
+    /// Columns with a changed value, and its SQL; NULL as an `id` makes a new row number.
     values: &'static [(&'static str, &'static str)],
     /// SQL that follows the `FROM` clause.
     tail: &'static str,

@@ -125,7 +125,8 @@ pub(crate) async fn insert_divergence(
 }
 
 /// Returns the committed rollouts of an initial state, in the campaign and in its source. Of
-/// replicates with equal renderer, fingerprint and policy, only the first is returned.
+/// replicates with equal renderer, fingerprint and policy, returns only the first with a first
+/// frame, and the first without.
 pub(crate) async fn siblings(
     tx: &mut SqliteConnection,
     state: &InitialState,

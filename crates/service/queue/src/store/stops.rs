@@ -99,7 +99,8 @@ pub(crate) async fn stop(
         .map(drop)
 }
 
-/// Returns the early stop of a campaign; `None` for a campaign that always runs to its end.
+/// Returns a campaign's stop rule, and the point at which the campaign stopped; `None` without a
+/// rule.
 pub(crate) async fn early_stop(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
