@@ -151,7 +151,7 @@ impl Queue {
         Changes::begin(&self.shared.store).await
     }
 
-    /// Leases a job, waiting up to `wait` for one.
+    /// Leases a job, waiting up to `wait` for one, at most `MAX_CLAIM_WAIT`.
     ///
     /// # Errors
     /// If the worker is unknown or stopped, the coordinator is shutting down, or the database

@@ -5,7 +5,7 @@ use std::pin::Pin;
 
 /// Remote storage of videos, addressed by their paths below the data folder.
 pub trait RemoteStorage: Send + Sync {
-    /// Removes everything below a folder, or returns the reason why it cannot.
+    /// Removes everything below a folder. The error is a message that follows "failed to …".
     fn remove<'a>(
         &'a self,
         folder: &'a str,

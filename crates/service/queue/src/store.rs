@@ -1,6 +1,6 @@
 //! The SQLite database: opening, locking, migrating and closing it, and its transactions.
-//! Submodules hold only the SQL statements of `operations` and conversions of their rows; decisions
-//! are made by [`rules`](crate::rules).
+//! Submodules hold the SQL statements and the conversions of their rows; decisions are made by
+//! [`rules`](crate::rules).
 //!
 //! One coordinator owns a data folder: one connection writes, several read, in WAL mode with
 //! `synchronous=FULL`, so that a committed transaction survives a power cut.

@@ -9,7 +9,7 @@ pub struct RolloutResult {
     pub success: bool,
     /// The policy's control steps: up to the one that reached the goal, or the whole budget.
     pub steps: u32,
-    /// Duration from the start of composition to the last step, seconds.
+    /// Duration from the preparation of the scene to the end of the policy's session, seconds.
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, if the robot axis is perturbed.
     pub ik: Option<IkResidual>,
@@ -67,11 +67,11 @@ impl GoalProgress {
 /// graphics card or a disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
-    /// Processor time of loading the initial state, settling and control steps.
+    /// Processor time of preparing the scene and its initial state, settling and control steps.
     pub physics_secs: f64,
     /// Processor time of rendering the policy's observations.
     pub drawing_secs: f64,
-    /// Wall time between the policy's queries and its answers.
+    /// Wall time of the calls to the policy: the session's reset, its queries and its end.
     pub policy_secs: f64,
 }
 
