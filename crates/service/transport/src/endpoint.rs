@@ -19,7 +19,7 @@ impl EndpointError {
 /// Parses a gRPC server's URL.
 ///
 /// # Errors
-/// If the URL has another scheme, no host, or a path.
+/// If the URL is malformed, or has another scheme, no host, a path, or a query.
 pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     let error = || EndpointError {
         given: url.to_owned(),

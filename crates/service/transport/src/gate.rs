@@ -1,7 +1,7 @@
 //! The gate before a server's calls and pages. It limits the request rate of each connection,
 //! checks access by the server's table of paths, and logs refusals. Refusals by the calls behind
-//! the gate are logged too, and their messages are truncated. The path alone decides whether a
-//! request is a call; headers do not, because another site's page can choose them. Message bodies
+//! the gate are logged too, and long status messages are truncated. The path alone decides whether
+//! a request is a call; headers do not, because another site's page can choose them. Message bodies
 //! are not inspected.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -78,7 +78,7 @@ struct Shared {
 }
 
 impl Gate {
-    /// Creates a gate with these tokens; without tokens, it accepts connections of `users`.
+    /// Creates a gate that accepts connections of `users` and, if there are tokens, requires one.
     pub(crate) fn new(
         tokens: Option<Tokens>,
         users: Users,
@@ -224,8 +224,8 @@ impl Shared {
 
 /// Longest part of a caller's text in the log, characters.
 const MAX_LOGGED_CHARS: usize = 300;
-/// Longest refusal, characters. A refusal is sent in a header, so a refusal that quotes a megabyte
-/// of the request would break the connection.
+/// Longest message of a status, characters. The message is sent in a header, so one that quotes a
+/// megabyte of the request would break the connection.
 const MAX_STATUS_CHARS: usize = 2_000;
 
 fn caller<B>(request: &Request<B>) -> Option<&Caller> {

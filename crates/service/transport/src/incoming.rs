@@ -30,7 +30,7 @@ use crate::users::Caller;
 
 /// Longest wait for the first `GREETING_BYTES` of a connection.
 pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
-/// Bytes after which a connection counts as active: the length of HTTP/2's preface; no HTTP/1
+/// Bytes after which a connection counts as active: the length of HTTP/2's preface; no HTTP/1.1
 /// request or TLS handshake is shorter.
 const GREETING_BYTES: usize = 24;
 /// Longest time without traffic in either direction. HTTP/2 sends a ping every thirty seconds, and

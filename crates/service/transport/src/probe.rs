@@ -13,7 +13,7 @@ use tokio_rustls::rustls::{CertificateError, Error as TlsError};
 
 use crate::found::{CertificateFault, ProbeResult};
 
-/// Timeout of each answer.
+/// Timeout of each step of a probe: name resolution, connection, TLS handshake, answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// First bytes of an HTTP/2 client: the preface and an empty SETTINGS frame.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
@@ -58,8 +58,8 @@ enum Reply {
 /// Connects like the client and identifies the protocol.
 ///
 /// # Errors
-/// If the server does not use HTTP, or uses it with TLS where the client does not or vice versa;
-/// the error is the finding.
+/// If the connection fails, the server does not use HTTP, or only one of server and client uses
+/// TLS; the error is the finding.
 pub(crate) async fn identify(
     target: ProbeTarget<'_>,
     tls: &TlsConnector,

@@ -37,8 +37,8 @@ pub struct CampaignStatus {
     pub campaign: Campaign,
     /// Numbers of the campaign's jobs, by state.
     pub counts: Counts,
-    /// Reason why the campaign's policy is paused, kept while a probe tries it; `None` if the policy
-    /// is available.
+    /// Reason why the campaign's policy is paused, kept while a probe tries it; `None` if the
+    /// policy is available.
     pub policy_pause_reason: Option<String>,
     /// Time until a probe tries the paused policy again; `None` if it is not paused or a probe is
     /// running.
