@@ -212,7 +212,7 @@ impl Default for Tries {
 }
 
 impl Tries {
-    /// Counts a failed try and returns the time to wait after it.
+    /// Counts a failed try. Returns the time to wait after it, or an error after the last try.
     fn next(&mut self, url: String, problem: String) -> Result<Duration, AssetsError> {
         let wait = self.0.next_wait();
         let tries = self.0.failures();

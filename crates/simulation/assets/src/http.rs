@@ -254,8 +254,8 @@ impl<R: Read> Read for MinimumRateReader<R> {
     }
 }
 
-/// Reads the certificates that are set in the environment variables; they replace the built-in
-/// certificates.
+/// Reads the certificates in the first existing file that an environment variable names; they
+/// replace the built-in certificates. `None` if there are none.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {

@@ -45,7 +45,8 @@ impl Progress {
         )
     }
 
-    /// Formats the rate since `first` and the remaining time at that rate.
+    /// Formats the rate since `first` and the remaining time at that rate; `None` if too little has
+    /// arrived for a rate, or all bytes have arrived.
     fn pace(self, first: Self, elapsed: Duration) -> Option<String> {
         let rate = (self.bytes - first.bytes.min(self.bytes)) as f64 / elapsed.as_secs_f64();
         if elapsed < RATE_DELAY || rate < 1.0 || self.bytes >= self.of_bytes {
