@@ -79,12 +79,14 @@ impl Canvas {
         Self::default()
     }
 
-    /// Draws a frame. Returns red, green and blue of every pixel, row by row from the bottom. The
-    /// model must be the same for all frames of a canvas; `largest_levels` holds the bytes that the
-    /// model's textures were made from, which are their largest mipmap levels.
+    /// Draws a frame of `size`, width and height in pixels. Returns red, green and blue of every
+    /// pixel, row by row from the bottom. The model must be the same for all frames of a canvas;
+    /// `largest_levels` holds the bytes that the model's textures were made from, which are their
+    /// largest mipmap levels.
     ///
     /// # Errors
-    /// If the scene contains invalid numbers or refers to items that the model lacks.
+    /// If the frame's size, the camera or the size of shadow maps is invalid, the scene refers to
+    /// items that the model lacks, or `largest_levels` does not fit the textures.
     pub fn draw(
         &mut self,
         model: &Model,

@@ -112,8 +112,8 @@ pub(crate) struct Polygon<V> {
 }
 
 impl<V: Values> Polygon<V> {
-    /// Returns the pieces in drawing order, with corners in the original order. Pieces without a
-    /// finite position are left out.
+    /// Returns the pieces in drawing order, wound like the original triangle. Pieces with a
+    /// position that is not finite are left out.
     pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner<V>; 3]> {
         let is_placed = |corners: &[ClippedCorner<V>; 3]| {
             let mut places = corners.iter().flat_map(|corner| corner.window);

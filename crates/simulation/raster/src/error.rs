@@ -57,10 +57,10 @@ pub enum DrawError {
         /// Requirement that the value violates.
         needed: &'static str,
     },
-    /// Geom that refers to a mesh, plane or texture that the model does not have.
+    /// Geom or sky that refers to a mesh, plane or texture that the model does not have.
     #[error("geom {geom} names {what} {index}, and the model has {count}")]
     Missing {
-        /// Index of the geom, in drawing order.
+        /// Index of the geom, in drawing order; the number of geoms for the sky.
         geom: usize,
         /// Kind of the missing item: mesh, plane or texture.
         what: &'static str,

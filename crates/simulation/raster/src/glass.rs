@@ -55,7 +55,7 @@ fn reach(geom: &Geom) -> f32 {
     }
 }
 
-/// Blends geoms over a picture, nearest first; returns the changed window.
+/// Blends geoms, which are sorted nearest first, over a picture; returns the changed window.
 pub(crate) fn add(
     picture: &mut Picture,
     pass: Pass<'_>,

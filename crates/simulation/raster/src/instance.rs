@@ -105,7 +105,8 @@ pub(crate) enum Mapping {
 #[derive(Debug, Clone)]
 pub(crate) struct Instance {
     pub(crate) mesh: MeshRef,
-    /// Index of the instance's geom in the scene.
+    /// Index of the instance's geom in the scene; `usize::MAX` for the sky, and 0 for translucent
+    /// geoms while they are blended.
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
     pub(crate) to_clip: Matrix,

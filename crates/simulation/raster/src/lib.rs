@@ -4,8 +4,8 @@
 //! prepared once; a [`Scene`] is drawn on a [`Canvas`].
 //!
 //! Every operation is an IEEE 754 operation in a fixed order: sums, products, quotients, square
-//! roots, and explicit fused multiply-adds. No operation is approximate or depends on the
-//! processor's vector width.
+//! roots, and explicit fused multiply-adds. No approximate instruction is used, and no result
+//! depends on the processor's vector width.
 
 #![forbid(unsafe_code)]
 

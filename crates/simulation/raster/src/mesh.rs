@@ -429,7 +429,7 @@ fn bounding_sphere(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
 }
 
 /// Returns the mean normal of triangles and the sine of the largest angle from it; a zero axis if
-/// the normals differ too much.
+/// the normals differ too much or a triangle is degenerate.
 fn normal_cone(pieces: &[Piece]) -> (Vec3, f32) {
     const NO_CONE: (Vec3, f32) = ([0.0; 3], 1.0);
     let mut sum = [0.0; 3];

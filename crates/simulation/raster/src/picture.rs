@@ -39,7 +39,7 @@ pub(crate) struct Workspace {
     order: Vec<usize>,
 }
 
-/// Per set of samples: a mask with all bits of these samples' colours.
+/// Per set of samples: for each sample, a mask with all bits set if the sample is in the set.
 const SAMPLE_MASKS: [[u32; SAMPLES]; 1 << SAMPLES] = {
     let mut masks = [[0; SAMPLES]; 1 << SAMPLES];
     let mut at = 0;
@@ -54,7 +54,7 @@ const SAMPLE_MASKS: [[u32; SAMPLES]; 1 << SAMPLES] = {
 };
 
 impl Picture {
-    /// Removes all instances, gives the picture a size, pixels, and clears a window of it.
+    /// Removes all instances, sets the picture's size in pixels, and clears a window of it.
     pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
         self.instances.clear();
         self.visible.clear(size, window);

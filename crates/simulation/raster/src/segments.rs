@@ -13,10 +13,11 @@ use crate::visible::SAMPLES;
 use crate::window::Window;
 
 /// Draws the segmentation ids of geoms, row by row from the bottom; `None` where no geom with an id
-/// is visible.
+/// is visible. The size is the width and height in pixels.
 ///
 /// # Errors
-/// If the scene contains invalid numbers or refers to items that the model lacks.
+/// If the size, the camera or the size of shadow maps is invalid, or the scene refers to items that
+/// the model lacks.
 pub fn segments(
     model: &Model,
     scene: &Scene,

@@ -107,7 +107,8 @@ impl Setup {
         per_y.store(&mut self.depth_y);
     }
 
-    /// Sets up one piece of a clipped triangle, in lane 0; returns false if it covers no sample.
+    /// Sets up one piece of a clipped triangle, in lane 0; returns false if it faces away, is
+    /// degenerate, or is in no pixel of the window.
     pub(crate) fn clipped(
         &mut self,
         instance: &Instance,

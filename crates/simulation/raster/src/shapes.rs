@@ -315,8 +315,8 @@ pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
 }
 
 /// Returns the corners of a mesh's triangle from its positions, normals and texture coordinates.
-/// Without texture coordinates, a corner whose normal makes an angle with the face's normal whose
-/// cosine is below 0.8 gets the face's normal, as in MuJoCo, which keeps edges sharp.
+/// Without texture coordinates, a corner gets the face's normal if the cosine of the angle between
+/// its own normal and the face's is below 0.8. This keeps edges sharp, as in MuJoCo.
 pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3]>) -> [Corner; 3] {
     let (u, v) = (
         crate::matrix::minus(pos[1], pos[0]),
