@@ -27,7 +27,7 @@ pub struct Arena {
     pub zone_offset: [f64; 3],
     /// Origin of the regions' coordinates, world frame, m.
     pub workspace_offset: [f64; 3],
-    /// Height of a placed fixture's origin over the workspace, m.
+    /// Height of a placed fixture's underside over the workspace, m.
     pub fixture_z_offset: f64,
     /// Table with legs to be resized, if the arena has one.
     pub table: Option<Table>,
@@ -100,7 +100,7 @@ pub fn arena(problem: &str) -> Option<Arena> {
     })
 }
 
-/// Returns the names of the problem classes that have an arena.
+/// Returns the names of LIBERO's problem classes; LIBERO-Plus' classes have arenas, too.
 pub fn known_problems() -> Vec<&'static str> {
     ARENAS.iter().map(|arena| arena.problem).collect()
 }

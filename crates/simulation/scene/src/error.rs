@@ -48,7 +48,7 @@ pub enum SceneError {
         problem: String,
         known: Vec<&'static str>,
     },
-    /// No package index has a benchmark's task files.
+    /// No package index has the task files of LIBERO-Para.
     #[error("fetch LIBERO-Para's sentences: no package index has them; run `{FETCH}`")]
     NoWheel,
     /// A folder is not the checkout of LIBERO-Para that this release uses.

@@ -27,8 +27,8 @@ const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Limit on the size of a file; real files are far smaller.
 pub(crate) const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Fetches the wheel of a benchmark's task files unless it is present, and unpacks it if a task
-/// file is missing.
+/// Fetches the wheel of a benchmark's task files unless it is present, and unpacks it unless all
+/// task files of this wheel are already unpacked.
 ///
 /// # Errors
 /// If there is no wheel, it cannot be fetched or is invalid, or its files cannot be written.
