@@ -115,7 +115,8 @@ fn fill_medium(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>
 }
 
 /// Fills those parts of a block that the triangle reaches and that do not occlude it; `at` holds
-/// the edge values at the block's corner. An `INSIDE` block contains no edge.
+/// the edge values at the block's corner. An `INSIDE` block contains no edge. Returns true if the
+/// triangle is visible anywhere.
 #[inline(always)]
 fn fill_parts<const INSIDE: bool>(
     lane: usize,

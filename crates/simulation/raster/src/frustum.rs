@@ -64,7 +64,8 @@ impl Frustum {
         })
     }
 
-    /// Returns true if a sphere lies entirely outside one plane, including a margin for rounding.
+    /// Returns true if a sphere lies entirely outside one plane of the window, including a margin
+    /// for rounding.
     pub(crate) fn excludes(&self, center: Vec3, radius: f32) -> bool {
         self.sides.iter().zip(&self.lengths).any(|(side, length)| {
             let (distance, slack) = distance(side, center);

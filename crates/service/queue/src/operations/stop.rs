@@ -87,7 +87,7 @@ async fn evaluate_rules(shared: &Shared, fronts: &mut Fronts) -> Result<(), Stor
 
 /// Stops a campaign whose rule is met at `look`, unless the campaign was cancelled after the
 /// evaluation, or one of the rollouts before `order`, which the evaluation used, was taken out of
-/// quarantine. Returns false if the campaign is not stopped.
+/// quarantine. Returns true if this call stopped the campaign.
 ///
 /// The rule is not evaluated again here: for 150,000 outcomes that takes most of a minute, during
 /// which the transaction would block every claim and result.

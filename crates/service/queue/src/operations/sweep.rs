@@ -49,9 +49,9 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// Ends expired leases and returns true if any lease expired. A worker whose heartbeats omitted
-    /// several leases gets one strike, that is, one counted failure of its machine, for all of
-    /// them; a worker whose heartbeats stopped gets no strike.
+    /// Ends expired leases and returns true if any lease expired. A worker gets one strike, that
+    /// is, one counted failure of its machine, for all leases that its heartbeats omitted or that
+    /// reached their ceiling; a worker whose heartbeats stopped gets no strike.
     async fn end_expired(&mut self) -> Result<bool, StoreError> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();

@@ -365,8 +365,8 @@ impl FailureReason {
         )
     }
 
-    /// Returns the reason to store with an attempt whose job continues with `next_step`: attempts
-    /// that lead to a quarantine get a reason of their own.
+    /// Returns the reason to store with an attempt whose job continues with `next_step`. A lost
+    /// policy or a silent worker that leads to a quarantine gets a reason of its own.
     #[must_use]
     pub fn stored_reason(self, next_step: AfterFailure) -> FailureReason {
         match (self, next_step) {
@@ -378,8 +378,8 @@ impl FailureReason {
         }
     }
 
-    /// Returns the error text to store with an attempt; the text names the exceeded limit if the
-    /// attempt was the last of too many.
+    /// Returns the error text to store with an attempt. The text gives the number of attempts if
+    /// too many of them lost their policy or their worker.
     pub fn stored_error(self, error: &str, losses: u32, silences: u32) -> String {
         match self {
             FailureReason::TakesPolicyDown => format!(

@@ -59,7 +59,8 @@ pub(crate) fn impossible_count(row: &ManifestRow, result: &RolloutResult) -> Opt
 }
 
 /// Describes the first difference that makes a result inconsistent; `None` if the result may be
-/// stored. The siblings are committed rollouts of the same campaign, task and initial state.
+/// stored. The siblings are committed rollouts of the same task and initial state, in the campaign
+/// or its source.
 pub(crate) fn difference(
     demand: &Demand<'_>,
     siblings: &[Sibling],

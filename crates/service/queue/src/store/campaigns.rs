@@ -47,7 +47,7 @@ pub struct Campaign {
     /// Priority: jobs of campaigns with a higher priority are leased first.
     pub priority: i32,
     pub created_ms: UnixMillis,
-    /// Folder of the campaign's files below the artifacts folder: the campaign's first name, or
+    /// Folder of the campaign's files below the artifacts folder: the campaign's original name, or
     /// that name with a number if another campaign has that folder.
     pub(crate) folder: String,
     pub pinned_ms: Option<UnixMillis>,

@@ -1,4 +1,4 @@
-//! Statements on `removal`: folders of deleted campaigns whose files may still exist.
+//! Statements on `removal`: folders and files that are to be removed.
 
 use sqlx::SqliteConnection;
 
