@@ -19,10 +19,10 @@ use crate::sources::Sources;
 const BDDL_FILES: &str = "bddl_files";
 
 /// Verifies the sentences and the metadata of a checkout of LIBERO-Para, and copies the sentences
-/// into the folder of its task files, which it returns.
+/// beside LIBERO's task files. Returns the folder of the copies.
 ///
 /// # Errors
-/// If the checkout lacks files or has others, or the copies cannot be written.
+/// If a file of the checkout is missing, unreadable or altered, or the copies cannot be written.
 pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, SceneError> {
     let refused = |problem: String| SceneError::Checkout {
         path: checkout.to_owned(),

@@ -176,7 +176,7 @@ pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
     });
 }
 
-/// Returns true if a geom is a collision geom by convention: group 0 or no group.
+/// Returns true if an element is a collision geom: by convention, a geom of group 0 or no group.
 pub(crate) fn is_collision_geom(element: &Element) -> bool {
     element.tag == "geom" && matches!(element.get("group"), None | Some("0"))
 }
@@ -192,8 +192,8 @@ pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Op
     });
 }
 
-/// Replaces `class="c"` by the attributes of that default class and removes the `<default>`
-/// section.
+/// Replaces `class="c"` by those attributes of default class `c` that the element does not set, and
+/// removes the `<default>` section.
 fn expand_defaults(root: &mut Element) -> Result<(), String> {
     let mut classes: HashMap<String, Vec<Element>> = HashMap::new();
     root.children.retain(|child| {

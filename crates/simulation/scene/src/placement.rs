@@ -2,8 +2,8 @@
 //! fixtures and objects. Random draws reproduce NumPy's legacy generator exactly, including
 //! rejections, order and arithmetic, and including LIBERO's defects: orientations are written in
 //! another order than they are read ([`crate::rotation`]), and an object on a site of a carrier
-//! (another object or a fixture) is placed at the sum of the carrier's new position and the site's
-//! world position *before* the carrier was moved.
+//! (another object or a fixture) is offset from the carrier's new position by the site's *world*
+//! position before the carrier was moved, as if that were the position in the carrier's frame.
 
 mod plan;
 
@@ -237,8 +237,8 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // A range was shortened by the object's radius at both ends. If the radius exceeds half
-            // of the range, the bounds are in reverse order; LIBERO still draws between them.
+            // Some ranges were shortened by the object's radius at both ends. If the radius exceeds
+            // half of the range, the bounds are in reverse order; LIBERO still draws between them.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],

@@ -10,8 +10,8 @@ use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
 
-/// Folder with the unpacked wheels: `robosuite/` (with `models/assets`) and `libero/` (with
-/// `bddl_files` and `init_files`).
+/// Folder with files of the wheels: `robosuite/` holds files of robosuite's `models/assets`, and
+/// `libero/` holds `bddl_files` and `init_files`.
 #[derive(Debug, Clone)]
 pub struct Sources {
     dir: PathBuf,
