@@ -43,8 +43,9 @@ pub(crate) struct Burner {
     /// Indices of the stove's joint positions in qpos.
     pub(crate) knobs: Vec<usize>,
     pub(crate) on_threshold: f64,
-    /// Current opacity, and the opacity that the last observation shows.
+    /// Current opacity.
     pub(crate) opacity: f32,
+    /// Opacity that the last observation shows.
     pub(crate) observed_opacity: f32,
 }
 

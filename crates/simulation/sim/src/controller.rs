@@ -177,7 +177,7 @@ impl Controller {
     }
 
     /// Computes the controls of one simulation step. `data` must be the state after
-    /// [`Data::step1`]. Returns false if the arm's inertia cannot be inverted.
+    /// [`Data::step1`]. Returns false if a matrix of the control law has no inverse.
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
         let arm = if std::mem::take(&mut self.uses_reset_arm) {

@@ -23,7 +23,8 @@ const CANVAS_SIZE: u32 = 256;
 /// A simulation of a compiled scene, with its own model.
 ///
 /// Observations show the *observed instant*: like LIBERO's, they lag behind the end of a control
-/// step. After a state was loaded, frames and poses lag by 4 ms, joint readings by 2 ms.
+/// step. In control steps after [`load`](Self::load), frames and poses lag by 4 ms, joint readings
+/// by 2 ms.
 pub struct Environment {
     pub(crate) compiled: Arc<CompiledScene>,
     canvas: Option<Canvas>,
@@ -136,7 +137,8 @@ impl Environment {
         (&self.model, &mut self.data)
     }
 
-    /// Loads a state vector (time, qpos, qvel), with a new controller and an unperturbed model.
+    /// Loads a state vector (time, qpos, qvel), resets the controller and restores the unperturbed
+    /// model.
     ///
     /// # Panics
     /// If the vector does not have 1 + nq + nv numbers. Callers check the length when they read the
@@ -418,7 +420,7 @@ impl Environment {
     }
 }
 
-/// Sets the arm's joints and forwards the model without contacts.
+/// Sets the arm's joints and computes the quantities that depend on them, without contacts.
 fn pose_arm(model: &Model, data: &mut Data, joints: &[f64; ARM_JOINTS]) {
     data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(joints);
     let mut without_contacts = model.share();

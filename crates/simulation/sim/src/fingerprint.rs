@@ -88,8 +88,8 @@ fn operational_space(model: &Model, data: &Data, hand: usize) -> Vec<f64> {
     numbers
 }
 
-/// Evaluates functions of the C library whose last bit differs between machines. The argument must
-/// be unknown at compile time, since a compiler would insert its own machine's values.
+/// Evaluates functions of the C library whose last bit may differ between machines. The argument
+/// must be unknown at compile time, since a compiler would insert its own machine's values.
 fn functions(secs: f64) -> [f64; 11] {
     let x = black_box(secs + 0.1);
     [

@@ -173,7 +173,7 @@ impl Canvas {
         }
     }
 
-    /// Renders a camera of the model; rows from bottom to top.
+    /// Renders a camera of the model as 8-bit RGB; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         match self {
             Self::Software(canvas) => canvas.draw(view),

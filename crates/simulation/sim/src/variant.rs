@@ -111,8 +111,9 @@ impl Environment {
 }
 
 impl Noise {
-    /// Corrupts a picture that is rendered after `control_steps`. Draws random numbers also for the
-    /// earlier pictures, even if they were not requested.
+    /// Corrupts a picture of `agentview` that is rendered after this number of control steps;
+    /// leaves other cameras' pictures unchanged. Draws the random numbers of all earlier pictures
+    /// too, even if these were not requested.
     pub(crate) fn corrupt(
         &mut self,
         frame: &mut Frame,

@@ -1,5 +1,5 @@
-//! Numeric arrays of a compiled model by name, for comparing models. Left out are the contents of
-//! meshes, textures and height fields, their search trees, and most arrays of skins and flexible
+//! Numeric arrays of a compiled model by name, for comparing models. The table omits the contents
+//! of meshes, textures and height fields, their search trees, and most arrays of skins and flexible
 //! bodies, which no LIBERO scene has. Names and sizes follow MuJoCo 3.3.7's `mjxmacro.h`.
 
 use mujoco_rs::mujoco_c::mjModel;

@@ -87,8 +87,8 @@ mod tests {
         assert!(second.cam_pos().iter().all(|value| *value == 7.0));
         assert_ne!(first.headlight_ambient(), second.headlight_ambient());
         assert!(first.own_array_mut("geom_pos").is_none());
-        // The second model remains usable after the first is dropped: its names resolve, and a state
-        // made for the first fits it.
+        // The second model remains usable after the first is dropped: its names resolve, and a
+        // state made for the first fits it.
         let state = Data::new(&first).expect("a state");
         drop(first);
         assert_eq!(state.qpos(&second).len(), 7);

@@ -329,7 +329,7 @@ impl Model {
     slices! {
         /// Geom types (`mjtGeom`).
         geom_type: i32 = ngeom * 1;
-        /// Geom half extents, m.
+        /// Geom sizes, m, whose meaning depends on the geom's type.
         geom_size: f64 = ngeom * 3;
         /// Material of each geom, or -1.
         geom_matid: i32 = ngeom * 1;

@@ -7,8 +7,8 @@ use mujoco_rs::mujoco_c::mjModel;
 
 use super::slices::values;
 
-/// Calls a macro with each array: the method for mutable access, MuJoCo's name, the element type
-/// and the length.
+/// Passes the list of arrays to a macro. Each entry has the method for mutable access, MuJoCo's
+/// name, the element type and the length.
 macro_rules! each_own_array {
     ($use:ident) => {
         $use! {

@@ -1,5 +1,5 @@
-//! The lighting axis: brightness, colour, ambient term and elevation of a scene's lights. Shadows
-//! are disabled in the scene, perturbed or not.
+//! The lighting axis: brightness, colour, ambient term and elevation of a scene's lights. LIBERO's
+//! lights cast no shadows, perturbed or not.
 
 use libero_ctrl::LightingShift;
 use nalgebra::{Rotation3, Unit, Vector3};

@@ -1,5 +1,5 @@
-//! The sensor axis: corrupts rendered pictures before the policy sees them. Motion blur, defocus,
-//! compression and read-out noise, in this order.
+//! The sensor axis: corrupts rendered pictures before the policy sees them, by motion blur,
+//! defocus, compression and read-out noise, in this order.
 //!
 //! The arithmetic follows NumPy and SciPy (`ndimage.convolve`,
 //! `gaussian_filter`, mode `nearest`, truncated at 4 σ) in double precision.

@@ -71,22 +71,23 @@ impl GlCanvas {
             .all(|(side, limit)| i64::from(side) <= i64::from(limit))
     }
 
-    /// Renders a camera of the model; rows from bottom to top.
+    /// Renders a camera of the model as 8-bit RGB; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         let mut rgb = vec![0; pixels(view.size) * 3];
         self.render(view, &[], Target::Colours(&mut rgb))?;
         Ok(rgb)
     }
 
-    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL.
+    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL; rows from bottom to
+    /// top.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         let mut depth = vec![0.0; pixels(view.size)];
         self.render(view, &[], Target::Depths(&mut depth))?;
         Ok(depth)
     }
 
-    /// Renders the object at the centre of each pixel, which MuJoCo's segmentation image gives as a
-    /// geom's id.
+    /// Renders the object at the centre of each pixel; rows from bottom to top. MuJoCo's
+    /// segmentation image encodes a geom's id plus 1 as a colour.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,

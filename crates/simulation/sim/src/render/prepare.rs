@@ -87,8 +87,9 @@ impl Prepared {
     /// Restores data that was prepared earlier for the same model, without copying its bytes.
     ///
     /// # Errors
-    /// If the bytes of a mesh are malformed, or a texture's smaller levels have another size than the
-    /// model requires. Other bytes of a different model are not detected.
+    /// If the bytes of a mesh are malformed, a texture's smaller levels have another size than the
+    /// model requires, or the model's quality of built-in shapes is out of range. Bytes of another
+    /// model that pass these checks are not detected.
     pub(crate) fn from_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
         let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
         let textures = model.textures().zip(&bytes.textures);

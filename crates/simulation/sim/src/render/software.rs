@@ -51,17 +51,18 @@ impl SoftwareCanvas {
         }
     }
 
-    /// Renders a camera of the model; rows from bottom to top.
+    /// Renders a camera of the model as 8-bit RGB; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         self.draw_on_canvas(view, raster::Canvas::draw)
     }
 
-    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL.
+    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL; rows from bottom to
+    /// top.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         self.draw_on_canvas(view, raster::Canvas::depths)
     }
 
-    /// Renders the object at the centre of each pixel.
+    /// Renders the object at the centre of each pixel; rows from bottom to top.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,

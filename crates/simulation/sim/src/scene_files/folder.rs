@@ -122,7 +122,7 @@ impl SceneFolder {
         self.exists_and_is_trusted().map(drop)
     }
 
-    /// Maps a scene; `None` if it is missing or incomplete.
+    /// Maps a scene; `None` if one of its files is missing, incomplete or not trusted.
     ///
     /// # Errors
     /// If the folder is not trusted, or a file cannot be read.
@@ -175,7 +175,8 @@ impl SceneFolder {
     /// Stores a scene and its missing textures; evicts other scenes if there is no room.
     ///
     /// # Errors
-    /// If files cannot be written; no incomplete file is left under a final name.
+    /// If the model's arrays have an unexpected layout, the lock is not released in time, or files
+    /// cannot be written; no incomplete file is left under a final name.
     pub(super) fn store(
         &self,
         name: &Name,
