@@ -1,5 +1,6 @@
-//! Options from environment variables. Every listed option of a server program can also be set as a
-//! variable, which suits systemd units and containers: `--min-free-mib` is `ROLLOUT_MIN_FREE_MIB`.
+//! Options from environment variables. Every option that a server program's help shows can also be
+//! set as a variable, which suits systemd units and containers: `--min-free-mib` is
+//! `ROLLOUT_MIN_FREE_MIB`.
 //! The command line takes precedence, and an empty variable counts as unset.
 
 use std::env::var_os;
@@ -79,8 +80,8 @@ fn name_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     error
 }
 
-/// Returns the name of an option's variable; `None` if the option is hidden or already has a
-/// variable.
+/// Returns the name of an option's variable; `None` if the argument has no long name, is hidden or
+/// already has a variable.
 fn variable(arg: &Arg) -> Option<String> {
     let is_public = !arg.is_hide_set() && arg.get_env().is_none();
     arg.get_long().filter(|_| is_public).map(variable_name)

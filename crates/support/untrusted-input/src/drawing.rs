@@ -30,7 +30,8 @@ const MOST_TRIANGLES: usize = 1 << 11;
 const MOST_FRAMES: usize = 8;
 
 /// Checks that every scene gives either an error or a frame of the requested size, and that the
-/// frame does not depend on what the canvas drew before.
+/// frame does not depend on what the canvas drew before. Returns true if the renderer refused
+/// nothing.
 pub(crate) fn draw(input: &[u8]) -> bool {
     let calls = script::read(input);
     let messages = || {

@@ -16,7 +16,7 @@ use tonic::service::Routes;
 use crate::call::{block_on, call, is_internal_fault};
 use crate::script;
 
-/// Prefix of the gateway's message for a query that the policy refused.
+/// Part of the gateway's message if the policy could not answer a query.
 const POLICY_FAILED: &str = "the policy failed: ";
 /// All methods; an input selects one by its index.
 const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];

@@ -19,7 +19,8 @@ pub(crate) fn bddl(input: &[u8]) -> bool {
     true
 }
 
-/// Composes a scene from an object model, which must survive a round trip.
+/// Composes scenes from an object model, as a fixture and as a movable object. Each composed scene
+/// must survive a round trip.
 pub(crate) fn mjcf(input: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(input) else {
         return false;

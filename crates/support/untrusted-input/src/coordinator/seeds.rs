@@ -14,8 +14,8 @@ use crate::script;
 /// File name of a worker's video.
 const VIDEO: &str = "video.mp4";
 
-/// Returns seed inputs: every method alone, and the calls of a rollout from its lease to its
-/// export.
+/// Returns seed inputs: single calls; the calls of a leased rollout from its heartbeat to its
+/// export; and those of a released rollout whose campaign is cancelled, deleted and created anew.
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let campaign = get_campaign().encode_to_vec();
     let job = wire::GetJobRequest {
