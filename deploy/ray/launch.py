@@ -157,7 +157,7 @@ class Fleet:
 
 
 def queue_depth(coordinator: str, connect: str) -> int | None:
-    """Returns the waiting and leased rollouts of running campaigns, or None if the call fails."""
+    """Returns the number of queued and leased rollouts of running campaigns; None on failure."""
     command = [coordinator, "campaign", "status", "--json", "--connect", connect]
     result = subprocess.run(command, check=False, capture_output=True, text=True)
     if result.returncode != 0:
