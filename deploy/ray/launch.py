@@ -2,10 +2,10 @@
 
     python launch.py --connect http://login1:7411 --max-workers 16
 
-A worker is an actor with a `sim` resource and a CPU for each slot, so it runs on nodes
-started with `ray start --resources '{"sim": N}'`, at most N per node. The number of
-requested actors follows the coordinator's queue; Ray's autoscaler adds nodes for actors
-that find no room. Workers without work for `--idle-secs` end by themselves. A lost
+A worker is an actor that takes one `sim` resource, and a CPU for each of its slots. It
+runs on nodes started with `ray start --resources '{"sim": N}'`, at most N per node. The
+number of requested actors follows the coordinator's queue; Ray's autoscaler adds nodes for
+actors that find no room. Workers without work for `--idle-secs` end by themselves. A lost
 node takes its workers with it, and replacements are requested.
 """
 

@@ -2,7 +2,8 @@
 
 /// Most lines that `-h` may print.
 const MAX_SHORT_LINES: usize = 45;
-/// Words in the ids of earlier releases. Commands accept them, but no help text mentions them.
+/// Words in rollout ids for which texts say `nominal` and `simultaneous`. Commands accept them, but
+/// no help text mentions them.
 const OLD_WORDS: [&str; 2] = ["clean", "combination"];
 
 /// The help of a command.
