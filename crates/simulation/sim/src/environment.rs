@@ -72,7 +72,7 @@ impl Environment {
     /// most of the time and allocate megabytes that the environment keeps.
     ///
     /// # Errors
-    /// If memory is exhausted.
+    /// If the model lacks a joint of the arm, or memory is exhausted.
     pub fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
@@ -98,7 +98,7 @@ impl Environment {
     /// before use.
     ///
     /// # Errors
-    /// If memory is exhausted.
+    /// If the model lacks a joint of the arm.
     pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
         if joints != self.reset_joints {
             self.data.reset(&self.model);
@@ -176,6 +176,9 @@ impl Environment {
 
     /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
     /// after the step.
+    ///
+    /// # Errors
+    /// If the simulation becomes unstable, or the controller has to invert a singular matrix.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }

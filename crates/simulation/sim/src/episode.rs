@@ -86,7 +86,7 @@ impl Conditions {
     /// state.
     ///
     /// # Errors
-    /// If an element to be perturbed is missing from the scene, or memory is exhausted.
+    /// If an element to be perturbed is missing from the scene.
     pub fn begin_at(
         mut state: Vec<f64>,
         ready: &ReadyScene,

@@ -50,7 +50,7 @@ pub fn shift_lighting(nominal: &Lighting, look_at: [f64; 3], shift: &LightingShi
     }
 }
 
-/// Returns colour factors of unit luminance, so that only `d_intensity_ev` changes the brightness.
+/// Returns colour factors of unit luminance: warmth and tint do not change a light's brightness.
 fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
     let half_tint = (-log2_tint / 2.0).exp2();
     let factors = [

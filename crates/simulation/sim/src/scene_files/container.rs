@@ -117,7 +117,7 @@ impl AsRef<[u8]> for Mapped {
     }
 }
 
-/// Maps the sections of a file, and keeps its lock until all of them are dropped. `None` if the
+/// Maps the sections of a file, and keeps `lock` until all of them are dropped. `None` if the
 /// section table is invalid.
 pub(super) fn map(file: &File, lock: Option<File>) -> io::Result<Option<Vec<Bytes>>> {
     // SAFETY: the pages are never written to, neither through this mapping, which is read-only,

@@ -26,7 +26,7 @@ const POLL: Duration = Duration::from_millis(10);
 const READ_ONLY: u32 = 0o444;
 /// Permission bits that let users other than the owner write.
 const OTHERS_WRITE: u32 = 0o022;
-/// User id of root, whose files are always trusted.
+/// User id of root, whose files are trusted like those of this process's user.
 const ROOT: u32 = 0;
 /// Prefix of the names of files being written.
 pub(super) const TEMPORARY_PREFIX: &str = ".aside-";
