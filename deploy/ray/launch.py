@@ -176,7 +176,7 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
     add("--connect", required=True, help="URL of the coordinator, as the nodes reach it")
     add("--assets", default="libero", help="`libero`, `primitives`, or a folder on every node")
     add("--programs", default="", help="folder of the programs on every node (default: PATH)")
-    add("--max-workers", type=int, required=True, help="most workers at a time")
+    add("--max-workers", type=int, required=True, help="largest number of workers at a time")
     add("--slots", type=int, default=1, help="slots of a worker, with one CPU each")
     add("--drain-secs", type=float, default=15, help="`--drain-secs` of each worker")
     add("--idle-secs", type=float, default=60, help="`--idle-secs` of each worker")

@@ -104,8 +104,8 @@ impl Kind {
                  percentiles for means, or not at all. Compare the statistics that both load."
             }
             Self::Unexplained => {
-                "Possible causes: other weights, another prompt, a crop, or two differences at \
-                 once."
+                "Possible causes: other weights, another prompt, a crop, or several differences \
+                 at once."
             }
         }
     }

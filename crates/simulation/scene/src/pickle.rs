@@ -78,7 +78,7 @@ pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
         data,
     })) = value
     else {
-        return Err("the pickle holds no two-dimensional array".to_owned());
+        return Err("the pickle holds no array of doubles".to_owned());
     };
     if rows
         .checked_mul(columns)
@@ -350,7 +350,7 @@ mod tests {
         };
         check(b"\x80\x02cos\nsystem\nq\x00.", "`os.system` is not allowed");
         check(b"\x80\x02]q\x00.", "opcode 0x5d is not allowed");
-        check(b"\x80\x02K\x01.", "holds no two-dimensional array");
+        check(b"\x80\x02K\x01.", "holds no array of doubles");
         check(b"\x80\x02X\xff\xff\xff\x7f", "truncated");
         check(b"", "truncated");
     }

@@ -35,7 +35,9 @@ pub enum SimError {
         control_step: u32,
         problem: String,
     },
-    #[error("control the arm at control step {control_step}: its inertia matrix is singular")]
+    #[error(
+        "control the arm at control step {control_step}: a matrix of its controller has no inverse"
+    )]
     Singular {
         /// Control step, counted from the start of settling.
         control_step: u32,

@@ -245,7 +245,7 @@ impl<'a> Resolver<'a> {
                     site: self.site(region)?,
                 }),
                 Referent::Instance(..) => Err(problem(&format!(
-                    "`{outer}` is an object, and `in` needs a region"
+                    "`{outer}` is an object or a fixture, and `in` needs a region"
                 ))),
             },
             ("open" | "close" | "turnon" | "turnoff", [name]) => {

@@ -221,7 +221,7 @@ fn record_problem(error: &SceneFileError) {
     if let Problem::None = *problem {
         let cause = error.source().map(|cause| format!(": {cause}"));
         *problem = Problem::Found(format!(
-            "scenes are kept in the memory of each process: failed to {error}{}",
+            "a scene is kept in the memory of this process alone: failed to {error}{}",
             cause.unwrap_or_default()
         ));
     }

@@ -16,7 +16,7 @@ use crate::error::SimError;
 use crate::mujoco::{MeshData, Model, TextureData};
 
 /// Remedy for scenes that the software renderer cannot draw.
-const REMEDY: &str = "draw it with --renderer gl";
+const REMEDY: &str = "use --renderer gl";
 /// Number of texture roles per material in `mat_texid`, and the role of the colour texture.
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;

@@ -198,6 +198,11 @@ fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, 
         (CYLINDER, _) => Shape::Cylinder,
         (BOX, _) => Shape::Box,
         (MESH, Some(index)) if index % 2 == 0 => Shape::Mesh(index / 2),
+        (MESH, Some(_)) => {
+            return Err(graphics(
+                "a geom is drawn as its mesh's convex hull".to_owned(),
+            ));
+        }
         (kind, _) => {
             return Err(graphics(format!(
                 "a geom has the unsupported type {kind} (mjtGeom)"

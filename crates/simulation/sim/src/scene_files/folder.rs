@@ -59,9 +59,9 @@ pub enum SceneFileError {
         owner: u32,
         mode: u32,
     },
-    #[error("wait for {}: another process has held it for {secs} s", path.display())]
+    #[error("wait for {}: other processes have held it for {secs} s", path.display())]
     Busy { path: PathBuf, secs: u64 },
-    #[error("store a model in a file: its arrays are not in a single MuJoCo buffer")]
+    #[error("store a model in a file: its arrays do not have the expected layout")]
     Layout,
 }
 
@@ -96,7 +96,7 @@ impl SceneFolder {
         let gib = gib.and_then(|text| text.parse().ok()).unwrap_or(LIMIT_GIB);
         Self {
             dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
-            limit: gib << 30,
+            limit: gib.saturating_mul(1 << 30),
             user: rustix::process::geteuid().as_raw(),
             layout: layout(),
             max_wait: MAX_LOCK_WAIT,

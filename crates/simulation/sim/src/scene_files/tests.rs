@@ -232,7 +232,7 @@ fn waiting_for_a_stalled_writer_times_out() {
     let lock = lock.expect("a lock");
     assert_eq!(fixture.obtain(), (true, false));
     let message = SceneFolder::take_problem().expect("a problem");
-    assert!(message.contains("another process has held"), "{message}");
+    assert!(message.contains("other processes have held"), "{message}");
     drop(lock);
     assert_eq!(fixture.obtain(), (true, true));
 }

@@ -4,7 +4,7 @@
 const MAX_SHORT_LINES: usize = 45;
 /// Words in rollout ids for which texts say `nominal` and `simultaneous`. Commands accept them, but
 /// no help text mentions them.
-const OLD_WORDS: [&str; 2] = ["clean", "combination"];
+const ID_WORDS: [&str; 2] = ["clean", "combination"];
 
 /// The help of a command.
 pub(crate) struct Help {
@@ -35,10 +35,10 @@ fn add_helps(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
     let long = rendered.render_long_help().to_string();
     let old = long
         .split(|letter: char| !letter.is_alphanumeric())
-        .find(|word| OLD_WORDS.contains(word));
+        .find(|word| ID_WORDS.contains(word));
     assert_eq!(
         old, None,
-        "`{words} --help` contains a word of earlier releases:\n{long}"
+        "`{words} --help` contains a word that only ids have (write `nominal`, `simultaneous`):\n{long}"
     );
     helps.push(Help {
         words: words.to_owned(),
