@@ -207,7 +207,7 @@ impl Design {
             return Err(DesignError::Subset { given, axes });
         }
         if self.configs.is_empty() {
-            return empty("configs", "write some of 0 to 9");
+            return empty("configs", "write some, such as 0 to 9");
         }
         if let Some(&config) = self.configs.iter().find(|&&config| config >= MAX_CONFIGS) {
             return Err(DesignError::OutOfRange {

@@ -169,8 +169,8 @@ impl Delays {
     /// The weight of a latency is its share of all counts in thousandths, at least one thousandth.
     ///
     /// # Errors
-    /// If there is no latency, a latency exceeds [`MAX_DELAY`], or there are more than 32 distinct
-    /// latencies.
+    /// If there is no latency, a latency exceeds [`MAX_DELAY`], there are more than 32 distinct
+    /// latencies, or the weights of a latency that is given repeatedly add up to more than 1000.
     pub fn measured(
         counts: impl IntoIterator<Item = (u16, u64)>,
     ) -> Result<Self, LatencyFileError> {

@@ -174,7 +174,7 @@ pub enum LineProblem {
     Duplicate {
         /// The id.
         id: RolloutId,
-        /// Last earlier line with the id, from 1.
+        /// First line with the id, from 1.
         first: usize,
     },
     /// The initial state or parameters differ from those of the configuration's other rows,
@@ -287,7 +287,8 @@ impl Checker {
         if id.condition() != Condition::Latency {
             self.check_execution(line, row);
         }
-        if let Some(first) = self.lines_of_ids.insert(id, line) {
+        let first = *self.lines_of_ids.entry(id).or_insert(line);
+        if first != line {
             self.errors.add(line, LineProblem::Duplicate { id, first });
         } else if let Some((column, first)) = self.difference(line, row) {
             let problem = LineProblem::Unpaired { id, column, first };
@@ -476,6 +477,16 @@ mod tests {
             |row| row.perturbation.robot.as_mut().expect("all axes").eef_dx_m *= -1.0,
             "parameters of axis robot differ from those of its configuration in line 3",
         );
+    }
+
+    #[test]
+    fn every_duplicate_names_the_first_line_with_its_id() {
+        let errors = parse(&to_text(&rows()[..1]).repeat(3)).expect_err("duplicates");
+        let firsts = errors.listed().iter().map(|error| match error.problem {
+            LineProblem::Duplicate { first, .. } => Some((error.line, first)),
+            _ => None,
+        });
+        assert_eq!(firsts.collect::<Vec<_>>(), [Some((2, 1)), Some((3, 1))]);
     }
 
     #[test]
