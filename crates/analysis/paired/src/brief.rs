@@ -103,8 +103,15 @@ fn incomplete(report: &Report) -> Option<String> {
     gaps.extend(cells(report).flat_map(|cell| cell.completeness.gaps.values().copied()));
     let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
     let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
-    let missing = (missing > 0).then(|| format!("{missing} have no outcome yet"));
-    let quarantined = (quarantined > 0).then(|| format!("{quarantined} are in quarantine"));
-    let parts: Vec<String> = missing.into_iter().chain(quarantined).collect();
+    let parts = [
+        (missing, ["has", "have"], "no outcome yet"),
+        (quarantined, ["is", "are"], "in quarantine"),
+    ];
+    let parts = parts.into_iter().filter(|(count, ..)| *count > 0);
+    let parts = parts.map(|(count, [singular, plural], state)| {
+        let verb = if count == 1 { singular } else { plural };
+        format!("{count} {verb} {state}")
+    });
+    let parts: Vec<String> = parts.collect();
     (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", listed(&parts)))
 }

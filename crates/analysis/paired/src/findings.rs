@@ -286,10 +286,16 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
                     percent(Some(r_d)),
                 )
             });
+            let mut cells = report.cells.iter().filter(|cell| cell.replicate == 0);
+            let cause = match cells.any(|cell| cell.level == Level::L0) {
+                true => "because no configuration of the placebo level L0 has all its outcomes"
+                    .to_owned(),
+                false => format!("without a placebo (`--levels L0,{level}`)"),
+            };
             format!(
                 "At {level}, the simultaneous outcome of {r_d} % of configurations is not the one \
-                 that the single axes imply; how many of them differ by chance is unknown without \
-                 a placebo (`--levels L0,{level}`).{bound}"
+                 that the single axes imply; how many of them differ by chance is unknown \
+                 {cause}.{bound}"
             )
         }
     };

@@ -288,6 +288,11 @@ pub(crate) fn meanings(
             "nominal, matched",
             "nominal success of the complete configurations that have a nominal outcome",
         ));
+    }
+    if inferred
+        .iter()
+        .any(|inference| !inference.losses.is_empty())
+    {
         entries.push((
             "Holm p",
             "sign-flip test of the loss, corrected for the conditions of the level",

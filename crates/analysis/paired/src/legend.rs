@@ -126,8 +126,8 @@ pub(crate) fn interval_entries(
         entries.push((name, meaning));
     }
     if absent.contains(&NoInterval::NoSpread) {
-        let meaning = "no interval: all tasks have the same value, so that resampling them says \
-                       nothing about the uncertainty of the value";
+        let meaning = "no interval: resampling the tasks does not change the value, so that it \
+                       says nothing about the value's uncertainty";
         entries.push((NoInterval::NoSpread.name(), meaning.to_owned()));
     }
     entries

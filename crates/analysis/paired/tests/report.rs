@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::{
     Bootstrap, Configuration, Count, DuplicateRecord, FindingKind, Flips, GateVerdict, Measures,
-    NominalSource, Options, Outcome, Record, legend, report, table, task_correlation,
+    NominalSource, Options, Outcome, Record, brief, legend, report, table, task_correlation,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -255,6 +255,26 @@ fn a_bound_of_chance_is_stated_only_if_nearly_identical_rollouts_end_differently
 }
 
 #[test]
+fn an_incomplete_placebo_is_not_taken_for_an_absent_one() {
+    let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let camera = Condition::Single(Axis::Camera);
+    let placebo = Record {
+        id: RolloutId::perturbed(task(0), camera, Level::L0, 0).expect("an id"),
+        ..records[1]
+    };
+    records.push(placebo);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let mut findings = report.findings.iter();
+    let simultaneity = findings.find(|finding| finding.kind == FindingKind::Simultaneity);
+    let sentence = &simultaneity.expect("a sentence").sentence;
+    assert!(
+        sentence.contains("no configuration of the placebo level L0 has all its outcomes"),
+        "{sentence}"
+    );
+    assert!(!sentence.contains("--levels"), "{sentence}");
+}
+
+#[test]
 fn a_small_certain_loss_is_claimed_beside_a_greater_uncertain_one() {
     // The camera costs one of five rollouts in each of ten tasks, the robot all of two tasks.
     let rows = (0..10).flat_map(|task| {
@@ -306,6 +326,8 @@ fn an_incomplete_cell_counts_complete_configurations_and_lists_gaps() {
     );
     assert_eq!(report.quarantined, ["spatial/t2/sensor/L2/c00"]);
 
+    let words = "Of the rollouts, 2 have no outcome yet and 1 is in quarantine.";
+    assert!(brief(&report).contains(words), "{}", brief(&report));
     let text = table(&report);
     for expected in [
         "in quarantine and excluded from every rate (1): spatial/t2/sensor/L2/c00",
@@ -505,4 +527,16 @@ fn the_legend_explains_the_loss_under_latency() {
     let report = report(&records, &Options::default()).expect("no duplicates");
     assert!(table(&report).contains("loss"));
     assert!(legend(&[&report]).contains("1 - success / nominal success"));
+}
+
+#[test]
+fn the_legend_explains_the_p_values_of_losses_without_nominal_success() {
+    let records = campaign([[F, S, S, F], [F, F, S, S], [F, S, S, S]]);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let (table, legend) = (table(&report), legend(&[&report]));
+    for symbol in ["Holm p", "equiv. p"] {
+        assert!(table.contains(symbol), "{symbol}: {table}");
+        assert!(legend.contains(symbol), "{symbol}: {legend}");
+    }
+    assert!(!legend.contains("relative indep."), "{legend}");
 }
