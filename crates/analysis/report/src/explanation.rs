@@ -6,14 +6,14 @@ use std::fmt::Write;
 
 use adaptive::Decision;
 use adaptive::subsets::{
-    Answer, Explained, Lattice, LatticeError, Occurrence, Repeats, Sample, Unexplained, Verdict,
+    Answer, Explained, LatticeError, Occurrence, Repeats, Sample, Unexplained, Verdict,
     configurations, next, occurrences, plan, selected,
 };
 use libero_ctrl::{AxisSet, Explanation, JsonError};
 use paired::{Outcome, Record, Transition, push_wrapped};
 use serde::Serialize;
 
-use crate::subject::{Prospect, Subject, pluralise};
+use crate::subject::{Prospect, Subject, agree, pluralise};
 use crate::words::push_name;
 
 /// Width of the column of axis names, in characters.
@@ -100,18 +100,22 @@ impl Findings {
         };
         let lattices = configurations(records, &explaining.records, explanation.repeats)?;
         let sample = Sample::of(explanation);
+        let waiting = explaining.records.iter();
+        let waiting = waiting.filter(|record| !is_settled(record)).count();
         let mut findings = Self {
             campaign: explanation.campaign.clone(),
             explained_by: explaining.origin_name().to_owned(),
             policy: explaining.policy.clone(),
             // A configuration with a missing outcome may still turn out to have a transition.
-            complete: records.iter().all(is_settled) && plan(&lattices, &sample).is_empty(),
+            complete: records.iter().all(is_settled)
+                && waiting == 0
+                && plan(&lattices, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             not_confirmed: 0,
             nominal_fails: 0,
             rollouts: explaining.records.len() as u64,
-            waiting: 0,
+            waiting: waiting as u64,
             subsets: Vec::new(),
             configurations: Vec::new(),
         };
@@ -125,19 +129,16 @@ impl Findings {
                 Err(reason @ (Unexplained::AwaitsRepeats | Unexplained::NotConfirmed)) => {
                     findings.transitions += 1;
                     findings.not_confirmed += u64::from(reason == Unexplained::NotConfirmed);
-                    findings.waiting += waiting(lattice);
                     continue;
                 }
                 Err(Unexplained::Incomplete | Unexplained::Unchanged(_)) => continue,
             };
             findings.transitions += 1;
             findings.explained += u64::from(next(lattice, sample.strategy) == Decision::Done);
-            findings.waiting += waiting(lattice);
             if explained.rollouts > 0 {
                 findings.configurations.push(explained);
             }
         }
-        findings.complete &= findings.waiting == 0;
         findings.subsets = occurrences(&findings.configurations);
         Ok(Some(findings))
     }
@@ -195,7 +196,8 @@ impl Findings {
             pluralise(*rollouts, "rollout")
         );
         if *waiting > 0 {
-            let _ = write!(words, ", of which {waiting} have no outcome yet");
+            let have = agree(*waiting, "has", "have");
+            let _ = write!(words, ", of which {waiting} {have} no outcome yet");
         }
         if self.not_confirmed > 0 {
             let _ = write!(
@@ -213,14 +215,6 @@ impl Findings {
         }
         words
     }
-}
-
-/// Returns the number of requested rollouts without an outcome.
-fn waiting(lattice: &Lattice) -> u64 {
-    lattice
-        .tallies()
-        .map(|(_, tally)| u64::from(tally.pending))
-        .sum()
 }
 
 fn is_settled(record: &Record) -> bool {
@@ -262,7 +256,8 @@ fn push_configuration(text: &mut String, explained: &Explained) {
         ..
     } = explained;
     let name = explanation.transition.name();
-    let _ = writeln!(text, "{name:<12} {configuration}  {rollouts} rollouts");
+    let rollouts = pluralise(u64::from(*rollouts), "rollout");
+    let _ = writeln!(text, "{name:<12} {configuration}  {rollouts}");
     for answer in &explanation.answers {
         push_answer(text, answer, explanation.transition);
     }
@@ -290,8 +285,8 @@ fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
         match minimal.is_established() {
             true => name,
             false => format!(
-                "{name} (not established: {} smaller subsets not run or not decided)",
-                minimal.open.len()
+                "{name} (not established: {} not run or not decided)",
+                pluralise(minimal.open.len() as u64, "smaller subset")
             ),
         }
     });

@@ -15,7 +15,7 @@ use paired::{Bootstrap, Interval, NoInterval, Outcome, intervals_of_many, push_w
 use serde::Serialize;
 
 use crate::family_pride::Pride;
-use crate::subject::Subject;
+use crate::subject::{Subject, agree, pluralise};
 
 /// Results of a campaign of LIBERO's family or of a suite file, under one protocol.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -521,16 +521,19 @@ impl Family {
     pub(crate) fn caveats(&self) -> Vec<String> {
         let mut sentences = Vec::new();
         if self.missing > 0 {
-            let missing = self.missing;
             sentences.push(format!(
-                "{missing} rollouts of the campaign have no outcome so far."
+                "{} of the campaign {} no outcome so far.",
+                pluralise(self.missing, "rollout"),
+                agree(self.missing, "has", "have")
             ));
         }
         if self.quarantined > 0 {
             sentences.push(format!(
-                "{} rollouts of the campaign are quarantined and in no figure; `coordinator jobs \
-                 list` names them.",
-                self.quarantined
+                "{} of the campaign {} quarantined and in no figure; `coordinator jobs list` names \
+                 {}.",
+                pluralise(self.quarantined, "rollout"),
+                agree(self.quarantined, "is", "are"),
+                agree(self.quarantined, "it", "them")
             ));
         }
         sentences

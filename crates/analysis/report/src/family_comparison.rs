@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::comparison::{SHARED, Side, Unpairable, property_difference};
 use crate::family::{Counted, Family, FamilyError, Line, group, interval, number};
-use crate::subject::Subject;
+use crate::subject::{Subject, agree, pluralise};
 
 /// Comparison of two campaigns over the rollouts that have an outcome in both.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -158,7 +158,9 @@ impl FamilyComparison {
             if unpaired > 0 {
                 let _ = writeln!(
                     text,
-                    "{unpaired} rollouts of {name} have no outcome in the other campaign."
+                    "{} of {name} {} no outcome in the other campaign.",
+                    pluralise(unpaired, "rollout"),
+                    agree(unpaired, "has", "have")
                 );
             }
         }

@@ -189,6 +189,14 @@ pub(crate) fn pluralise(count: u64, noun: &str) -> String {
     }
 }
 
+/// Returns the form of a verb that agrees with a count: `has` for 1, else `have`.
+pub(crate) fn agree(count: u64, singular: &'static str, plural: &'static str) -> &'static str {
+    match count {
+        1 => singular,
+        _ => plural,
+    }
+}
+
 /// Returns the records from which the figures are computed: all of them or, if the campaign
 /// stopped early, those of the configurations from which its intervals are computed.
 pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow<'a, [Record]> {

@@ -10,7 +10,7 @@ use libero_ctrl::{CONTROL_HZ, Condition, JsonError, Level, STEPS_PER_RADIUS, Tas
 use paired::{Bootstrap, Outcome, Record, push_wrapped};
 use serde::Serialize;
 
-use crate::subject::{Prospect, Subject, pluralise};
+use crate::subject::{Prospect, Subject, agree, pluralise};
 use crate::words;
 
 /// Width of the column of condition names, in characters.
@@ -227,13 +227,14 @@ impl ThresholdReport {
             pluralise(self.rollouts, "rollout")
         );
         if self.waiting > 0 {
-            let _ = write!(words, ", of which {} have no outcome yet", self.waiting);
+            let have = agree(self.waiting, "has", "have");
+            let _ = write!(words, ", of which {} {have} no outcome yet", self.waiting);
         }
         if self.beyond_budget > 0 {
             let _ = write!(
                 words,
-                "; the budget leaves {} others out",
-                self.beyond_budget
+                "; the budget leaves {} out",
+                pluralise(self.beyond_budget, "other")
             );
         }
         words
@@ -350,7 +351,9 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
     let left_out: u64 = curves.iter().map(|curve| curve.left_out).sum();
     if left_out > 0 {
         let words = format!(
-            "{left_out} thresholds are in no figure, because outcomes are missing or in quarantine"
+            "{} {} in no figure, because outcomes are missing or in quarantine",
+            pluralise(left_out, "threshold"),
+            agree(left_out, "is", "are")
         );
         push_wrapped(text, "", &words);
     }

@@ -8,7 +8,7 @@ use paired::Outcome;
 use libero_ctrl::{Condition, delay_at};
 use rollout_types::{Fingerprints, Provenance};
 
-use crate::subject::Subject;
+use crate::subject::{Subject, pluralise};
 
 /// The built-in asset pack, which is a different benchmark from LIBERO.
 const PRIMITIVES: &str = "primitives";
@@ -268,8 +268,8 @@ fn divergent(subject: &Subject) -> Option<String> {
     let divergent = &subject.divergent;
     (!divergent.is_empty()).then(|| {
         format!(
-            "{} rollouts ran twice with different outcomes (the first outcome counts): {}",
-            divergent.len(),
+            "{} ran twice with different outcomes (the first outcome counts): {}",
+            pluralise(divergent.len() as u64, "rollout"),
             first_names(divergent)
         )
     })

@@ -132,10 +132,10 @@ fn non_monotone(findings: &Findings) -> Markup {
     html! {
         @if all > 0 {
             li {
-                strong { "Larger sets can undo a change" } ": in " (affected.count())
-                " configurations, a set that contains a minimal subset does not change the \
-                outcome (" (all) @if all == 1 { " pair" } @else { " pairs" } " of sets, listed \
-                below as “undone by”)."
+                strong { "Larger sets can undo a change" } ": in "
+                (pluralise(affected.count() as u64, "configuration"))
+                ", a set that contains a minimal subset does not change the outcome ("
+                (pluralise(all as u64, "pair")) " of sets, listed below as “undone by”)."
             }
         }
     }
@@ -190,8 +190,9 @@ fn minimal(answer: &Answer) -> Markup {
                 (subset(answer.start, minimal.set))
                 @if !minimal.is_established() {
                     span.muted {
-                        " (not established: " (minimal.open.len())
-                        " smaller subsets not run or not decided)"
+                        " (not established: "
+                        (pluralise(minimal.open.len() as u64, "smaller subset"))
+                        " not run or not decided)"
                     }
                 }
             }

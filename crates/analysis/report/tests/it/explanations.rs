@@ -200,6 +200,25 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
 }
 
 #[test]
+fn rollouts_of_an_incomplete_configuration_count_as_waiting() {
+    let mut subject = explaining();
+    let derived = subject.derived.as_mut().expect("an explaining campaign");
+    // The first task's transition becomes unknown.
+    let mut explained = derived.records.iter_mut();
+    let simultaneous = explained.find(|record| record.id.condition() == Condition::Combination);
+    simultaneous.expect("a simultaneous rollout").outcome = Outcome::Quarantined;
+    subject.records[0].outcome = Outcome::Missing;
+    let findings = Findings::of(&subject).expect("two axes").expect("findings");
+    assert_eq!(
+        (findings.transitions, findings.waiting, findings.complete),
+        (11, 1, false)
+    );
+    let text = findings.text();
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains(", of which 1 has no outcome yet"), "{text}");
+}
+
+#[test]
 fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
     let document = document(vec![explaining()]);
     let mut bytes = Vec::new();
