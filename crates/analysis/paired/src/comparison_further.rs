@@ -7,7 +7,7 @@ use crate::bootstrap::Interval;
 use crate::comparison::{ComparedCell, Comparison};
 use crate::difference::Difference;
 use crate::progress::{MeanDifference, ProgressDifference};
-use crate::text::{ABSENT, p_value, push_columns, separate};
+use crate::text::{ABSENT, p_value, push_columns, push_wrapped, separate};
 
 /// Appends the intervals for further targets and the equivalence test, then the profile of
 /// tasks.
@@ -27,10 +27,11 @@ pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
         (cell.name(), values)
     });
     let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
-    push_block(text, "A - B for further targets", &heads, further.collect());
+    let title = "A - B for further targets";
+    push_block(text, comparison, title, &heads, further.collect());
     let by_task = cells().map(|(cell, difference)| (cell.name(), profile_columns(difference)));
     let heads = ["A better %", "95 %", "least", "most"];
-    push_block(text, "A - B by task", &heads, by_task.collect());
+    push_block(text, comparison, "A - B by task", &heads, by_task.collect());
 }
 
 fn profile_columns(difference: &Difference) -> Vec<String> {
@@ -61,9 +62,11 @@ pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
         rows.collect::<Vec<_>>()
     };
     let title = "partial progress: largest share of the goal's predicates held at once, %";
-    push_block(text, title, &heads, rows(|progress| progress.goal, 100.0));
+    let goal = rows(|progress| progress.goal, 100.0);
+    push_block(text, comparison, title, &heads, goal);
     let title = "partial progress: steps until success or the end of the rollout";
-    push_block(text, title, &heads, rows(|progress| progress.steps, 1.0));
+    let steps = rows(|progress| progress.steps, 1.0);
+    push_block(text, comparison, title, &heads, steps);
 }
 
 fn progress_columns(difference: &MeanDifference, scale: f64) -> Vec<String> {
@@ -135,7 +138,14 @@ fn first_cells(comparison: &Comparison) -> impl Iterator<Item = &ComparedCell> {
     cells.filter(|cell| cell.replicate == 0)
 }
 
-fn push_block(text: &mut String, title: &str, heads: &[&str], rows: Vec<(String, Vec<String>)>) {
+/// Appends a block about replicate 0, which its title names if there are further replicates.
+fn push_block(
+    text: &mut String,
+    comparison: &Comparison,
+    title: &str,
+    heads: &[&str],
+    rows: Vec<(String, Vec<String>)>,
+) {
     if rows.is_empty() {
         return;
     }
@@ -143,8 +153,9 @@ fn push_block(text: &mut String, title: &str, heads: &[&str], rows: Vec<(String,
     let mut all = vec![(String::new(), heads)];
     all.extend(rows);
     separate(text);
-    text.push_str(title);
-    text.push('\n');
+    let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
+    let suffix = if has_replicates { " (replicate 0)" } else { "" };
+    push_wrapped(text, "", &format!("{title}{suffix}"));
     push_columns(text, &all);
 }
 

@@ -132,7 +132,8 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
     }
     add(
         "n",
-        "rollouts with an outcome for both policies; all figures are over these rollouts",
+        "rollouts with an outcome for both policies; all rates and differences are over these \
+         rollouts",
     );
     add("A %, B %", "success rates over these rollouts");
     add(

@@ -105,7 +105,8 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
 pub fn gate_lines(report: &Report) -> String {
     let mut text = String::new();
     if let Some(gate) = &report.gate {
-        let remedy = "give a figure of one suite as SUITE:POLICY=PERCENT";
+        let remedy = "if only one suite was run, give its published figure as \
+                      `--published SUITE:POLICY=PERCENT`";
         push_wrapped(&mut text, "", &gate_line("", gate, GATE_ROLLOUTS, remedy));
     }
     for SuiteGate { suite, gate } in &report.suite_gates {
@@ -390,12 +391,12 @@ fn push_replication(text: &mut String, report: &Report) {
         });
         let changes = changes.collect::<Vec<_>>().join(", ");
         let changes = match changes.as_str() {
-            "" => "?",
-            changes => changes,
+            "" => "no configuration is complete in both".to_owned(),
+            changes => format!("I changes by {changes}"),
         };
         let flips = &replication.flips;
         let line = format!(
-            "replicate {} against 0: {} % of outcomes differ ({}/{}); I changes by {changes}",
+            "replicate {} against 0: {} % of outcomes differ ({}/{}); {changes}",
             replication.replicate,
             percent(flips.rate()),
             flips.flipped,

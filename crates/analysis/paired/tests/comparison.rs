@@ -216,6 +216,7 @@ fn replicates_are_paired_by_number() {
     assert_eq!(net, [Some((0, 0.0)), Some((1, -1.0))]);
     let table = comparison_table(&comparison, &Bootstrap::default());
     assert!(table.contains("replicate 1\n"), "{table}");
+    assert!(table.contains("A - B by task (replicate 0)\n"), "{table}");
 }
 
 #[test]

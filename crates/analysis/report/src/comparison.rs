@@ -77,8 +77,9 @@ impl Comparison {
         for (subject, side) in subjects.into_iter().zip(&sides) {
             if let Some(protocol) = &subject.protocol {
                 reasons.push(format!(
-                    "`{}` is a campaign of LIBERO's family, under {protocol}: compare it with \
-                     another campaign of the same benchmark by `coordinator compare`",
+                    "`{}` is a campaign of LIBERO's family or of a suite file, under {protocol}: \
+                     compare it with another campaign of the same benchmark by `coordinator \
+                     compare`",
                     side.label
                 ));
             }

@@ -47,9 +47,9 @@ pub enum DocumentError {
     /// Rollouts of LIBERO's family or of a suite file are reported together with other subjects, or
     /// lack their protocol.
     #[error(
-        "report on policy `{policy}`: its rollouts are of LIBERO's family, and such rollouts are \
-         never pooled with others; report on one campaign alone, or on one file of its exported \
-         rows with their `protocol`"
+        "report on policy `{policy}`: its rollouts are of LIBERO's family or of a suite file, and \
+         such rollouts are never pooled with others; report on one campaign alone, or on one file \
+         of its exported rows with their `protocol`"
     )]
     Pooled {
         /// Name of the policy.

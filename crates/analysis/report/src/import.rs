@@ -51,9 +51,9 @@ pub enum ImportError {
         bad: usize,
         named: Vec<BadLine>,
     },
-    #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
+    #[error("import {path}: it has more than {MAX_FILE_ROWS} rows; divide the file")]
     TooLong { path: PathBuf },
-    #[error("import {path}: it is larger than {} GiB; divide it", MAX_FILE_BYTES >> 30)]
+    #[error("import {path}: it is larger than {} GiB; divide the file", MAX_FILE_BYTES >> 30)]
     TooLarge { path: PathBuf },
     #[error("import {path}: it has no row")]
     Empty { path: PathBuf },
@@ -277,7 +277,7 @@ impl Reading {
             let is_of_suite_file = protocol.contains('@');
             if is_of_suite_file != (row.rollout_id.task().suite() == Suite::Own) {
                 return Err(format!(
-                    "protocol `{protocol}` is not of the benchmark of {}",
+                    "rollout {} does not belong to the benchmark of protocol `{protocol}`",
                     row.rollout_id
                 ));
             }
@@ -374,7 +374,7 @@ impl Row {
             ),
         ];
         if let Some((field, _)) = agreements.iter().find(|(_, agrees)| !agrees) {
-            return Err(format!("`{field}` differs from its id {id}"));
+            return Err(format!("`{field}` contradicts the rollout id {id}"));
         }
         match self
             .goal()

@@ -164,14 +164,14 @@ impl AxisInteractions {
         push_wrapped(
             &mut text,
             "",
-            "Success is v, the success rate under the subset, in percent. Effect is its Moebius \
-             interaction, in points: the effect of its axes together beyond the effects of their \
-             subsets. Nominal success and all interactions add up to simultaneous success. A share \
-             is an axis's Shapley value: its effect, averaged over all orders in which axes can be \
-             added. The index of a pair is its Shapley interaction index: the amount by which one \
-             axis changes the effect of the other; below 0 they do more harm together. Brackets \
-             hold 95 % intervals, which hold simultaneously for all shares, for all pairs, and for \
-             all effects of subsets.",
+            "Success is the success rate under the subset, in percent. Effect is the subset's \
+             Moebius interaction, in points: the effect of its axes together beyond the effects of \
+             its smaller subsets. Nominal success and all interactions add up to simultaneous \
+             success. A share is an axis's Shapley value: its effect, averaged over all orders in \
+             which axes can be added. The index of a pair is its Shapley interaction index: the \
+             amount by which one axis changes the effect of the other; below 0 they do more harm \
+             together. Brackets hold 95 % intervals, which hold simultaneously for all shares, for \
+             all pairs, and for all effects of subsets.",
         );
         text
     }

@@ -124,9 +124,9 @@ impl Sequential {
                 holm_p: None,
                 sentence: format!(
                     "At {level}, {low} to {high} % of the campaign's {} configurations succeed \
-                     under simultaneous perturbation, and its net effect on them is {least} to {most} \
-                     points: these confidence sequences are valid at any look, and for these \
-                     configurations only.",
+                     under simultaneous perturbation, and the net effect of simultaneity on them \
+                     is {least} to {most} points: these confidence sequences are valid at any \
+                     look, and for these configurations only.",
                     self.configurations
                 ),
             })

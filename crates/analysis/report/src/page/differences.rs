@@ -292,11 +292,11 @@ fn bounds(cell: &ComparedCell) -> Option<String> {
 fn explanation() -> Markup {
     html! {
         p.muted {
-            "n: rollouts with an outcome of both policies, replicate 0; every figure is over these. \
-            A is the policy that is named first. In brackets, 95 % intervals that resample whole \
-            tasks, both policies of a task together. Only: rollouts that one policy alone solves. \
-            Holm p: exact two-sided sign-flip test over tasks, corrected for the rows of the table. \
-            Worst to best: over every outcome that quarantined rollouts could \
+            "n: rollouts with an outcome of both policies, replicate 0; all rates and differences \
+            are over these. A is the policy that is named first. In brackets, 95 % intervals that \
+            resample whole tasks, both policies of a task together. Only: rollouts that one policy \
+            alone solves. Holm p: exact two-sided sign-flip test over tasks, corrected for the \
+            rows of the table. Worst to best: over every outcome that quarantined rollouts could \
             have had."
         }
     }

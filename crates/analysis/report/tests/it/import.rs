@@ -123,8 +123,8 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
         (ROW.to_owned(), "line 2: it is without `protocol`"),
         (
             unperturbed.replace("pro-official", "kitchen@0123456789abcdef"),
-            "line 2: protocol `kitchen@0123456789abcdef` is not of the benchmark of \
-             goal/t0/pro:unperturbed/i03",
+            "line 2: rollout goal/t0/pro:unperturbed/i03 does not belong to the benchmark of \
+             protocol `kitchen@0123456789abcdef`",
         ),
     ] {
         let message = refused(&[&swapped, &second]);
@@ -164,22 +164,26 @@ fn many_bad_lines_are_counted() {
 fn a_row_that_contradicts_itself_or_another_is_bad() {
     let wrong = |from: &str, to: &str| ROW.replace(from, to);
     for (from, to, expected) in [
-        ("\"L2\",", "\"L3\",", "`level` differs from its id"),
-        ("\"camera\",", "\"robot\",", "`axis` differs from its id"),
+        ("\"L2\",", "\"L3\",", "`level` contradicts the rollout id"),
+        (
+            "\"camera\",",
+            "\"robot\",",
+            "`axis` contradicts the rollout id",
+        ),
         (
             "libero_goal",
             "libero_object",
-            "`suite` differs from its id",
+            "`suite` contradicts the rollout id",
         ),
         (
             "\"task_id\": 0",
             "\"task_id\": 7",
-            "`task_id` differs from its id",
+            "`task_id` contradicts the rollout id",
         ),
         (
             "\"config\": 1",
             "\"config\": 2",
-            "`config` differs from its id",
+            "`config` contradicts the rollout id",
         ),
     ] {
         let message = refused(&[&wrong(from, to)]);
