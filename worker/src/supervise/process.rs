@@ -4,12 +4,13 @@
 use std::collections::VecDeque;
 use std::io;
 use std::process::{ExitStatus, Stdio};
+use std::sync::Arc;
 
 use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::UnixStream;
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::process::{Child, Command};
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 use tokio::task::{self, JoinSet};
 
 use super::event::{Event, ProcessEnd, ProcessKey};
@@ -28,17 +29,11 @@ const MAX_RELAYED_LINE_BYTES: u64 = 4096;
 /// ends.
 #[derive(Debug)]
 pub(crate) struct SlotProcess {
-    requests: mpsc::Sender<Request>,
+    commands: mpsc::Sender<SlotCommand>,
+    kill: Arc<Notify>,
     pub(crate) key: ProcessKey,
     /// Id of the task that owns the process.
     pub(crate) task: task::Id,
-}
-
-/// Request to the task that owns a process.
-#[derive(Debug)]
-enum Request {
-    Send(SlotCommand),
-    Kill,
 }
 
 impl SlotProcess {
@@ -62,10 +57,13 @@ impl SlotProcess {
             .process_group(0)
             .kill_on_drop(true)
             .spawn()?;
-        let (sender, requests) = mpsc::channel(COMMAND_QUEUE);
-        let task = tasks.spawn(run_process(child, connection, key, requests, events));
+        let (sender, commands) = mpsc::channel(COMMAND_QUEUE);
+        let kill = Arc::new(Notify::new());
+        let running = run_process(child, connection, key, commands, Arc::clone(&kill), events);
+        let task = tasks.spawn(running);
         Ok(Self {
-            requests: sender,
+            commands: sender,
+            kill,
             key,
             task: task.id(),
         })
@@ -74,11 +72,12 @@ impl SlotProcess {
     /// Sends a command, which is lost if the queue is full. The loss does not matter: a full queue
     /// shows that the process reads no commands, so it makes no progress and is killed for that.
     pub(crate) fn send(&self, command: SlotCommand) {
-        let _ = self.requests.try_send(Request::Send(command));
+        let _ = self.commands.try_send(command);
     }
 
+    /// Kills the process, even if it reads no commands or has closed its connection.
     pub(crate) fn kill(&self) {
-        let _ = self.requests.try_send(Request::Kill);
+        self.kill.notify_one();
     }
 }
 
@@ -87,17 +86,18 @@ async fn run_process(
     mut child: Child,
     connection: UnixStream,
     key: ProcessKey,
-    requests: mpsc::Receiver<Request>,
+    commands: mpsc::Receiver<SlotCommand>,
+    kill: Arc<Notify>,
     events: mpsc::Sender<Event>,
 ) {
     let kills_before = OomKills::read();
-    let (events_socket, commands) = connection.into_split();
+    let (events_socket, commands_socket) = connection.into_split();
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
     let ((), _, last_lines, status) = tokio::join!(
         forward_events(events_socket, key, &events),
         relay(stdout, key.slot),
         relay(stderr, key.slot),
-        handle_requests(child, commands, requests)
+        wait_or_kill(child, forward_commands(commands_socket, commands), &kill)
     );
     let kills = OomKills::read().since(kills_before);
     let description = match status {
@@ -112,38 +112,40 @@ async fn run_process(
     let _ = events.send(Event::Ended { key, end }).await;
 }
 
-async fn handle_requests(
+/// Waits for the process to end, and kills it when `kill` is notified.
+async fn wait_or_kill(
     mut child: Child,
-    commands: OwnedWriteHalf,
-    mut requests: mpsc::Receiver<Request>,
+    forwarding: impl Future<Output = ()>,
+    kill: &Notify,
 ) -> io::Result<ExitStatus> {
-    let mut commands = Some(commands);
+    tokio::pin!(forwarding);
+    let mut is_forwarding = true;
     loop {
-        let request = tokio::select! {
+        tokio::select! {
             status = child.wait() => return status,
-            request = requests.recv(), if commands.is_some() => request,
-        };
-        let done = match (request, &mut commands) {
-            (Some(Request::Send(command)), Some(commands)) => send(commands, &command).await,
-            (Some(Request::Kill), _) => child.start_kill(),
-            // The process ends when its connection is closed.
-            (None, _) => {
-                commands = None;
-                Ok(())
+            () = &mut forwarding, if is_forwarding => is_forwarding = false,
+            () = kill.notified() => {
+                // This fails only if the process has ended, which `wait` reports.
+                let _ = child.start_kill();
             }
-            (Some(Request::Send(_)), None) => Ok(()),
-        };
-        if done.is_err() {
-            // The process no longer reads: it has ended or is about to.
-            commands = None;
         }
     }
 }
 
-async fn send(commands: &mut OwnedWriteHalf, command: &SlotCommand) -> io::Result<()> {
+/// Forwards commands until the supervisor drops the process or a write fails, and closes the
+/// connection, whereupon the process ends.
+async fn forward_commands(mut socket: OwnedWriteHalf, mut commands: mpsc::Receiver<SlotCommand>) {
+    while let Some(command) = commands.recv().await {
+        if send(&mut socket, &command).await.is_err() {
+            return;
+        }
+    }
+}
+
+async fn send(socket: &mut OwnedWriteHalf, command: &SlotCommand) -> io::Result<()> {
     let mut line = serde_json::to_vec(command)?;
     line.push(b'\n');
-    commands.write_all(&line).await
+    socket.write_all(&line).await
 }
 
 async fn forward_events(stream: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender<Event>) {
@@ -200,6 +202,9 @@ async fn next_line(stream: &mut (impl AsyncBufRead + Unpin), max_bytes: u64) -> 
 #[cfg(test)]
 mod tests {
     use std::os::unix::process::ExitStatusExt;
+    use std::time::Duration;
+
+    use rollout_types::AttemptId;
 
     use super::*;
     use crate::memory::Verdict;
@@ -229,5 +234,29 @@ mod tests {
             last_lines: last_lines.into(),
         };
         assert_eq!(end.with_last_lines(), "aborted; its last output: one | two");
+    }
+
+    #[tokio::test]
+    async fn a_process_that_closed_its_connection_can_be_killed() {
+        let program = SlotProgram {
+            program: "sh".into(),
+            arguments: vec!["-c".into(), "exec sleep 60 <&-".into()],
+        };
+        let key = ProcessKey { slot: 0, number: 1 };
+        let (events, mut inbox) = mpsc::channel(1);
+        let mut tasks = JoinSet::new();
+        let process = SlotProcess::start(&program, key, &mut tasks, events).expect("starts");
+        while !process.commands.is_closed() {
+            process.send(SlotCommand::Abandon(AttemptId::from_random([7; 16])));
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        process.kill();
+        let ended = tokio::time::timeout(Duration::from_secs(30), inbox.recv()).await;
+        match ended {
+            Ok(Some(Event::Ended { end, .. })) => {
+                assert!(end.description.contains("SIGKILL"), "{end:?}");
+            }
+            other => panic!("{other:?}"),
+        }
     }
 }
