@@ -43,7 +43,10 @@ pub enum MeasureError {
         slot: usize,
         end: String,
     },
-    #[error("measure with {slots} slots: one of them sent no message for at least {secs:.0} s")]
+    #[error(
+        "measure with {}: a slot sent nothing within {secs:.0} s",
+        terminal::counted(*slots as u64, "slot")
+    )]
     Silent { slots: usize, secs: f64 },
     /// The connection between parent and slot failed, or the table cannot be printed.
     #[error("exchange messages with a slot, or print the measurements")]

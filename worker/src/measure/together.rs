@@ -28,6 +28,8 @@ pub(super) struct Slots {
     kills_before: OomKills,
     sender: Sender<(usize, Inbound)>,
     inbox: Receiver<(usize, Inbound)>,
+    /// [`MAX_SILENCE`], or less in tests.
+    max_silence: Duration,
 }
 
 struct Running {
@@ -67,6 +69,7 @@ impl Slots {
             kills_before: OomKills::read(),
             sender,
             inbox,
+            max_silence: MAX_SILENCE,
         }
     }
 
@@ -87,10 +90,11 @@ impl Slots {
             // A failed write means that the slot has ended, which `receive` reports.
             let _ = writeln!(self.running[slot].connection, "{request}");
         }
-        let deadline = Instant::now() + Duration::from_secs_f64(secs) + MAX_SILENCE;
+        let limit = Duration::from_secs_f64(secs) + self.max_silence;
+        let begin = Instant::now();
         let mut counts = Vec::new();
         while counts.len() < slots {
-            if let SlotReport::Counted(count) = self.receive(deadline)? {
+            if let SlotReport::Counted(count) = self.receive(slots, begin, limit)? {
                 counts.push(count);
             }
         }
@@ -99,14 +103,15 @@ impl Slots {
 
     /// Starts slots until there are `slots`, and waits until all are ready.
     pub(super) fn start(&mut self, slots: usize) -> Result<(), MeasureError> {
-        let deadline = Instant::now() + MAX_SILENCE;
+        let begin = Instant::now();
         let mut missing = 0;
         while self.running.len() < slots {
             self.start_one()?;
             missing += 1;
         }
         while missing > 0 {
-            if let SlotReport::Ready { renderer } = self.receive(deadline)? {
+            let report = self.receive(slots, begin, self.max_silence)?;
+            if let SlotReport::Ready { renderer } = report {
                 self.renderer = renderer;
                 missing -= 1;
             }
@@ -136,8 +141,14 @@ impl Slots {
         Ok(())
     }
 
-    fn receive(&mut self, deadline: Instant) -> Result<SlotReport, MeasureError> {
-        let remaining = deadline.saturating_duration_since(Instant::now());
+    /// Receives the next report of one of `slots` slots, until `limit` has passed since `begin`.
+    fn receive(
+        &mut self,
+        slots: usize,
+        begin: Instant,
+        limit: Duration,
+    ) -> Result<SlotReport, MeasureError> {
+        let remaining = limit.saturating_sub(begin.elapsed());
         match self.inbox.recv_timeout(remaining) {
             Ok((_, Inbound::Report(message))) => Ok(message),
             Ok((slot, Inbound::End)) => {
@@ -148,8 +159,8 @@ impl Slots {
             }
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 Err(MeasureError::Silent {
-                    slots: self.running.len(),
-                    secs: MAX_SILENCE.as_secs_f64(),
+                    slots,
+                    secs: limit.as_secs_f64(),
                 })
             }
         }
@@ -277,5 +288,18 @@ mod tests {
         });
         let error = slots.measure(2, 0.1).expect_err("no counts").to_string();
         assert!(error.contains("exited with code 3"), "{error}");
+    }
+
+    #[test]
+    fn a_silent_slot_is_reported_with_the_number_of_measured_slots() {
+        let script = r#"echo '{"ready":{"renderer":"none"}}' >&0; exec sleep 60"#;
+        let mut slots = Slots::new(SlotProgram {
+            program: "sh".into(),
+            arguments: vec!["-c".into(), script.into()],
+        });
+        slots.start(2).expect("ready");
+        slots.max_silence = Duration::ZERO;
+        let error = slots.measure(1, 0.1).expect_err("no count").to_string();
+        assert!(error.starts_with("measure with 1 slot: "), "{error}");
     }
 }
