@@ -9,6 +9,7 @@ use libero_ctrl::presets::ENV_SEED;
 use scene::arena::arena;
 use scene::catalog::category;
 use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_files};
+use terminal::counted;
 
 /// Part of the protocol's 40 tasks that a pack has the files for.
 #[derive(Debug)]
@@ -89,7 +90,10 @@ impl Coverage {
         }
         Ok(files.first().map(|first| match files.len() {
             1 => format!("find {}", first.path),
-            more => format!("find {} and {} more files", first.path, more - 1),
+            files => {
+                let others = counted(files as u64 - 1, "more file");
+                format!("find {} and {others}", first.path)
+            }
         }))
     }
 
