@@ -132,7 +132,8 @@ def _rates(results: Sequence[tuple[str, bool]]) -> str:
 
 
 class NewestStudent:
-    """The student with the newest weights of a file. The file may change, and may not exist yet."""
+    """The student with the newest weights of a file. The file may change, may not exist yet, and
+    may be removed."""
 
     def __init__(self, file: Path | None, device: torch.device) -> None:
         self._file = file
@@ -142,11 +143,14 @@ class NewestStudent:
         self._lock = threading.Lock()
 
     def student(self) -> Student | None:
-        """Returns the student with the file's present weights, or None if there is no file."""
+        """Returns the student with the file's newest weights, or None if there never was a file."""
         if self._file is None:
             return None
         with self._lock:
-            stamp = self._file.stat().st_mtime_ns if self._file.exists() else 0
+            try:
+                stamp = self._file.stat().st_mtime_ns
+            except FileNotFoundError:
+                return self._student
             if stamp != self._stamp:
                 self._student, self._stamp = Student(self._file, self._device), stamp
                 print(f"the student drives with {self._file}", flush=True)

@@ -188,6 +188,22 @@ def test_the_student_takes_part_once_its_weights_exist(
         assert (shard.frames == step[:, None, None, None, None]).all()
 
 
+def test_the_student_keeps_its_weights_when_their_file_disappears(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    monkeypatch.setattr(collect, "Student", lambda *_: object())
+    weights = tmp_path / "weights"
+    newest_student = collect.NewestStudent(weights, torch.device("cpu"))
+    assert newest_student.student() is None
+    weights.touch()
+    student = newest_student.student()
+    assert student is not None
+    weights.unlink()
+    assert newest_student.student() is student
+
+
 def test_a_further_run_into_a_folder_adds_to_the_outcomes(tmp_path: Path) -> None:
     first, second = TASK_NAMES[:2]
     collect.add_outcomes(tmp_path, {first: [1, 2]})
