@@ -213,19 +213,14 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
     assert!(largest <= TOLERANCE, "states differ by {largest:e}");
 }
 
-/// Compares the cases that `family/record_chosen.py` recorded and `is_chosen` selects. Returns the
-/// number of compared cases.
-fn compare_chosen(
-    benchmark: Benchmark,
-    test: &str,
-    is_chosen: impl Fn(&Recording) -> bool,
-) -> usize {
+/// Compares the cases that `family/record_chosen.py` recorded and `is_chosen` selects.
+fn compare_chosen(benchmark: Benchmark, test: &str, is_chosen: impl Fn(&Recording) -> bool) {
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
-        return 0;
+        return;
     };
     let mut comparison = Comparison::new(sources, pack, Path::new(FOLDER)).unwrap();
-    let (mut compared, mut violations) = (0, Vec::new());
+    let mut violations = Vec::new();
     let mut chosen = recordings(benchmark).unwrap();
     chosen.retain(|recording| recording.number.is_some() && is_chosen(recording));
     assert!(!chosen.is_empty());
@@ -241,13 +236,11 @@ fn compare_chosen(
                 }
                 let found = findings.violations();
                 violations.extend(found.into_iter().map(|found| format!("{name}: {found}")));
-                compared += 1;
             }
             Err(skipped) => println!("skipped {test}: {name}: {}", skipped.0),
         }
     }
     assert!(violations.is_empty(), "{violations:#?}");
-    compared
 }
 
 #[test]
