@@ -30,7 +30,9 @@ pub(crate) enum FilmingError {
         #[source]
         source: io::Error,
     },
-    #[error("simulate the rollout again: its goal held at another step; this is a defect")]
+    #[error(
+        "simulate the rollout again: its outcome differs from the first time; this is a defect"
+    )]
     Differs,
     #[error("finish the video: it was abandoned")]
     Abandoned,

@@ -129,7 +129,8 @@ async fn a_film_that_ends_differently_from_its_rollout_is_not_stored() {
     let output = film_all(&coordinator);
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     let log = String::from_utf8(output.stderr).expect("text");
-    assert!(log.contains("its goal held at another step"), "{log}");
+    let expected = "its outcome differs from the first time";
+    assert!(log.contains(expected), "{log}");
     assert_eq!(coordinator.messages().len(), 2, "no video");
 }
 
