@@ -142,7 +142,7 @@ fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
         }
         Some("npy") => read_rows(open_array(open()?)?),
         Some("jsonl" | "json") => read_lines(open()?),
-        _ => Err("its name must end in .npz, .npy or .jsonl".to_owned()),
+        _ => Err("its name must end in .npz, .npy, .jsonl or .json".to_owned()),
     }
 }
 

@@ -67,18 +67,27 @@ impl Answer {
     /// Logs a late or refused report, a quarantine, and the delay before a rollout is tried again.
     pub(crate) fn log(&self, label: &str) {
         match self {
-            Self::Committed(answer) => match answer.verdict() {
-                CommitVerdict::Accepted | CommitVerdict::Duplicate => {}
-                CommitVerdict::Stale => {
-                    tracing::warn!("{label}: a result came too late: {}", answer.detail);
+            Self::Committed(answer) => {
+                let detail = &answer.detail;
+                match answer.verdict() {
+                    CommitVerdict::Accepted | CommitVerdict::Duplicate => {}
+                    CommitVerdict::Stale => {
+                        tracing::warn!("{label}: a result came too late: {detail}");
+                    }
+                    CommitVerdict::Divergent => {
+                        tracing::error!("{label}: a result differs from the stored one: {detail}");
+                    }
+                    CommitVerdict::Unpaired => {
+                        tracing::error!("{label}: a result was refused: {detail}");
+                    }
+                    CommitVerdict::Unspecified => {
+                        tracing::error!(
+                            "{label}: a result got a verdict that this worker does not know: \
+                             {detail}"
+                        );
+                    }
                 }
-                verdict => {
-                    tracing::error!(
-                        "{label}: a result was refused, {verdict:?}: {}",
-                        answer.detail
-                    )
-                }
-            },
+            }
             Self::Released(answer) => match answer.verdict() {
                 ReleaseVerdict::Quarantined => {
                     tracing::error!(
@@ -86,7 +95,8 @@ impl Answer {
                     );
                 }
                 _ if answer.backoff_secs > 0.0 => {
-                    tracing::info!("{label}: the rollout waits {:.0} s", answer.backoff_secs);
+                    let secs = answer.backoff_secs;
+                    tracing::info!("{label}: the rollout is tried again after {secs:.0} s");
                 }
                 _ => {}
             },

@@ -228,7 +228,7 @@ impl Supervisor {
             }
         };
         if tokio::time::timeout(END_DEADLINE, ending).await.is_err() {
-            tracing::warn!("a slot's process does not end by itself and is killed");
+            tracing::warn!("some slots' processes do not end by themselves and are killed");
         }
     }
 

@@ -98,7 +98,7 @@ impl Supervisor {
             }
             if let Some(attempt) = given_back {
                 let error =
-                    "the rollout did not end: its worker was asked to end at once".to_owned();
+                    "the rollout did not end: its worker gave it back while ending".to_owned();
                 let kind = FailureKind::Draining;
                 let label = self.label(slot);
                 let ending = Ending::Failed(Failure { kind, error });

@@ -92,9 +92,13 @@ impl Supervisor {
     fn abandon(&mut self, lost: AttemptId, now: Instant) {
         let is_preparing = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
         if let Some(slot) = self.slots.iter_mut().find(|slot| is_preparing(slot)) {
-            tracing::warn!("a lease was lost while assets were fetched for it");
             slot.state.work = Work::Nothing;
-            slot.preparing = None;
+            if let Some((assignment, campaign)) = slot.preparing.take() {
+                let session = assignment.session;
+                tracing::warn!(
+                    "the lease of {campaign}: {session} was lost while its files were fetched"
+                );
+            }
             return;
         }
         let is_running = |slot: &Slot| {
