@@ -101,8 +101,8 @@ pub enum Command {
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),
-    /// Makes the missing videos of campaigns that record transitions, from the recorded actions,
-    /// until none is left; queries no policy
+    /// Makes the missing videos of campaigns that record transitions or explain others, from the
+    /// recorded actions, until none is left; queries no policy
     Film(FilmArguments),
     /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files; with
     /// --endpoint, runs them and the unperturbed tasks of variants
@@ -459,7 +459,8 @@ pub enum AssetsCommand {
         #[arg(value_name = "PACK_OR_PATH")]
         packs: Vec<String>,
     },
-    /// Compares the files of a pack with LIBERO's, and names those that differ
+    /// Compares the files of a pack with LIBERO's, or those of `primitives` with this program's,
+    /// and names LIBERO's that differ
     Verify {
         /// `libero`, `primitives`, or the path of a LIBERO assets folder [default:
         /// `libero` and `primitives`]
@@ -476,7 +477,7 @@ pub enum AssetsCommand {
 /// The files to fetch, and the place to fetch them from.
 #[derive(Debug, Args)]
 pub struct FetchArguments {
-    /// Tasks whose assets are fetched: SUITE/N, separated by commas, or `all` 40
+    /// Tasks whose assets are fetched: SUITE/N, separated by commas, or `all` (40)
     #[arg(long, value_name = "SUITE/N,...|all", value_delimiter = ',', default_value = "all", value_parser = task_choice)]
     pub tasks: Vec<TaskChoice>,
     /// BDDL file of a further task, of your own or of LIBERO's other suites; may be repeated

@@ -65,13 +65,13 @@ pub struct RunOptions {
     /// plus-official, pro-official or para-official]
     #[arg(long, value_name = "NAME", conflicts_with = "suite_file")]
     pub protocol: Option<Protocol>,
-    /// Leaves out variants whose files are missing, after naming them
+    /// Leaves out rollouts whose files are missing, after naming them
     #[arg(long)]
     pub runnable: bool,
     /// Films each rollout
     #[arg(long)]
     pub video: bool,
-    /// Prints a line for each variant: the files that it needs, and whether they are present
+    /// Prints a line for each rollout: the files that it needs, and whether they are present
     #[arg(long, conflicts_with = "endpoint")]
     pub list: bool,
     /// Prints how the start of a rollout differs between the protocols of the benchmark: the hand's
