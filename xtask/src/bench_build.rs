@@ -11,7 +11,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 
 use crate::cargo::cargo;
-use crate::process::capture;
+use crate::process::{capture, command_line};
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Wait {
@@ -121,7 +121,7 @@ fn timed(command: &mut Command) -> Result<(u64, String)> {
     let output = command
         .stdin(Stdio::null())
         .output()
-        .context("start a timed command")?;
+        .with_context(|| format!("start `{}`", command_line(command)))?;
     let seconds = start.elapsed().as_secs();
     if !output.status.success() {
         let tail = |bytes: &[u8]| {
@@ -130,7 +130,8 @@ fn timed(command: &mut Command) -> Result<(u64, String)> {
             lines[lines.len().saturating_sub(40)..].join("\n")
         };
         bail!(
-            "time a command: the command ended with {} after {seconds} s\n{}\n{}",
+            "time `{}`: {} after {seconds} s\n{}\n{}",
+            command_line(command),
             output.status,
             tail(&output.stdout),
             tail(&output.stderr)

@@ -52,7 +52,8 @@ enum Command {
     },
     /// Run a small campaign end to end and print its paired table.
     Demo(demo::Options),
-    /// Check format, lints, documentation and unit tests, in minutes.
+    /// Check format, lints, Python types, documentation and unit tests; takes
+    /// minutes.
     Check,
     /// Run all tests and lints, or only the named suites.
     Test {
@@ -89,7 +90,8 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// Waiting times for the demo's report, for `.ci/run`, and for the tests of a changed line.
+    /// Waiting times for the demo's report, for `.ci/run`, and for the queue's tests after a changed
+    /// line.
     Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {

@@ -234,7 +234,7 @@ impl Wheel {
         }
         ensure!(
             count > 0,
-            "unpack {}: it lacks required files",
+            "unpack {}: it has none of the required files",
             wheel.display()
         );
         std::fs::write(partial.join(STAMP), self.sha256)?;

@@ -52,8 +52,8 @@ impl Running {
             }
             running.check()?;
             if start.elapsed() > START_LIMIT {
-                let log = running.log.display();
-                bail!("start {name}: it does not answer; see {log}");
+                let (secs, log) = (START_LIMIT.as_secs(), running.log.display());
+                bail!("start {name}: it did not announce itself within {secs} s; see {log}");
             }
             std::thread::sleep(CHECK_INTERVAL);
         }

@@ -75,7 +75,7 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     let programs = build_programs(root)?;
     // Without a network, the tests that need the assets are skipped with a message.
     if let Err(error) = setup::assets(&programs, "all") {
-        println!("  none: {error:#}");
+        println!("  LIBERO's assets: none; tests that need them are skipped: {error:#}");
     }
     let tests = Tests {
         root,
