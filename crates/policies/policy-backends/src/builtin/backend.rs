@@ -3,7 +3,7 @@
 
 use std::{
     fmt,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use policy_protocol::ACTION_WIDTH;
@@ -71,9 +71,12 @@ impl BuiltinBackend {
         }
     }
 
+    fn sessions(&self) -> MutexGuard<'_, SessionTable<Arc<Mutex<Instance>>>> {
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn instance(&self, session: &str) -> Option<Arc<Mutex<Instance>>> {
-        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
-        sessions.get(session).cloned()
+        self.sessions().get(session).cloned()
     }
 }
 
@@ -88,9 +91,13 @@ impl Backend for BuiltinBackend {
             policy: (self.policy.start)(&request),
             next_query: 0,
         };
-        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
-        sessions.open(&request.session, Arc::new(Mutex::new(instance)));
+        let instance = Arc::new(Mutex::new(instance));
+        self.sessions().open(&request.session, instance);
         Ok(())
+    }
+
+    async fn end(&self, session: &str) {
+        self.sessions().close(session);
     }
 
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
@@ -118,5 +125,24 @@ impl Backend for BuiltinBackend {
 impl fmt::Display for BuiltinBackend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.name.fmt(f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::builtin::Builtin;
+
+    #[tokio::test]
+    async fn an_ended_session_is_not_kept() {
+        let backend = BuiltinBackend::new("noop".to_owned(), Builtin::Noop.policy());
+        let request = ResetRequest {
+            session: "s".to_owned(),
+            ..ResetRequest::default()
+        };
+        backend.reset(request).await.expect("a session");
+        assert!(backend.instance("s").is_some());
+        backend.end("s").await;
+        assert!(backend.instance("s").is_none());
     }
 }
