@@ -117,6 +117,10 @@ impl Backend for Replay {
         Ok(())
     }
 
+    async fn end(&self, session: &str) {
+        self.sessions().close(session);
+    }
+
     async fn infer(&self, query: InferRequest) -> Result<InferResponse, BackendError> {
         let episodes = self.sessions().get(&query.session).cloned();
         let episodes = episodes.ok_or(BackendError::SessionLost)?;
@@ -249,5 +253,23 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             sent.values
         ),
         None => "the simulator's states or the counts of readings differ".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn an_ended_session_is_not_kept() {
+        let replay = Replay {
+            folder: PathBuf::new(),
+            described: DescribeResponse::default(),
+            recorded: vec![],
+            sessions: Mutex::new(SessionTable::new(1)),
+        };
+        replay.sessions().open("s", Arc::new(vec![]));
+        replay.end("s").await;
+        assert!(replay.sessions().get("s").is_none());
     }
 }
