@@ -29,7 +29,9 @@ pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<V
         .find(|frame| frame.camera == camera)
         .filter(|frame| (frame.width, frame.height) == (FRAME_SIDE, FRAME_SIDE))
         .filter(|frame| frame.rgb.len() == 3 * (FRAME_SIDE * FRAME_SIDE) as usize);
-    let frame = frame.ok_or_else(|| format!("the observation has no frame of {camera}"))?;
+    let frame = frame.ok_or_else(|| {
+        format!("the observation has no frame of {camera} with {FRAME_SIDE} × {FRAME_SIDE} pixels")
+    })?;
     Ok(rotated(&frame.rgb))
 }
 
