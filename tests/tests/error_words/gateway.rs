@@ -182,6 +182,7 @@ fn checks(messages: &mut Messages) {
         VlaEvalAnswerError::Shape { .. } => VlaEvalAnswerError::Shape { shape: vec![2, 3, 7] },
         VlaEvalAnswerError::Chunk { .. } => VlaEvalAnswerError::Chunk { count: 8 },
         VlaEvalAnswerError::Single { .. } => VlaEvalAnswerError::Single { execute: 8 },
+        VlaEvalAnswerError::Empty { .. } => VlaEvalAnswerError::Empty { execute: 8 },
         VlaEvalAnswerError::Short { .. } => VlaEvalAnswerError::Short { count: 4, execute: 8 },
     );
 }

@@ -246,6 +246,12 @@ fn encode_query(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String>
 /// Returns the actions of a chunk that are executed.
 fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, String> {
     let [count, width] = chunk.shape;
+    if count == 0 {
+        return Err(format!(
+            "it answered an empty chunk: serve a checkpoint with chunks of {execute} or more \
+             actions"
+        ));
+    }
     if count < execute as usize {
         return Err(format!(
             "it answered {count} actions, and {execute} are executed per query: write \
@@ -294,5 +300,16 @@ mod tests {
         assert_eq!(response.actions, chunk.numbers[..35]);
         let error = first_actions(&chunk, 11).expect_err("too few");
         assert!(error.contains("?execute=10"), "{error}");
+    }
+
+    #[test]
+    fn an_empty_chunk_is_refused_without_advice_about_execute() {
+        let chunk = codec::Chunk {
+            shape: [0, 7],
+            numbers: vec![],
+        };
+        let error = first_actions(&chunk, 5).expect_err("no actions");
+        assert!(error.contains("chunks of 5 or more"), "{error}");
+        assert!(!error.contains("?execute"), "{error}");
     }
 }

@@ -6,6 +6,7 @@ use proto::policy::InferResponse;
 use rmpv::{Value, ValueRef};
 use thiserror::Error;
 
+use super::address::MAX_EXECUTE;
 use crate::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
 /// Version of the protocol.
@@ -134,6 +135,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     let (count, width) = match *shape {
         [_] if execute > 1 => return Err(AnswerError::Single { execute }),
         [width] => (1, width),
+        [0, _] => return Err(AnswerError::Empty { execute }),
         [count, _] if execute == 1 && count > 1 => return Err(AnswerError::Chunk { count }),
         [count, _] if count < execute as usize => {
             return Err(AnswerError::Short { count, execute });
@@ -221,8 +223,9 @@ pub enum AnswerError {
     /// The answer is a chunk, and one action is executed per answer.
     #[error(
         "it answered a chunk of {count} actions, and one is executed per query: write \
-         ?execute={count} (or less) after its address, or give the server a chunk_size, so that \
-         it answers single actions of the chunk"
+         ?execute={} (or less) after its address, or give the server a chunk_size, so that it \
+         answers single actions of the chunk",
+        (*count).min(MAX_EXECUTE as usize)
     )]
     Chunk {
         /// Number of actions in the answer.
@@ -234,6 +237,14 @@ pub enum AnswerError {
          its address"
     )]
     Single {
+        /// Actions per query, as configured.
+        execute: u32,
+    },
+    /// The chunk has no actions.
+    #[error(
+        "it answered an empty chunk: serve a checkpoint with chunks of {execute} or more actions"
+    )]
+    Empty {
         /// Actions per query, as configured.
         execute: u32,
     },
@@ -341,6 +352,31 @@ mod tests {
             answered(ONE_ACTION, 2),
             Err(AnswerError::Single { execute: 2 })
         );
+    }
+
+    #[test]
+    fn advice_about_execute_is_within_the_limits_of_an_address() {
+        let refusal = |count: usize, execute: u32| {
+            let data = vec![0; 4 * ACTION_WIDTH * count];
+            let actions = array(Keys::Text, "<f4", &[count, ACTION_WIDTH], data);
+            let message = map([
+                ("type", "action".into()),
+                ("payload", map([("actions", actions)])),
+                ("seq", 3.into()),
+            ]);
+            let refused = answer(&numpy::encode(&message), 3, execute);
+            refused.expect_err("another number of actions").to_string()
+        };
+        for execute in [1, 5] {
+            let empty = refusal(0, execute);
+            assert!(
+                empty.contains(&format!("chunks of {execute} or more")),
+                "{empty}"
+            );
+            assert!(!empty.contains("?execute"), "{empty}");
+        }
+        let long = refusal(200, 1);
+        assert!(long.contains("?execute=100 "), "{long}");
     }
 
     #[test]
