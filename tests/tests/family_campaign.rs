@@ -294,7 +294,8 @@ fn invalid_campaigns_and_commands_for_variants_are_refused_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::start(&folder.path().join("data"));
     for (more, expected) in [
-        (&["--dimension", "light"][..], "Give --runnable"),
+        (&["--dimension", "light"][..], "choose other rollouts"),
+        (&["--dimension", "light,camera"], "Give --runnable"),
         (&["--protocol", "pro-official"], "another benchmark's"),
         (&["--protocol", "plus"], "valid are plus-official"),
         (&["--dimension", "sound"], "valid are background"),

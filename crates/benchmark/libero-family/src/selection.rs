@@ -387,6 +387,7 @@ mod tests {
                         "dimensions":["light","camera"]}"#;
         check_refused(lights, "(scenes/lights/), which no package index has: ");
         check_refused(lights, "--runnable");
+        check_refused(lights, r#"`"runnable": true` in a specification"#);
         let runnable = r#"{"benchmark":"libero-plus","protocol":"plus-official","runnable":true}"#;
         let Rollouts::Variants(variants) = spec(runnable).rollouts else {
             panic!("variants");
@@ -398,6 +399,7 @@ mod tests {
         let none = r#"{"benchmark":"libero-plus","protocol":"plus-official",
                       "dimensions":["light"],"runnable":true}"#;
         check_refused(none, "run 1142 of the 1142 chosen rollouts");
+        check_refused(none, "choose other rollouts");
         let objects = r#"{"benchmark":"libero-pro","protocol":"pro-official",
                          "suites":["libero_goal_object"],"trials":1}"#;
         check_refused(objects, "models of LIBERO-PRO");

@@ -62,8 +62,8 @@ pub enum SelectionError {
     },
     /// Some of the chosen variants cannot run.
     #[error(
-        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
-         --runnable to run the other rollouts only"
+        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\n{}",
+        advice(chosen - lacking)
     )]
     Lacking {
         /// Number of rollouts that cannot run.
@@ -79,4 +79,15 @@ pub enum SelectionError {
     /// A suite, dimension, type of paraphrase, task or protocol is unknown.
     #[error(transparent)]
     Name(#[from] UnknownName),
+}
+
+/// Returns the advice on a selection with missing files, of which `runnable` rollouts can run.
+fn advice(runnable: usize) -> &'static str {
+    match runnable {
+        0 => "No chosen rollout can run: follow this advice, or choose other rollouts",
+        _ => {
+            "Give --runnable (`\"runnable\": true` in a specification) to run the other rollouts \
+             only"
+        }
+    }
 }
