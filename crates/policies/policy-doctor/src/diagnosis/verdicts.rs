@@ -78,8 +78,9 @@ pub(super) fn range(actions: &[Action]) -> Verdict {
     } else {
         fail(format!(
             "{beyond} of {count} numbers lie beyond that range, up to {largest:.2}. Usually the \
-             actions are not un-normalised, or with another data set's statistics: compare the \
-             files that the server loads with those that its authors' evaluation loads."
+             actions are not un-normalised, or are un-normalised with another data set's \
+             statistics: compare the files that the server loads with those that its authors' \
+             evaluation loads."
         ))
     }
 }
@@ -144,22 +145,24 @@ pub(super) fn observations(
 
 /// Checks that each camera's frames affect the answers.
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
-    let unused: Vec<&str> = changes
-        .iter()
-        .filter(|(_, change)| change.has_effect() == Some(false))
-        .map(|(camera, _)| camera.as_str())
-        .collect();
+    let cameras_with = |effect: Option<bool>| {
+        let with_effect = changes
+            .iter()
+            .filter(|(_, change)| change.has_effect() == effect);
+        let cameras: Vec<&str> = with_effect.map(|(camera, _)| camera.as_str()).collect();
+        cameras.join(" and ")
+    };
+    let [unused, hidden, used] = [Some(false), None, Some(true)].map(cameras_with);
     if !unused.is_empty() {
-        let are_all_unused = unused.len() == changes.len();
-        let other_cameras = match are_all_unused {
-            true => "",
-            false => "; frames of the other cameras do",
+        let other_cameras = match (hidden.as_str(), used.as_str()) {
+            ("", "") => String::new(),
+            ("", _) => "; frames of the other cameras do".to_owned(),
+            _ => format!("; noise hides any effect of frames of {hidden}"),
         };
         return fail(format!(
-            "frames of {} that are flipped vertically, or black, change no action{other_cameras}. \
-             Usually an image slot of the network stays empty: compare the names of cameras and \
-             slots, or do not request these frames.",
-            unused.join(" and ")
+            "frames of {unused} that are flipped vertically, or black, change no \
+             action{other_cameras}. Usually an image slot of the network stays empty: compare the \
+             names of cameras and slots, or do not request these frames."
         ));
     }
     match changes
@@ -337,6 +340,21 @@ mod tests {
         assert_eq!(change(2e-5, 1e-5), Some(false));
         assert_eq!(change(0.1, 0.05), None);
         assert_eq!(change(0.5, 0.05), Some(true));
+    }
+
+    #[test]
+    fn frames_of_other_cameras_have_an_effect_unless_noise_hides_it() {
+        let verdict = |largest, noise| {
+            let unused = Change {
+                largest: 0.0,
+                noise: 0.0,
+            };
+            let other = Change { largest, noise };
+            frames(&[("a".to_owned(), unused), ("b".to_owned(), other)])
+        };
+        assert!(fails(&verdict(0.5, 0.0), "frames of the other cameras do"));
+        let hidden = "noise hides any effect of frames of b";
+        assert!(fails(&verdict(0.1, 0.05), hidden));
     }
 
     #[test]
