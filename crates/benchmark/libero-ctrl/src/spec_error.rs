@@ -49,8 +49,8 @@ pub enum SpecError {
     },
     /// The asset pack is neither a known name nor a digest.
     #[error(
-        "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or the \
-         first {MIN_DIGEST_DIGITS} digits or more of a pack's digest; the pack's folder is an \
+        "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or at \
+         least the first {MIN_DIGEST_DIGITS} digits of a pack's digest; the pack's folder is an \
          option of workers"
     )]
     Assets {

@@ -404,8 +404,8 @@ impl FileTask {
         if let Some(text) = sha256
             && !is_hex(text)
         {
-            let remedy = "write the 64 digits that `cat TASK.bddl TASK.pruned_init | sha256sum` \
-                          prints";
+            let remedy = "write the 64 digits that `cat BDDL STATES | sha256sum` prints for the \
+                          task's two files";
             return Err(invalid(&field("sha256"), &quoted(text), remedy));
         }
         Ok(())

@@ -143,7 +143,9 @@ const ROOT_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles"
 
 /// Error: the name does not have the form of LIBERO's and LIBERO-Plus' problem classes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("read problem class `{0}`: neither LIBERO nor LIBERO-Plus has it")]
+#[error(
+    "read problem class `{0}`: it does not have the form of LIBERO's or LIBERO-Plus' class names"
+)]
 pub struct ProblemError(String);
 
 impl ProblemClass {
