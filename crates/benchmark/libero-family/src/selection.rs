@@ -385,7 +385,7 @@ mod tests {
     fn variants_that_no_worker_can_run_are_refused_or_left_out_with_runnable() {
         let lights = r#"{"benchmark":"libero-plus","protocol":"plus-official",
                         "dimensions":["light","camera"]}"#;
-        check_refused(lights, "(scenes/lights/), which no package index has: ");
+        check_refused(lights, "(scenes/lights/), which no package index has; give");
         check_refused(lights, "--runnable");
         check_refused(lights, r#"`"runnable": true` in a specification"#);
         let runnable = r#"{"benchmark":"libero-plus","protocol":"plus-official","runnable":true}"#;
