@@ -52,14 +52,15 @@ pub enum RouteError {
         /// Name of the session.
         session: String,
     },
-    /// The route has no checkpoint for the suite.
+    /// The route has no checkpoint for the suite, or the request names no suite.
     #[error(
-        "route {route} has a checkpoint per suite and none for {suite:?}; it has them for {known}"
+        "route {route} has a checkpoint per suite{}; it has them for {known}",
+        suite_problem(suite)
     )]
     Suite {
         /// Name of the route.
         route: RouteName,
-        /// Requested suite.
+        /// Requested suite; empty if none is named.
         suite: String,
         /// Suites with a checkpoint.
         known: String,
@@ -108,6 +109,14 @@ fn replica_problem(replica: &str, source: &BackendError) -> String {
     match problem.contains(address) {
         true => format!(": {problem}"),
         false => format!(" ({replica}): {problem}"),
+    }
+}
+
+/// Formats the reason why a route with a checkpoint per suite has none for a request.
+fn suite_problem(suite: &str) -> String {
+    match suite.is_empty() {
+        true => ", and the request names no suite".to_owned(),
+        false => format!(" and none for {suite:?}"),
     }
 }
 

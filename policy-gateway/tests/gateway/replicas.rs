@@ -195,10 +195,16 @@ async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_suite_is_refus
         .await
         .expect_err("no suite named");
     assert_eq!(unknown.code(), Code::InvalidArgument);
-    assert!(
-        unknown.message().contains("libero_goal, libero_object"),
-        "{unknown}"
-    );
+    for part in ["names no suite", "libero_goal, libero_object"] {
+        assert!(unknown.message().contains(part), "{part} in {unknown}");
+    }
+    let request = DescribeRequest {
+        suite: "libero_10".to_owned(),
+        ..describe("x")
+    };
+    let unknown = client.describe(request).await.expect_err("no checkpoint");
+    let part = r#"none for "libero_10""#;
+    assert!(unknown.message().contains(part), "{unknown}");
 }
 
 #[tokio::test]
