@@ -52,7 +52,7 @@ def test_a_folder_of_a_repository_is_found_in_it(hub):
     assert fetched.folder == hub.snapshot / "ckpt" / "small"
     assert hub.requests[0][2] == {"allow_patterns": ["small/*", "*/small/*"]}
     with pytest.raises(
-        UnusableCheckpoint, match="has no folders named large; its top folders are ckpt"
+        UnusableCheckpoint, match="has no folder named large; its top folders are ckpt"
     ):
         fetch(entry("minerva"), "me/mine/large")
 

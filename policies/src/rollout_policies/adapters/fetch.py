@@ -78,8 +78,9 @@ def _subfolder(snapshot: Path, folder: str | None, name: str) -> Path:
     matching = [path for path in matching if path.is_dir()]
     if len(matching) != 1:
         top = sorted(path.name for path in snapshot.iterdir() if path.is_dir())
+        found = f"{len(matching)} folders" if matching else "no folder"
         raise UnusableCheckpoint(
-            f"checkpoint {name}: its repository has {len(matching) or 'no'} folders named {folder};"
+            f"checkpoint {name}: its repository has {found} named {folder};"
             f" its top folders are {', '.join(top) or 'none'}"
         )
     return matching[0]
