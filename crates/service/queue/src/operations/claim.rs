@@ -377,9 +377,9 @@ fn missing_files(
     {
         return None;
     }
-    let among = match waiting.len() {
+    let others = match waiting.len() {
         1 => "",
-        _ => " among others",
+        _ => " and others",
     };
     let files = match TaskKey::files_of(first) {
         Some(benchmark) => format!(
@@ -388,9 +388,9 @@ fn missing_files(
         ),
         None if first.contains('+') => format!(
             "task files that this worker lacks or has in another version, for task \
-             {first}{among}; its log names the files"
+             {first}{others}; its log names the files"
         ),
-        None => format!("assets that this worker lacks, for task {first}{among}"),
+        None => format!("assets that this worker lacks, for task {first}{others}"),
     };
     Some(format!("campaign `{campaign}` needs {files}"))
 }
@@ -455,7 +455,7 @@ mod tests {
             missing_files(&campaign, waiting, request)
         };
         assert_eq!(missing(&waiting[..1], &request).as_deref(), Some(one));
-        let several = format!("{one} among others");
+        let several = format!("{one} and others");
         assert_eq!(missing(&waiting, &request), Some(several));
         request.lacking_tasks.remove(tasks[1]);
         assert_eq!(missing(&waiting, &request), None);
