@@ -109,6 +109,7 @@ fn pictures(messages: &mut Messages) {
         DrawError::Missing { .. } => DrawError::Missing {
             geom: 3, what: "mesh", index: 9, count: 4,
         },
+        DrawError::MissingSky { .. } => DrawError::MissingSky { index: 9, count: 4 },
         DrawError::Shadows { .. } => DrawError::Shadows { size: 2 },
         DrawError::Texels { .. } => DrawError::Texels { texture: 1, given: 2, needed: 3 },
     );

@@ -372,9 +372,7 @@ pub(crate) fn check(
         return Err(DrawError::Shadows { size });
     }
     match scene.sky {
-        Some(index) if index >= model.textures.len() => Err(DrawError::Missing {
-            geom: scene.geoms.len(),
-            what: "texture",
+        Some(index) if index >= model.textures.len() => Err(DrawError::MissingSky {
             index,
             count: model.textures.len(),
         }),

@@ -57,16 +57,24 @@ pub enum DrawError {
         /// Requirement that the value violates.
         needed: &'static str,
     },
-    /// Geom or sky that refers to a mesh, plane or texture that the model does not have.
+    /// Geom that refers to a mesh, plane or texture that the model does not have.
     #[error("geom {geom} names {what} {index}, and the model has {count}")]
     Missing {
-        /// Index of the geom, in drawing order; the number of geoms for the sky.
+        /// Index of the geom, in drawing order.
         geom: usize,
         /// Kind of the missing item: mesh, plane or texture.
         what: &'static str,
         /// Index of the missing item.
         index: usize,
         /// Number of such items in the model.
+        count: usize,
+    },
+    /// Sky that refers to a texture that the model does not have.
+    #[error("the sky names texture {index}, and the model has {count}")]
+    MissingSky {
+        /// Index of the missing texture.
+        index: usize,
+        /// Number of textures in the model.
         count: usize,
     },
     /// Shadow maps of invalid size.

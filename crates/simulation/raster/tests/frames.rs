@@ -224,7 +224,9 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
         ("mesh 7", |scene: &mut Scene| {
             scene.geoms[0].shape = Shape::Mesh(7)
         }),
-        ("texture 9", |scene: &mut Scene| scene.sky = Some(9)),
+        ("the sky names texture 9", |scene: &mut Scene| {
+            scene.sky = Some(9)
+        }),
         ("shadow maps of 2 × 2", |scene: &mut Scene| {
             scene.shadows = Some(shadows(2))
         }),
