@@ -7,6 +7,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::{JobName, Lease, RetryJobsRequest, SkipJobsRequest};
 use queue::clock::Clock;
+use queue::ids::CampaignName;
 use queue::invariants::check;
 use serde_json::json;
 
@@ -305,6 +306,36 @@ async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
     worker.heartbeat(&[], 0).await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
+}
+
+/// Regression: the log had the skip of a running rollout as an error after its last attempt.
+#[tokio::test]
+async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("some")).await.expect("created");
+    let lease = bench.worker("a").await.claim_one().await;
+    let log = tempfile::NamedTempFile::new().expect("a file");
+    let subscriber = tracing_subscriber::fmt()
+        .with_ansi(false)
+        .with_writer(log.reopen().expect("opens"))
+        .finish();
+    let logging = tracing::subscriber::set_default(subscriber);
+    let name = CampaignName::parse("some").expect("a name");
+    let job = queue::ids::JobName {
+        rollout_id: rollout_id(&lease),
+        replicate: 0,
+    };
+    let skipped = bench.queue.skip_jobs(&name, &[job]).await;
+    drop(logging);
+    assert_eq!(skipped.expect("skipped"), 1);
+    let logged = std::fs::read_to_string(log.path()).expect("a log");
+    let mut lines = logged.lines();
+    let line = lines.find(|line| line.contains("an operator skipped this rollout"));
+    let line = line.expect("a line about the job");
+    assert!(
+        line.contains(" INFO ") && !line.contains("attempt"),
+        "{line}"
+    );
 }
 
 #[tokio::test]

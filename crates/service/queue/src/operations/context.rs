@@ -175,7 +175,10 @@ impl<'a> Context<'a> {
         jobs::fail(&mut self.tx, job, lease, reason, error, next_step, now).await?;
         if next_step == AfterFailure::Quarantine {
             self.settles = true;
-            tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
+            match reason {
+                FailureReason::Skipped => tracing::info!(job = %job.id, "quarantined: {error}"),
+                _ => tracing::error!(job = %job.id, "quarantined after its last attempt: {error}"),
+            }
         } else if !reason.is_charged() {
             // The job may be leased again at once.
             self.shared.work.notify_waiters();
