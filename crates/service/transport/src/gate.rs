@@ -150,11 +150,10 @@ where
             if is_refusal(status.code()) {
                 shared.log_refusal(caller, &path, status.code(), status.message());
             }
-            if status.message().len() <= MAX_STATUS_CHARS {
-                return Ok(answer);
-            }
-            let message: String = status.message().chars().take(MAX_STATUS_CHARS).collect();
-            Ok(Status::new(status.code(), message + "…").into_http())
+            Ok(match truncated(status.message()) {
+                Some(message) => Status::new(status.code(), message).into_http(),
+                None => answer,
+            })
         })
     }
 }
@@ -228,6 +227,12 @@ const MAX_LOGGED_CHARS: usize = 300;
 /// megabyte of the request would break the connection.
 const MAX_STATUS_CHARS: usize = 2_000;
 
+/// Returns the start of a message that is too long for a status; `None` if it is not too long.
+fn truncated(message: &str) -> Option<String> {
+    let (end, _) = message.char_indices().nth(MAX_STATUS_CHARS)?;
+    Some(format!("{}…", &message[..end]))
+}
+
 fn caller<B>(request: &Request<B>) -> Option<&Caller> {
     let extensions = request.extensions();
     let plain = extensions.get::<Caller>();
@@ -261,4 +266,16 @@ fn is_refusal(code: Code) -> bool {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // No thread panics while it holds one of these locks.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_messages_of_more_than_the_longest_number_of_characters_are_truncated() {
+        let longest = "é".repeat(MAX_STATUS_CHARS);
+        assert_eq!(truncated(&longest), None);
+        assert_eq!(truncated(&format!("{longest}x")), Some(longest + "…"));
+    }
 }
