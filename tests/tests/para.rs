@@ -147,7 +147,13 @@ fn an_altered_or_incomplete_checkout_is_refused_with_the_fetch_command() {
     }
     let problem = refusal(&sources);
     assert!(problem.contains(para::digest()), "{problem}");
-    fs::remove_file(paths.pop().expect("the metadata")).expect("removed");
+    let metadata = paths.pop().expect("the metadata");
+    fs::write(&metadata, vec![b' '; (4 << 20) + 1]).expect("a file");
+    let problem = refusal(&sources);
+    for words in [para::METADATA, "larger than 4 MiB"] {
+        assert!(problem.contains(words), "{problem}");
+    }
+    fs::remove_file(metadata).expect("removed");
     let problem = refusal(&sources);
     assert!(problem.contains("1 of 4093 files are missing"), "{problem}");
 }

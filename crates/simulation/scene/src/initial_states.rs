@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::error::SceneError;
+use crate::family::read_limited;
 use crate::pickle::{Matrix, read_matrix};
 
 /// Initial states of a task. Each is a state vector of the simulator: time (s), qpos, qvel.
@@ -89,11 +90,8 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
         .find(|name| name.ends_with("/data.pkl") || name == NPZ_MEMBER)
         .ok_or("neither `data.pkl` nor `states.npy` is in the zip")?;
     let member = archive.by_name(&name).map_err(|error| error.to_string())?;
-    let mut bytes = Vec::new();
-    member
-        .take(MAX_FILE_BYTES)
-        .read_to_end(&mut bytes)
-        .map_err(|error| error.to_string())?;
+    let bytes =
+        read_limited(member, MAX_FILE_BYTES).map_err(|error| format!("`{name}`: {error}"))?;
     let matrix = match name == NPZ_MEMBER {
         true => read_npy(&bytes)?,
         false => read_matrix(&bytes)?,

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use libero_family::para;
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 use crate::error::SceneError;
 use crate::family::{
-    MAX_FILE_BYTES, UNPACKED, UNPACKING, remove, required_files, write, write_error,
+    MAX_FILE_BYTES, UNPACKED, UNPACKING, read_limited, remove, required_files, write, write_error,
 };
 use crate::sources::Sources;
 
@@ -39,7 +39,8 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
         (inside, Some(path))
     });
     for (inside, copy) in inside.chain([(para::METADATA.to_owned(), None)]) {
-        match read(&checkout.join(&inside)) {
+        let file = File::open(checkout.join(&inside));
+        match file.and_then(|file| read_limited(file, MAX_FILE_BYTES)) {
             Ok(bytes) => {
                 let digest = Sha256::digest(&bytes);
                 for byte in digest {
@@ -80,12 +81,4 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
     remove(&unpacking)?;
     write(&folder.join(UNPACKED), expected.as_bytes())?;
     Ok(folder)
-}
-
-fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?
-        .take(MAX_FILE_BYTES)
-        .read_to_end(&mut bytes)?;
-    Ok(bytes)
 }
