@@ -68,6 +68,7 @@ fn scenes(messages: &mut Messages) {
             what: "the BDDL file".to_owned(), path: path(), remedy: "give its path".to_owned(),
             source: io_error(),
         },
+        SceneError::Unpack { .. } => SceneError::Unpack { path: path(), source: io_error() },
         SceneError::Malformed { .. } => SceneError::Malformed {
             what: "the BDDL file".to_owned(), path: path(), problem: "line 3: no name".to_owned(),
         },

@@ -16,6 +16,17 @@ pub enum SceneError {
         #[source]
         source: std::io::Error,
     },
+    /// The built-in asset pack cannot be unpacked into the sources.
+    #[error(
+        "write unpacked asset pack {}: make the sources folder writable, or point --sources \
+         elsewhere",
+        path.display()
+    )]
+    Unpack {
+        path: PathBuf,
+        #[source]
+        source: std::io::Error,
+    },
     #[error("parse {what} {}: {problem}", path.display())]
     Malformed {
         what: String,

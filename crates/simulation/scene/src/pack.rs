@@ -260,12 +260,8 @@ fn read_error(path: &Path, source: std::io::Error) -> SceneError {
 }
 
 fn write_error(path: &Path, source: std::io::Error) -> SceneError {
-    SceneError::Read {
-        what: "unpacked asset pack".to_owned(),
-        path: path.to_owned(),
-        remedy: "make the sources folder writable, or point --sources elsewhere".to_owned(),
-        source,
-    }
+    let path = path.to_owned();
+    SceneError::Unpack { path, source }
 }
 
 /// Formats bytes as lower-case hexadecimal.

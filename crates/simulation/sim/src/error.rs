@@ -71,6 +71,7 @@ impl SimError {
             self,
             SimError::Scene(
                 scene::SceneError::Read { .. }
+                    | scene::SceneError::Unpack { .. }
                     | scene::SceneError::NotLiberos { .. }
                     | scene::SceneError::Assets(_)
             ) | SimError::Graphics { .. }
