@@ -223,8 +223,8 @@ class TokenGate(grpc.ServerInterceptor):
         if not isinstance(header, str) or not header.startswith("Bearer "):
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
-                "let the caller in without a token: name a --token-file (it is sent over https://"
-                " and to this machine only)",
+                "let the caller in without a token: name a --token-file (the token is sent"
+                " only over https:// or to this machine)",
             )
         role = self._tokens.role_of(header[len("Bearer ") :])
         if role is None:

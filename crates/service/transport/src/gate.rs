@@ -28,8 +28,8 @@ use crate::users::{Caller, Users};
 pub(crate) const OTHER_USER: &str = "let the caller in: this server accepts only the user that \
      started it, and another user of this machine has sent the call; start the server with \
      --token-file, or with --insecure-loopback if all users of the machine may do everything";
-pub(crate) const NO_TOKEN: &str = "let the caller in without a token: name a --token-file (it is \
-     sent over https:// and to this machine only)";
+pub(crate) const NO_TOKEN: &str = "let the caller in without a token: name a --token-file (the \
+     token is sent only over https:// or to this machine)";
 pub(crate) const UNKNOWN_TOKEN: &str = "let the caller in: this server does not know the token";
 
 /// Kind of the resource at a path, and the callers that are admitted.

@@ -37,7 +37,7 @@ pub struct ServerArguments {
     /// Certificate chain of this server, PEM. With it, clients write https://
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     pub tls_cert: Option<PathBuf>,
-    /// Its private key, PEM
+    /// Private key of the certificate in --tls-cert, PEM
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     pub tls_key: Option<PathBuf>,
     /// File of accepted tokens, one `ROLE TOKEN` per line, the role being
