@@ -100,7 +100,11 @@ pub enum OpenError {
         known: i64,
         source: MigrateError,
     },
-    #[error("open database {}: is it a SQLite file on a local disk?", path.display())]
+    #[error(
+        "open database {}: check that it is a SQLite file on a local disk, or restore it from a \
+         backup",
+        path.display()
+    )]
     Database { path: PathBuf, source: sqlx::Error },
 }
 

@@ -82,7 +82,9 @@ impl RealisedAxis {
 fn differing(name: &str, values: &[f64], other_values: &[f64]) -> Option<String> {
     if values.len() != other_values.len() {
         let (count, other_count) = (values.len(), other_values.len());
-        return Some(format!("it has {count} {name}s here and {other_count}"));
+        return Some(format!(
+            "the number of {name}s is {count} here and {other_count}"
+        ));
     }
     // NaN differs from every value.
     let agree = |(a, b): (&f64, &f64)| (a - b).abs() <= TOLERANCE || a == b;
@@ -127,7 +129,7 @@ mod tests {
         let difference = values(&[1.0]).difference(&values(&[1.0, 2.0]));
         assert_eq!(
             difference.as_deref(),
-            Some("it has 1 realised values here and 2")
+            Some("the number of realised values is 1 here and 2")
         );
         let nan = values(&[f64::NAN]);
         assert!(nan.difference(&nan).is_some());

@@ -401,7 +401,11 @@ pub enum AdoptError {
         "add campaign `{campaign}`: its rollouts have other step budgets than those of its source campaign; archive it again"
     )]
     OtherBudgets { campaign: CampaignName },
-    #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]
+    #[error(
+        "move film {} into the data folder: make room on that disk, and make the folder writable \
+         for this user",
+        path.display()
+    )]
     Film {
         path: PathBuf,
         source: std::io::Error,

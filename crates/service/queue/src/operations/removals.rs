@@ -46,7 +46,7 @@ async fn try_remove_locally(shared: &Shared, relative: &str) -> bool {
     match removed {
         Err(error) if error.kind() != ErrorKind::NotFound => {
             let path = path.display();
-            tracing::error!("failed to remove {path}: {error}; the next start tries again");
+            tracing::error!("failed to remove {path}: {error}; the removal is tried again");
             false
         }
         _ => true,
