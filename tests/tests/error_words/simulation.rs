@@ -386,13 +386,16 @@ fn assets(messages: &mut Messages) {
         AssetsError::Unreachable { .. } => AssetsError::Unreachable {
             url: url(), problem: "nothing listens there".to_owned(), tries: 5,
         },
-        AssetsError::Refused { .. } => AssetsError::Refused { url: url(), status: 404 },
+        AssetsError::Refused { .. } => AssetsError::Refused {
+            url: url(), status: 404, remedy: "choose another source with --index",
+        },
         AssetsError::NotInIndex { .. } => AssetsError::NotInIndex {
             index: url(), project: "a".to_owned(), problem: "the server answers 404".to_owned(),
         },
         AssetsError::NoWheel { .. } => AssetsError::NoWheel { path: path() },
         AssetsError::Answer { .. } => AssetsError::Answer {
             url: url(), problem: crate::json_error().to_string(),
+            remedy: "choose another source with --index",
         },
         AssetsError::Altered { .. } => AssetsError::Altered {
             file: "a.xml".to_owned(), url: url(), problem: "the file has 3 bytes, not 4".to_owned(),

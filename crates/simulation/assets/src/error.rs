@@ -47,13 +47,15 @@ pub enum AssetsError {
         tries: u32,
     },
     #[error(
-        "fetch {url}: the server answers {status}; check the address and its credentials, or set \
-         ROLLOUT_INDEX_URL to another package index"
+        "fetch {url}: the server answers {status}; check the address and its credentials, or \
+         {remedy}"
     )]
     Refused {
         /// The address, without credentials.
         url: String,
         status: u16,
+        /// Remedy, in the imperative.
+        remedy: &'static str,
     },
     #[error(
         "find {project} in the package index at {index}: {problem}; set ROLLOUT_INDEX_URL to an \
@@ -73,11 +75,13 @@ pub enum AssetsError {
         path.display()
     )]
     NoWheel { path: PathBuf },
-    #[error("parse the answer of {url}: {problem}; set ROLLOUT_INDEX_URL to another package index")]
+    #[error("parse the answer of {url}: {problem}; {remedy}")]
     Answer {
         /// The address, without credentials.
         url: String,
         problem: String,
+        /// Remedy, in the imperative.
+        remedy: &'static str,
     },
     #[error(
         "get {file} unaltered from {url}: {problem} (tried {tries} times). The received data was \

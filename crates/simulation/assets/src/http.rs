@@ -129,10 +129,12 @@ fn authorization(url: &Url) -> Option<String> {
 pub(crate) struct Client {
     agent: Agent,
     deadlines: Deadlines,
+    /// Remedy for a server that refuses a request or has other contents, in the imperative.
+    pub(crate) remedy: &'static str,
 }
 
 impl Client {
-    pub(crate) fn new(deadlines: Deadlines) -> Result<Self, AssetsError> {
+    pub(crate) fn new(deadlines: Deadlines, remedy: &'static str) -> Result<Self, AssetsError> {
         let mut tls = TlsConfig::builder();
         if let Some(roots) = certificates()? {
             tls = tls.root_certs(roots);
@@ -147,6 +149,7 @@ impl Client {
         Ok(Self {
             agent: config.into(),
             deadlines,
+            remedy,
         })
     }
 
@@ -201,6 +204,7 @@ impl Client {
             status => Err(RequestError::Permanent(AssetsError::Refused {
                 url: url(),
                 status,
+                remedy: self.remedy,
             })),
         }
     }

@@ -68,6 +68,7 @@ pub(crate) fn find_wheel(
             RequestError::Permanent(AssetsError::Answer {
                 url: page.as_str().to_owned(),
                 problem: libero_ctrl::JsonError::from(error).to_string(),
+                remedy: client.remedy,
             })
         })?;
         let files = read.files.into_iter();

@@ -17,6 +17,10 @@ pub const HUB: &str = "https://huggingface.co";
 /// `utils/download_utils.py`), at its default branch.
 const HUB_FOLDER: &str = "datasets/lerobot/libero-assets/resolve/main";
 const WHEELS_VARIABLE: &str = "ROLLOUT_WHEELS";
+/// Remedy for an index that refuses a request or has other contents.
+const OTHER_INDEX: &str = "set ROLLOUT_INDEX_URL to another package index";
+/// The same for a hub, which only an option of `worker assets fetch` selects.
+const OTHER_SOURCE: &str = "choose another source with --index, --wheels or --hub";
 
 /// A source of files.
 pub struct Origin(Kind);
@@ -67,7 +71,8 @@ impl Origin {
     /// If the URL is invalid, or the certificates that are set in the environment variables cannot
     /// be read.
     pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
-        let (client, index) = (Client::new(deadlines)?, address("package index", url)?);
+        let client = Client::new(deadlines, OTHER_INDEX)?;
+        let index = address("package index", url)?;
         Ok(Self(Kind::Index { client, index }))
     }
 
@@ -76,7 +81,8 @@ impl Origin {
     /// # Errors
     /// As [`Origin::index`].
     pub fn hub(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
-        let (client, hub) = (Client::new(deadlines)?, address("hub", url)?);
+        let client = Client::new(deadlines, OTHER_SOURCE)?;
+        let hub = address("hub", url)?;
         Ok(Self(Kind::Hub { client, hub }))
     }
 
@@ -196,13 +202,14 @@ impl Origin {
             }
             200 => (0, header("content-length")),
             // 416: the range begins after the file's end.
-            _ => (0, Some("fewer".to_owned())),
+            _ => (0, Some(format!("at most {from}"))),
         };
         let expected = parcel.bytes.to_string();
         if let Some(found) = total.filter(|total| *total != "*" && *total != expected) {
             return Err(RequestError::Permanent(AssetsError::Answer {
                 url: parcel.name.clone(),
                 problem: format!("the file has {found} bytes and should have {expected}"),
+                remedy: client.remedy,
             }));
         }
         let reader = Box::new(client.reader(response));

@@ -424,7 +424,21 @@ fn a_busy_index_is_retried_and_a_refusing_index_is_not() {
     let done = fetch(&TestIndex::start(Fault::Forbidden), &into.join("new"));
     assert_eq!(done.pauses, 0);
     let error = done.error();
-    assert!(error.contains("403") && error.contains(".whl"), "{error}");
+    for words in ["403", ".whl", "ROLLOUT_INDEX_URL"] {
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+#[test]
+fn the_error_of_a_refusing_hub_names_the_options_that_choose_another_source() {
+    let (_folder, into) = temporary_pack();
+    let index = TestIndex::start(Fault::None);
+    let origin = Origin::hub(&index.url(), deadlines()).expect("a URL");
+    let error = fetch_from(&origin, index.table(), &into).error();
+    for words in ["answers 404", "--hub"] {
+        assert!(error.contains(words), "{error}");
+    }
+    assert!(!error.contains("ROLLOUT_INDEX_URL"), "{error}");
 }
 
 #[test]
