@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 use crate::error::SceneError;
 use crate::family::read_limited;
 use crate::pickle::{Matrix, read_matrix};
+use crate::sources::REMEDY;
 
 /// Initial states of a task. Each is a state vector of the simulator: time (s), qpos, qvel.
 #[derive(Debug, Clone)]
@@ -31,7 +32,7 @@ impl InitialStates {
         let file = File::open(path).map_err(|source| SceneError::Read {
             what: WHAT.to_owned(),
             path: path.to_owned(),
-            remedy: "run `cargo xtask setup`, or correct the file's name".to_owned(),
+            remedy: format!("correct the file's name, or {REMEDY}"),
             source,
         })?;
         Self::from_reader(file, path)

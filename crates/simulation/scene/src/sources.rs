@@ -10,6 +10,10 @@ use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
 
+/// Remedy for missing files; users of a release archive have no cargo.
+pub(crate) const REMEDY: &str = "run `cargo xtask setup`, or point --sources at the folder \
+     share/rollout/sources of a release archive";
+
 /// Folder with files of the wheels: `robosuite/` holds files of robosuite's `models/assets`, and
 /// `libero/` holds `bddl_files` and `init_files`.
 #[derive(Debug, Clone)]
@@ -34,8 +38,7 @@ impl Sources {
             std::fs::metadata(&path).map_err(|source| SceneError::Read {
                 what: "simulation source".to_owned(),
                 path,
-                remedy: "run `cargo xtask setup`, or point --sources at the folder that it fills"
-                    .to_owned(),
+                remedy: REMEDY.to_owned(),
                 source,
             })?;
         }
@@ -205,7 +208,7 @@ impl AssetRoot {
                  assets, which `--assets libero` selects",
                 self.dir.display()
             ),
-            RootKind::Robosuite => "run `cargo xtask setup` again".to_owned(),
+            RootKind::Robosuite => REMEDY.to_owned(),
         }
     }
 }

@@ -11,7 +11,7 @@ use libero_family::protocol::Benchmark;
 
 use crate::bddl::Problem;
 use crate::error::SceneError;
-use crate::sources::Sources;
+use crate::sources::{REMEDY, Sources};
 
 /// Kind of file in messages.
 const BDDL: &str = "BDDL file";
@@ -111,7 +111,7 @@ impl TaskFiles {
         std::fs::read_to_string(&self.bddl).map_err(|source| SceneError::Read {
             what: BDDL.to_owned(),
             path: self.bddl.clone(),
-            remedy: "run `cargo xtask setup`, or correct the file's name".to_owned(),
+            remedy: format!("correct the file's name, or {REMEDY}"),
             source,
         })
     }
