@@ -67,7 +67,7 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
     let expected = para::digest();
     if found != expected {
         return Err(refused(format!(
-            "its files have the SHA-256 {found}, and those of this release {expected}"
+            "its files have the SHA-256 {found}, and those of the supported version {expected}"
         )));
     }
     remove(&unpacking)?;
