@@ -103,8 +103,15 @@ async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<us
 /// Describes why the length of the answers is unknown, and the consequence.
 fn unknown_length(spec: &CampaignSpec, model: &Execution, problem: &str) -> String {
     let (name, endpoint) = (&spec.policy.name, &spec.policy.endpoint);
+    // A campaign with the latency axis has no `overlap` of its own.
+    let consequence = match spec.execution.is_wait() {
+        true => format!(
+            "the arm holds still in rollouts in which {model} drops every action of an answer"
+        ),
+        false => format!("rollouts fail if {model} drops every action of an answer"),
+    };
     format!(
         "the length of the answers of policy {name} at {endpoint} is unknown yet ({problem}): \
-         rollouts fail if {model} drops every action of an answer"
+         {consequence}"
     )
 }

@@ -182,10 +182,14 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         .join(" ");
     for part in [
         "the length of the answers of policy",
-        "if overlap:10 drops every action of an answer",
+        "rollouts fail if overlap:10 drops every action of an answer",
     ] {
         assert!(message.contains(part), "{message}");
     }
+    let message = &succeed(serve.command(&[&named[..], &rollouts, &axis].concat()));
+    let words: Vec<&str> = message.split_whitespace().collect();
+    let part = "the arm holds still in rollouts in which overlap:10 drops every action";
+    assert!(words.join(" ").contains(part), "{message}");
     let listed = serve.command(&["campaign", "list"]);
     assert!(
         !text(&listed.stdout).contains("late"),
