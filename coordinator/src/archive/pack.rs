@@ -90,8 +90,11 @@ fn list_members(
     files.push((DATABASE_FILE.to_owned(), folder.join(DATABASE_FILE)));
     files.extend(films);
     let member = |(name, path): (String, PathBuf)| {
-        let digest = File::open(&path).and_then(|file| copy_digesting(file, io::sink()));
-        let (bytes, sha256) = digest.map_err(input_error(&path))?;
+        let file = File::open(&path).map_err(CopyError::Read);
+        let digest = file.and_then(|file| copy_digesting(file, io::sink()));
+        let (bytes, sha256) = digest.map_err(|error| match error {
+            CopyError::Read(error) | CopyError::Write(error) => input_error(&path)(error),
+        })?;
         let member = Member {
             name,
             bytes,
@@ -131,8 +134,11 @@ impl Package {
             let file = File::open(path).map_err(input_error(path))?;
             let mut file = Digesting::new(file.take(member.bytes));
             let mut tar_header = header(member.bytes);
-            tar.append_data(&mut tar_header, &member.name, &mut file)
-                .map_err(write_error)?;
+            let appended = tar.append_data(&mut tar_header, &member.name, &mut file);
+            appended.map_err(|error| match file.copy_error(error) {
+                CopyError::Read(error) => input_error(path)(error),
+                CopyError::Write(error) => write_error(error),
+            })?;
             if file.finish() != (member.bytes, member.sha256.clone()) {
                 let changed = io::Error::other("it has changed since it was listed");
                 return Err(input_error(path)(changed));
@@ -160,24 +166,42 @@ fn input_error(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
     move |source| ArchiveError::Input { path, source }
 }
 
+/// Error of copying, by the side that failed.
+#[derive(Debug)]
+pub(super) enum CopyError {
+    Read(io::Error),
+    Write(io::Error),
+}
+
 /// Reader that counts and hashes the bytes read through it.
-pub(super) struct Digesting<R> {
+struct Digesting<R> {
     reader: R,
     bytes: u64,
     digest: Sha256,
+    /// True if the last read failed.
+    has_failed: bool,
 }
 
 impl<R: Read> Digesting<R> {
-    pub(super) fn new(reader: R) -> Digesting<R> {
+    fn new(reader: R) -> Digesting<R> {
         Digesting {
             reader,
             bytes: 0,
             digest: Sha256::new(),
+            has_failed: false,
+        }
+    }
+
+    /// Attributes an error of a copy from this reader to the side that failed.
+    fn copy_error(&self, error: io::Error) -> CopyError {
+        match self.has_failed {
+            true => CopyError::Read(error),
+            false => CopyError::Write(error),
         }
     }
 
     /// Returns the number of bytes read and their SHA-256, hex.
-    pub(super) fn finish(self) -> (u64, String) {
+    fn finish(self) -> (u64, String) {
         let digest = self.digest.finalize();
         let hex = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         (self.bytes, hex)
@@ -186,7 +210,9 @@ impl<R: Read> Digesting<R> {
 
 impl<R: Read> Read for Digesting<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        let count = self.reader.read(into)?;
+        let read = self.reader.read(into);
+        self.has_failed = read.is_err();
+        let count = read?;
         self.bytes += count as u64;
         self.digest.update(&into[..count]);
         Ok(count)
@@ -194,8 +220,61 @@ impl<R: Read> Read for Digesting<R> {
 }
 
 /// Copies all bytes; returns their number and their SHA-256, hex.
-pub(super) fn copy_digesting(from: impl Read, mut to: impl Write) -> io::Result<(u64, String)> {
+pub(super) fn copy_digesting(
+    from: impl Read,
+    mut to: impl Write,
+) -> Result<(u64, String), CopyError> {
     let mut from = Digesting::new(from);
-    io::copy(&mut from, &mut to)?;
-    Ok(from.finish())
+    match io::copy(&mut from, &mut to) {
+        Ok(_) => Ok(from.finish()),
+        Err(error) => Err(from.copy_error(error)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Size of the member, bytes.
+    const BYTES: u32 = 1 << 20;
+
+    /// Returns the error of writing an archive whose only member is the file `path`.
+    fn error(path: &Path, out: impl Write) -> ArchiveError {
+        let member = Member {
+            name: "film.mp4".to_owned(),
+            bytes: BYTES.into(),
+            sha256: String::new(),
+        };
+        let contents = Contents {
+            format: FORMAT,
+            program: String::new(),
+            schema: 1,
+            campaign: "first".to_owned(),
+            spec_digest: String::new(),
+            source: None,
+            merged_from: Vec::new(),
+            members: vec![member],
+        };
+        let files = vec![path.to_owned()];
+        let written = Package { contents, files }.write(out, Path::new("first.tar.gz"));
+        written.expect_err("a failure")
+    }
+
+    #[test]
+    fn a_member_that_cannot_be_read_is_told_from_a_full_disk() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        // A folder can be opened as a file, and every read of it fails.
+        let unreadable = error(folder.path(), io::sink());
+        assert!(
+            matches!(unreadable, ArchiveError::Input { .. }),
+            "{unreadable}"
+        );
+        // Bytes that do not compress, and room for few of them.
+        let film = folder.path().join("film.mp4");
+        let words = (0..BYTES / 4).map(|n| n.wrapping_mul(2_654_435_761));
+        let bytes: Vec<u8> = words.flat_map(u32::to_le_bytes).collect();
+        std::fs::write(&film, bytes).expect("written");
+        let full = error(&film, &mut [0_u8; 4_096][..]);
+        assert!(matches!(full, ArchiveError::Write { .. }), "{full}");
+    }
 }

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use tar::{Archive, Entries, Entry, EntryType};
 
 use super::derived::{self, PROVENANCE, REPORT, SPECIFICATION};
-use super::pack::copy_digesting;
+use super::pack::{CopyError, copy_digesting};
 use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 
@@ -296,7 +296,7 @@ impl ArchiveReader<'_> {
             return Err(displaced());
         }
         if entry.size() != member.bytes {
-            return Err(self.altered(name, &format!("it has {} bytes", entry.size())));
+            return Err(self.resized(name, entry.size(), member.bytes));
         }
         let path = into.join(&member.name);
         let written = write(&path, entry);
@@ -308,7 +308,7 @@ impl ArchiveReader<'_> {
             },
         })?;
         if bytes != member.bytes {
-            return Err(self.altered(name, &format!("it has {bytes} bytes")));
+            return Err(self.resized(name, bytes, member.bytes));
         }
         if sha256 != member.sha256 {
             return Err(self.altered(name, &format!("its SHA-256 is {sha256}")));
@@ -347,6 +347,11 @@ impl ArchiveReader<'_> {
         }
     }
 
+    /// Returns the error for a member whose size differs from that in the table of contents.
+    fn resized(&self, member: &str, bytes: u64, listed: u64) -> ArchiveError {
+        self.altered(member, &format!("it has {bytes} bytes instead of {listed}"))
+    }
+
     /// Classifies a read error: an error of the operating system means that the file cannot be
     /// read; any other error, that the file's content is damaged.
     fn read_error(&self, member: &str, error: io::Error) -> ArchiveError {
@@ -364,21 +369,12 @@ impl ArchiveReader<'_> {
     }
 }
 
-/// Error of copying a member out of the archive.
-enum CopyError {
-    Read(io::Error),
-    Write(io::Error),
-}
-
 /// Writes a file; returns its size and SHA-256, hex.
 fn write(path: &Path, from: impl Read) -> Result<(u64, String), CopyError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(CopyError::Write)?;
     let file = File::create_new(path).map_err(CopyError::Write)?;
-    let copied = copy_digesting(from, &file).map_err(|error| match error.raw_os_error() {
-        Some(_) => CopyError::Write(error),
-        None => CopyError::Read(error),
-    })?;
+    let copied = copy_digesting(from, &file)?;
     file.sync_all().map_err(CopyError::Write)?;
     Ok(copied)
 }
@@ -395,4 +391,23 @@ fn is_film(file: &str) -> bool {
 /// Shortens a name for a message.
 fn shorten(name: &str) -> &str {
     queue::ids::shortened(name, 120)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_archive_that_cannot_be_read_is_told_from_a_full_disk() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        // A folder can be opened as a file, and every read of it fails.
+        let unreadable = File::open(folder.path()).expect("a folder");
+        let written = write(&folder.path().join("film.mp4"), unreadable);
+        let archive = "first.tar.gz";
+        let error = match written {
+            Err(CopyError::Read(error)) => ArchiveReader { archive }.read_error("film.mp4", error),
+            other => panic!("{other:?}"),
+        };
+        assert!(matches!(error, ArchiveError::Read { .. }), "{error}");
+    }
 }

@@ -242,7 +242,7 @@ fn moving(messages: &mut Messages) {
             archive: archive(), member: member(),
         },
         ArchiveError::Altered { .. } => ArchiveError::Altered {
-            archive: archive(), member: member(), problem: "it has 3 bytes".to_owned(),
+            archive: archive(), member: member(), problem: "it has 3 bytes instead of 5".to_owned(),
         },
         ArchiveError::Content { .. } => ArchiveError::Content {
             archive: archive(), member: "coordinator.sqlite", source: Box::new(portable()),
