@@ -26,7 +26,7 @@ impl Section {
 }
 
 /// Renders the section. If no subset of the configuration was run, the section is empty or, for a
-/// transition, suggests `coordinator explain`.
+/// transition of a campaign that is not derived itself, suggests `coordinator explain`.
 pub(super) async fn section(
     view: &mut View,
     campaign: &Campaign,
@@ -37,17 +37,16 @@ pub(super) async fn section(
     };
     let explained = Explained::of(lattice.configuration, &lattice.outcomes).ok();
     if !lattice.has_subsets() {
-        let name = lattice.measured.campaign.name.as_str();
-        let hint = html! {
+        let measured = &lattice.measured.campaign;
+        // A derived campaign cannot be explained.
+        if explained.is_none() || view.source(measured.id).await?.is_some() {
+            return Ok(Section::default());
+        }
+        let markup = html! {
             p {
                 "The axes that cause this transition are unknown. This command finds them: "
-                code { "coordinator explain " (name) " --create" }
+                code { "coordinator explain " (measured.name) " --create" }
             }
-        };
-        let markup = if explained.is_some() {
-            hint
-        } else {
-            Markup::default()
         };
         return Ok(Section { markup, films: 0 });
     }

@@ -225,6 +225,16 @@ impl Context<'_> {
         let spec = campaigns::spec(&mut self.tx, source.id).await?;
         let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
         let spec = spec.doing("read the specification of the source campaign")?;
+        // A derived campaign may get further rollouts, so that its outcomes are never final.
+        if let Some(first) = spec.rollouts.source() {
+            return Err(QueueError::Unspecified {
+                campaign: new.name.clone(),
+                problem: format!(
+                    "its source campaign `{}` is itself derived from `{first}`: name `{first}`",
+                    source.name
+                ),
+            });
+        }
         let benchmark = match &spec.rollouts {
             Rollouts::Variants(variants) => Some(variants.benchmark.name()),
             Rollouts::SuiteFile(file) => Some(file.name.as_str()),
