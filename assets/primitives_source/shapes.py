@@ -101,23 +101,17 @@ def octagon(radius, bottom, top):
     return [piece for number, bar in enumerate(bars) for piece in turned([bar], "z", 45 * number)]
 
 
-def wall(lower, upper, thickness, facets, colour, skip=()):
+def wall(lower, upper, thickness, facets, colour):
     """A ring of flat facets between two (radius, height) pairs: the side of a bowl, mug or plate.
 
-    The radii are measured to the middle of the wall's thickness. `skip` holds the numbers of facets
-    to leave out; facet 0 faces +x, and the numbers increase towards +y."""
+    The radii are measured to the middle of the wall's thickness."""
     (r0, z0), (r1, z1) = lower, upper
     run, rise = r1 - r0, z1 - z0
     half_width = max(r0, r1) * math.tan(math.pi / facets)
     upright = Shape("box", (thickness / 2, half_width, math.hypot(run, rise) / 2), (0, 0, 0), colour=colour)
     leaning = turned([upright], "y", math.degrees(math.atan2(run, rise)))
     facet = moved(leaning, ((r0 + r1) / 2, 0, (z0 + z1) / 2))
-    return [
-        piece
-        for number in range(facets)
-        if number not in skip
-        for piece in turned(facet, "z", 360 * number / facets)
-    ]
+    return [piece for number in range(facets) for piece in turned(facet, "z", 360 * number / facets)]
 
 
 def _unit(quat):
