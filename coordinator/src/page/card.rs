@@ -4,7 +4,9 @@
 use libero_ctrl::{Axis, Condition, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
+use queue::rules::lease::FailureReason;
 use rollout_types::GoalProgress;
+use terminal::counted;
 
 use super::layout::breakable;
 use super::perturbation;
@@ -102,7 +104,11 @@ fn describe_state(shown: &ShownRollout) -> (&'static str, &'static str, String) 
             ("running", "running", detail)
         }
         (None, "quarantined") => {
-            let detail = format!("after {} attempts", line.attempt);
+            let reason = shown.failures.first().map(|last| last.reason.as_str());
+            let detail = match reason == Some(FailureReason::Skipped.as_str()) {
+                true => "skipped by an operator".to_owned(),
+                false => format!("after {}", counted(line.attempt.0.into(), "attempt")),
+            };
             ("quarantined", "quarantined", detail)
         }
         (None, _) => ("empty", "waiting", String::new()),

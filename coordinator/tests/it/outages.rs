@@ -12,6 +12,7 @@ use queue::invariants::check;
 use serde_json::json;
 
 use crate::harness::{Bench, rollout_id, small_spec, with};
+use crate::page::http;
 
 /// Time after which the first back-off of an outage, 1 s, is over.
 const PAST_FIRST_SECS: u64 = 2;
@@ -373,6 +374,9 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
         2
     );
     assert_eq!(bench.status("some").await.quarantined, 2);
+    let card = "GET /campaigns/some/configurations/object/t0/combination/L1/c00";
+    let page = http(&bench.url, card).await.text();
+    assert!(page.contains("skipped by an operator"), "{page}");
     assert_eq!(
         bench.count("SELECT sum(charged_attempts) FROM job").await,
         0
