@@ -520,7 +520,11 @@ fn configs(given: &[String]) -> anyhow::Result<Vec<u16>> {
     let mut configs = Vec::new();
     for text in given {
         let (first, last) = range(text).with_context(|| {
-            format!("read configuration `{text}`: write for example 0-9 or 0,3")
+            format!(
+                "read configuration `{text}`: write numbers or ranges up to {}, for example 0-9 \
+                 or 0,3",
+                MAX_CONFIGS - 1
+            )
         })?;
         configs.extend(first..=last);
     }

@@ -132,9 +132,10 @@ impl DerivedCampaign<'_> {
         let open = source.queued + source.leased;
         if open > 0 && source.state() != State::Stopped {
             eprintln!(
-                "campaign {} has {open} rollouts without an outcome; {} starts when {0} is \
-                 finished",
-                source.campaign, self.name
+                "campaign {} has {} without an outcome; {} starts when {0} is finished",
+                source.campaign,
+                counted(open, "rollout"),
+                self.name
             );
         }
         Ok(())

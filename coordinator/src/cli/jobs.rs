@@ -10,7 +10,7 @@ use proto::coordinator::{
 };
 use queue::ids::shortened;
 use report::rollout_name;
-use terminal::number_from;
+use terminal::{counted, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::json;
@@ -186,7 +186,7 @@ async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
     let retried = client.call(request, Service::retry_jobs).await?;
     Ok(print_line(&match retried.jobs {
         0 => "nothing is in quarantine".to_owned(),
-        jobs => format!("{jobs} requeued"),
+        jobs => format!("{} requeued", counted(jobs, "rollout")),
     })?)
 }
 
@@ -199,7 +199,8 @@ async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
     };
     let client = arguments.connection.client()?;
     let skipped = client.call(request, Service::skip_jobs).await?;
-    Ok(print_line(&format!("{} skipped", skipped.jobs))?)
+    let skipped = counted(skipped.jobs, "rollout");
+    Ok(print_line(&format!("{skipped} skipped"))?)
 }
 
 /// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.

@@ -83,7 +83,8 @@ pub(super) fn operator_notes(status: &CampaignStatus) -> Option<String> {
     }
     if status.quarantined > 0 {
         notes.push(format!(
-            "{} in quarantine after failing too often: `coordinator jobs list {} --state quarantined`",
+            "{} in quarantine (failed too often, or skipped): \
+             `coordinator jobs list {} --state quarantined`",
             status.quarantined, status.campaign
         ));
     }

@@ -27,8 +27,8 @@ pub(super) struct ThresholdsArguments {
     /// Name of the campaign that runs the further radii. [default: CAMPAIGN-thresholds]
     #[arg(long)]
     name: Option<String>,
-    /// Axes, each alone, and `simultaneous` for all axes at once. [default: all conditions of the
-    /// campaign]
+    /// Axes, each alone, `latency`, and `simultaneous` for all axes at once. [default: all
+    /// conditions of the campaign]
     #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = condition)]
     axes: Vec<Condition>,
     /// Largest width of the bracket between success and failure, in units of radius. [default: 0.5]

@@ -54,7 +54,8 @@ pub(super) struct UpArguments {
     /// path of a LIBERO assets folder.
     #[arg(long, value_name = "PACK_OR_PATH", default_value = "libero")]
     assets: String,
-    /// Concurrent rollouts: a number, or `auto`, which measures a suitable number for some seconds.
+    /// Concurrent rollouts: a number, or `auto`, which takes some seconds to measure a suitable
+    /// number.
     #[arg(long, value_name = "N|auto", default_value = "auto")]
     slots: String,
     /// Address of the coordinator and its page; port 0 selects a free port.

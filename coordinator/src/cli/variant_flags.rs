@@ -88,7 +88,7 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     paraphrases: Vec<String>,
-    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50 for LIBERO-PRO, and the
+    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50 for LIBERO-PRO, or the
     /// number in the suite file.
     #[arg(long, value_name = "N", requires = "of_benchmark", hide_short_help = true,
         value_parser = number(1..=STATES, "trials"))]

@@ -62,7 +62,7 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
     for (field, count) in [("slots", request.slots), ("cores", request.cores)] {
         if count > MAX_SLOTS {
             return Err(invalid(format!(
-                "`{field}` is {count}; a worker has at most {MAX_SLOTS}"
+                "`{field}` is {count}; a worker may have at most {MAX_SLOTS}"
             )));
         }
     }

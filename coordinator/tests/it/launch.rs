@@ -191,7 +191,7 @@ fn wrong_flags_are_refused_with_the_remedy() {
     more(&["--policy", "mine"], "NAME=BACKEND");
     more(
         &["--policy", "a=b", "--policy-server", "a\nb"],
-        "in one line",
+        "on one line",
     );
     more(
         &["--worker-sbatch", "avx2"],

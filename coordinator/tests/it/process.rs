@@ -296,7 +296,7 @@ async fn invalid_commands_exit_with_2_and_write_nothing() {
     check("--levels", "L9", &["L9", "L1, L2, L3"]);
     check("--configs", "998-1000", &["configs", "0 to 999"]);
     check("--levels", "r0", &["r0", "r0.001 to r100"]);
-    check("--configs", "x", &["`x`"]);
+    check("--configs", "x", &["`x`", "up to 999"]);
     check("--name", "a/b", &["a/b"]);
     check("--endpoint", "localhost", &["localhost", "http://"]);
     check("--replicates", "0", &["replicates"]);

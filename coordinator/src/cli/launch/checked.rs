@@ -21,7 +21,7 @@ pub(super) fn path_text(path: &Path) -> Result<String, CommandError> {
 /// Accepts a value without control characters, so that it cannot break its line of the script.
 pub(super) fn one_line(flag: &str, value: String) -> Result<String, CommandError> {
     match value.chars().any(char::is_control) {
-        true => Err(usage(anyhow!("use {flag} {value:?}: write it in one line"))),
+        true => Err(usage(anyhow!("use {flag} {value:?}: write it on one line"))),
         false => Ok(value),
     }
 }

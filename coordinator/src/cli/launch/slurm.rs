@@ -192,7 +192,7 @@ pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
         false => print_line("To submit the scripts, repeat the command with --submit.")?,
     }
     let [coordinator, ..] = scripts.as_slice() else {
-        unreachable!("there are always two scripts");
+        unreachable!("there are always at least two scripts");
     };
     let path = for_shell(&coordinator.path.display().to_string());
     Ok(print_line(&format!(
