@@ -89,7 +89,7 @@ fn notes(status: &CampaignStatus) -> Markup {
                     li {
                         (quarantined)
                         @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
-                        " in quarantine after failing too often: "
+                        " in quarantine (failed too often, or skipped): "
                         a href={ "/campaigns/" (status.campaign.name) "/rollouts?state=quarantined" } {
                             "list with the errors"
                         }

@@ -171,7 +171,8 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
                 "Not all of these rollouts of " (campaign.name) " are filmed. "
                 @match campaign.record.as_str() {
                     "transitions" => "The campaign stored the actions from which they can be filmed.",
-                    "all" => "The campaign films its rollouts; the missing films were lost.",
+                    "all" => "The campaign films its rollouts; the missing films were lost, or are \
+                              not uploaded yet.",
                     _ if explains(source) => {
                         "The campaign stores no actions to film from. This command runs the subsets \
                         again and stores them: "

@@ -61,8 +61,8 @@ fn show(code: StatusCode, next: &str, message: &str) -> Response {
             button { "Log in" }
         }
         p.muted {
-            "Tokens are the second words in the coordinator's token file. If you are logged in \
-            already and followed another site's link: " a href=(next) { "Continue" } "."
+            "A token is the second word of a line of the coordinator's token file. If you are \
+            logged in already and followed another site's link: " a href=(next) { "Continue" } "."
         }
     };
     answer::page(code, layout::static_page("Log in", &main).into_string())

@@ -66,6 +66,8 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let leased = total_of(|status| status.counts.leased) as f64;
     let waiting = page.gauges.claims() as f64;
     let is_held = f64::from(queue.held().is_some());
+    let held = "1 while leasing is suspended, for lack of disk space or because the database \
+                cannot be written.";
     let streams = page.changes.streams() as f64;
     // One gauge per line.
     #[rustfmt::skip]
@@ -77,7 +79,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
         ("rollout_database_bytes", "Size of the database, bytes.", sizes.database as f64),
         ("rollout_database_wal_bytes", "Size of the write-ahead log, bytes.", sizes.log as f64),
         ("rollout_disk_free_bytes", "Free space on the data folder's disk, bytes.", free as f64),
-        ("rollout_leasing_held", "1 while a lack of disk space suspends leasing.", is_held),
+        ("rollout_leasing_held", held, is_held),
         ("rollout_page_streams", "Browsers with an open event stream.", streams),
     ];
     for (name, help, value) in gauges {

@@ -22,6 +22,7 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let (workers, now) = (view.workers().await?, view.now);
     let (alive, departed): (Vec<_>, Vec<_>) =
         workers.into_iter().partition(|worker| worker.is_alive);
+    let latest = &departed[..departed.len().min(MAX_DEPARTED)];
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
@@ -32,10 +33,12 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
         @if !departed.is_empty() {
             h2 { "Departed" }
             p.muted {
-                "The rollouts of departed workers were leased to other workers. Of "
-                (departed.len()) " departed workers, those with the latest calls are shown:"
+                "The rollouts of departed workers are leased to others."
+                @if latest.len() < departed.len() {
+                    " The " (latest.len()) " of " (departed.len()) " with the latest calls:"
+                }
             }
-            (workers_table("Departed workers", &departed[..departed.len().min(MAX_DEPARTED)], now))
+            (workers_table("Departed workers", latest, now))
         }
     };
     Ok(Sheet::new(Tab::Workers, "Workers", main))

@@ -82,7 +82,9 @@ impl Problem {
             },
             Problem::Video => html! {
                 "This rollout has no video: a campaign films the rollouts that "
-                code { "--record" } " selected at its creation."
+                code { "--record" } " selected at its creation. With "
+                code { "--record transitions" } ", " code { "worker film" }
+                " makes the films afterwards."
             },
             Problem::TooManyStreams => html! {
                 "Too many pages are open. This page polls for changes instead."

@@ -92,8 +92,8 @@ pub struct Motion {
     /// Position of the site between the fingertips, after settling and after every control step of
     /// the policy: x, y, z in the world frame, tenths of a millimetre, 16 bits each.
     pub path: Vec<u8>,
-    /// Action of every control step, clipped into [-1, 1]: seven 32-bit floats each; empty unless
-    /// the campaign stores actions.
+    /// Action of every control step, clipped into [-1, 1] unless the realisation is `reference`:
+    /// seven 32-bit floats each; empty unless the campaign stores actions.
     pub actions: Vec<u8>,
 }
 
