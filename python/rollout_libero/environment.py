@@ -167,9 +167,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (ACTION_WIDTH,):
             raise ValueError(
-                f"failed to step with an action of shape {action.shape}: it has {ACTION_WIDTH} "
-                "numbers, three of translation, three of rotation and the gripper; use step_chunk "
-                "for several actions"
+                f"failed to step with an action of shape {action.shape}: expected "
+                f"{ACTION_WIDTH} numbers, three of translation, three of rotation and the gripper; "
+                "use step_chunk for several actions"
             )
         return self.step_chunk(action[np.newaxis])
 

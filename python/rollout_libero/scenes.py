@@ -59,14 +59,24 @@ def scene(
             compiled = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
             _scenes[key] = compiled
             if compiled.pack == "custom":
-                differing = ", ".join(compiled.pack_differences[:MAX_NAMES]) or "all files"
                 warnings.warn(
-                    f"the asset pack {pack} is not LIBERO's; {len(compiled.pack_differences)} of "
-                    f"LIBERO's files differ: {differing}",
+                    f"the asset pack {pack} is not LIBERO's: "
+                    f"{_describe_differences(compiled.pack_differences)}",
                     stacklevel=2,
                 )
     _keep_recent(key, compiled)
     return compiled
+
+
+def _describe_differences(differing: list[str]) -> str:
+    """Describes how a pack differs from LIBERO's. The list is empty if the pack has none of
+    LIBERO's files."""
+    count = len(differing)
+    if not count:
+        return "it has none of LIBERO's files"
+    names = ", ".join(differing[:MAX_NAMES])
+    link = ", among them" if count > MAX_NAMES else ":"
+    return f"{count} of LIBERO's files differ{link} {names}"
 
 
 def _version(file: str) -> Hashable:

@@ -232,7 +232,7 @@ class TrainingEnvironment:
     def _simulation(self, row: int) -> native.Simulation:
         simulation = self.simulations[row]
         if simulation is None:
-            raise ValueError(f"failed to step row {row}: it has no rollout; call reset")
+            raise ValueError(f"failed to use row {row}: it has no rollout; call reset")
         return simulation
 
     def _rows(self, rows: Sequence[int] | None) -> list[int]:

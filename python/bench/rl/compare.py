@@ -92,7 +92,7 @@ def arguments() -> argparse.Namespace:
         nargs="+",
         type=int,
         default=[16, 50],
-        help="limited to 50 in RLinf and to 16 in SimpleVLA-RL",
+        help="numbers of environments; at most 50 run in RLinf, and 16 in SimpleVLA-RL",
     )
     parser.add_argument("--chunk", type=int, default=8)
     parser.add_argument("--steps", type=int, default=200, help="control steps of a rollout")
@@ -100,7 +100,7 @@ def arguments() -> argparse.Namespace:
         "--policies",
         nargs="+",
         default=["none", "sleep:100"],
-        help="none, sleep:MS, and with PyTorch and an accelerator card:MS and busy",
+        help="none or sleep:MS; with PyTorch and an accelerator also card:MS or busy",
     )
     parser.add_argument(
         "--shared-reset",

@@ -31,7 +31,7 @@ impl Schedule {
         let task: TaskRef = task.parse().map_err(value)?;
         if execute == Some(0) {
             return Err(invalid(
-                "choose execute 0: it is 1 or more actions of each answer, or None for all",
+                "use execute 0: give 1 or more actions of each answer, or None for all",
             ));
         }
         let execute = execute.unwrap_or(usize::MAX);

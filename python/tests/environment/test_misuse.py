@@ -140,7 +140,7 @@ def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
     )
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("FileNotFoundError: failed to fetch the robot's models"), last
+    assert last.startswith("FileNotFoundError: failed to fetch robosuite=="), last
     assert "ROLLOUT_SOURCES" in last
     assert sorted(path.name for path in (tmp_path / "sources").iterdir()) == [".fetching"]
 

@@ -29,7 +29,7 @@ struct Arguments {
     /// LIBERO-Para.
     #[arg(long, conflicts_with_all = ["reference", "tasks", "renderer", "frames_of_this_machine"])]
     family: bool,
-    /// With `--family`: folder of recorded pictures; without it, those in the repository.
+    /// Folder of recorded pictures for `--family` [default: those in the repository]
     #[arg(long, requires = "family")]
     pictures: Option<PathBuf>,
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
@@ -43,7 +43,7 @@ struct Arguments {
     #[arg(long, default_value_t)]
     renderer: Renderer,
     /// The reference was recorded on this machine: frames must equal it bit for bit, not only
-    /// within bounds. Only with `--renderer gl`.
+    /// within bounds. Only with `--renderer gl` or `gl:N`.
     #[arg(long)]
     frames_of_this_machine: bool,
     /// Folder with the unpacked packages of robosuite and LIBERO.
@@ -66,7 +66,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
     ensure!(
         !arguments.frames_of_this_machine || arguments.renderer != Renderer::Software,
         "compare frames bit for bit: the reference was drawn by OpenGL, so --frames-of-this-machine \
-         takes --renderer gl"
+         takes --renderer gl or gl:N"
     );
     let sources = arguments
         .sources

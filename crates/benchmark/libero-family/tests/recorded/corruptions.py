@@ -37,7 +37,7 @@ def released(path: str) -> dict:
 
 
 def picture(side: int) -> np.ndarray:
-    """Returns a picture: flat squares above, a gradient and noise below, as in `corruptions.rs`."""
+    """Returns a picture: flat rectangles above, a gradient and noise below, as in `corruptions.rs`."""
     noise = np.random.RandomState(side).randint(0, 256, size=(side, side, 3))
     rows, columns = np.mgrid[0:side, 0:side]
     block = (rows // 8) * (side // 16) + columns // 16

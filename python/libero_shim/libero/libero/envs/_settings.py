@@ -102,9 +102,7 @@ class Settings:
                 if value not in allowed:
                     raise _unsupported(name, value, f"{reason}; leave it at {allowed[0]!r}")
             elif name not in _IGNORED:
-                raise TypeError(
-                    f"LIBERO's environments take no argument `{name}` here: leave it out"
-                )
+                raise TypeError(f"there is no argument `{name}`: leave it out or correct its name")
         if use_camera_obs and not has_offscreen_renderer:
             raise ValueError(
                 "frames need a renderer: leave has_offscreen_renderer at True, or give "
@@ -186,7 +184,9 @@ def _cameras(
             )
     for argument in ("camera_heights", "camera_widths"):
         if any(int(size) != size or size < 1 for size in lists[argument]):
-            raise ValueError(f"{argument} are numbers of pixels: {lists[argument]}")
+            raise ValueError(
+                f"{argument} must be whole numbers of pixels, 1 or more, not {lists[argument]}"
+            )
     return tuple(
         Camera(name, int(height), int(width), bool(depth), segmentation)
         for name, height, width, depth, segmentation in zip(names, *lists.values())

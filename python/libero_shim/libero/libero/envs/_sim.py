@@ -254,7 +254,8 @@ class MjData:
             value = np.asarray(value, dtype=np.float64)
             if value.shape != (part.stop - part.start,):
                 raise ValueError(
-                    f"the joint has {part.stop - part.start} coordinates, {value.shape} given"
+                    f"the joint has {part.stop - part.start} coordinates, and an array of shape "
+                    f"{value.shape} was given"
                 )
         else:
             part += offset
