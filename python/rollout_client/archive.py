@@ -154,7 +154,7 @@ class Archive:
     def _rollout(self, row: tuple[Any, ...]) -> Rollout:
         try:
             return _rollout(row, self._film(row[-1]))
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
             if isinstance(error, ArchiveError):
                 raise
             raise self._unreadable(error) from error
@@ -178,8 +178,13 @@ class Archive:
         )
 
     def _json(self, member: str) -> dict[str, Any]:
-        text = (Path(self._folder.name) / member).read_text(encoding="utf-8")
-        read: dict[str, Any] = json.loads(text)
+        path = Path(self._folder.name) / member
+        try:
+            read = json.loads(path.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError):
+            read = None
+        if not isinstance(read, dict):
+            raise self._bad("it is not a JSON object", member)
         return read
 
     def _unpack(self, folder: Path) -> dict[str, Any]:
@@ -200,12 +205,12 @@ class Archive:
                 if entries.next() is not None:
                     raise self._bad(f"there are members that {LIST} does not name", name)
                 if len(stream.read(MAX_PADDING + 1)) > MAX_PADDING:
-                    raise self._bad("data follow it", name)
+                    raise self._bad("there are data after its last member", name)
         except FileNotFoundError as error:
             raise ArchiveError(f"failed to read archive {self._file}: no such file") from error
         except (OSError, EOFError, tarfile.TarError, zlib.error) as error:
             raise self._bad("it is truncated, damaged or of another format", name) from error
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             if isinstance(error, ArchiveError):
                 raise
             raise self._bad("it is not a list of members", LIST) from error

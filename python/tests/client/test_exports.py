@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from rollout_client.__main__ import main
-from rollout_client.archive import Archive, ArchiveError
+from rollout_client.archive import MEMBERS, Archive, ArchiveError
 from rollout_client.errors import SettingsError
 from rollout_client.export.lerobot import export
 
@@ -99,8 +99,50 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
     with pytest.raises(ArchiveError, match="its members do not begin with"):
         Archive(bad)
     bad.write_bytes(whole + gzip.compress(bytes(2 << 20)))
-    with pytest.raises(ArchiveError, match="data follow it"):
+    with pytest.raises(ArchiveError, match="data after its last member"):
         Archive(bad)
+
+
+def pack(to, members):
+    with tarfile.open(to, "w:gz", format=tarfile.GNU_FORMAT) as out:
+        for name, content in members.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            out.addfile(member, io.BytesIO(content))
+
+
+def list_of(members, wrong_size_of=None):
+    return [
+        {
+            "name": name,
+            "bytes": 1 if name == wrong_size_of else len(content),
+            "sha256": hashlib.sha256(content).hexdigest(),
+        }
+        for name, content in members.items()
+    ]
+
+
+def test_an_archive_with_malformed_json_is_refused(tmp_path, capsys):
+    bad = tmp_path / "bad.tar.gz"
+    deep = b"[" * 100_000
+
+    def contents(members):
+        fields = {"format": 1, "schema": 1, "campaign": "kept", "members": list_of(members)}
+        return json.dumps(fields).encode()
+
+    members = dict.fromkeys(MEMBERS, b"")
+    for content in (contents({**members, 7: b""}), b"[]", b"7", b"{", deep):
+        pack(bad, {"archive.json": content})
+        with pytest.raises(ArchiveError, match=r"archive\.json .*it is not a list of members"):
+            Archive(bad)
+    assert main(["export", "lerobot", str(bad), "--output", str(tmp_path / "dataset")]) == 1
+    assert capsys.readouterr().err.startswith("error: failed to read member archive.json")
+    for content in (b"", b"[]", b"\xff", deep):
+        members["specification.json"] = content
+        pack(bad, {"archive.json": contents(members), **members})
+        with Archive(bad) as opened:
+            with pytest.raises(ArchiveError, match=r"specification\.json .*not a JSON object"):
+                opened.specification()
 
 
 def rewrite(file, to, films=(), sql="", wrong_size_of=None):
@@ -115,20 +157,8 @@ def rewrite(file, to, films=(), sql="", wrong_size_of=None):
         connection.executescript(f"PRAGMA journal_mode = DELETE; {sql}")
     members["coordinator.sqlite"] = database.read_bytes()
     members |= films
-    contents["members"] = [
-        {
-            "name": name,
-            "bytes": 1 if name == wrong_size_of else len(content),
-            "sha256": hashlib.sha256(content).hexdigest(),
-        }
-        for name, content in members.items()
-    ]
-    members = {"archive.json": json.dumps(contents).encode(), **members}
-    with tarfile.open(to, "w:gz", format=tarfile.GNU_FORMAT) as out:
-        for name, content in members.items():
-            member = tarfile.TarInfo(name)
-            member.size = len(content)
-            out.addfile(member, io.BytesIO(content))
+    contents["members"] = list_of(members, wrong_size_of)
+    pack(to, {"archive.json": json.dumps(contents).encode(), **members})
 
 
 def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
