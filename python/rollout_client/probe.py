@@ -54,7 +54,7 @@ BROKEN = Finding(
 )
 OLDER = Finding(
     "the coordinator there does not have this call",
-    "use the same version of coordinator and rollout-libero",
+    "install the release of rollout-libero that the coordinator has, or upgrade the coordinator",
     is_final=True,
 )
 ENCRYPTED = Finding(
@@ -66,6 +66,11 @@ CLEAR = Finding(
     "the server there does not use TLS",
     "write http:// in place of https://, or start the coordinator with --tls-cert and --tls-key",
     is_final=True,
+)
+SLOW = Finding(
+    f"an HTTP/2 server there leaves a call unanswered for {ANSWER_TIMEOUT:g} s",
+    "check that the URL names the port of the coordinator, and try again if its machine is busy",
+    is_final=False,
 )
 SILENT = Finding(
     "the server there closes the connection or sends nothing",
@@ -229,8 +234,8 @@ def _identify_grpc_server(access: Access) -> Finding:
 
 
 def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Finding:
-    """Returns False if a gRPC server lacks the method `path`, a description of a web server that
-    answers, and True otherwise, even if the call fails."""
+    """Returns False if a gRPC server lacks the method `path`, a description of a server that does
+    not answer in time or is a web server, and True otherwise, even if the call fails."""
     call = opened.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
         call(b"", timeout=ANSWER_TIMEOUT, metadata=access.metadata)
@@ -238,5 +243,7 @@ def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Finding
         details = error.details() or ""
         if details.startswith(WEB_ANSWER):
             return _web_server(f"HTTP status {details.removeprefix(WEB_ANSWER)}")
+        if error.code() is grpc.StatusCode.DEADLINE_EXCEEDED:
+            return SLOW
         return error.code() is not grpc.StatusCode.UNIMPLEMENTED
     return True

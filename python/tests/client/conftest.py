@@ -199,11 +199,11 @@ def openssl(folder, command):
 
 @pytest.fixture
 def listening():
-    """Starts servers that are not coordinators: each sends `greeting` to every client and closes
-    the connection. Returns the server's port."""
+    """Starts servers that are not coordinators: each sends `greeting` to every client and, unless
+    `closes` is False, closes the connection. Returns the server's port."""
     with contextlib.ExitStack() as stack:
 
-        def start(greeting):
+        def start(greeting, closes=True):
             server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
 
             def answer():
@@ -212,7 +212,8 @@ def listening():
                         connection, _ = server.accept()
                         with connection, contextlib.suppress(OSError):
                             connection.sendall(greeting)
-                            connection.shutdown(socket.SHUT_WR)
+                            if closes:
+                                connection.shutdown(socket.SHUT_WR)
                             connection.settimeout(2)
                             while connection.recv(4096):
                                 pass
