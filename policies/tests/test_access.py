@@ -1,5 +1,6 @@
 """Access control: certificates and tokens in the form that the gateway's server takes."""
 
+import os
 import subprocess
 import sys
 
@@ -189,7 +190,7 @@ def test_tokens_are_not_in_their_repr(files):
     assert "0123456789" not in repr(Tokens.read(files / "tokens"))
 
 
-def test_unusable_files_are_named(files, tmp_path):
+def test_unusable_files_are_named(files, tmp_path, monkeypatch):
     large = tmp_path / "large"
     large.write_bytes(b"#" * (1 << 20))
     large.chmod(0o600)
@@ -207,6 +208,10 @@ def test_unusable_files_are_named(files, tmp_path):
             exposed.chmod(mode)
             with pytest.raises(AccessError, match=rf"{exposed}: .*{mode:04o}.*chmod 600"):
                 use(exposed)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "geteuid", lambda: exposed.stat().st_uid + 1)
+        with pytest.raises(AccessError, match="0602.*chmod o= "):
+            Tokens.read(exposed)
     # The key does not match the certificate.
     with pytest.raises(AccessError, match="ca-key.pem"):
         serve(Noisy(), tls=(files / "cert.pem", files / "ca-key.pem"))

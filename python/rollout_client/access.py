@@ -121,11 +121,12 @@ def _require_private(path: Path, status: os.stat_result) -> None:
     The group may have access only if the file belongs to another user."""
     if not hasattr(os, "geteuid"):
         return  # Windows has no such permission bits.
-    refused_bits = 0o077 if status.st_uid == os.geteuid() else 0o007
+    is_own = status.st_uid == os.geteuid()
+    refused_bits, permitted = (0o077, "600") if is_own else (0o007, "o=")
     if stat.S_ISREG(status.st_mode) and status.st_mode & refused_bits:
         raise SettingsError(
             f"failed to read token file {path}: its permissions, {status.st_mode & 0o777:04o}, let"
-            f" other users access its tokens; restrict them with `chmod 600 {path}`"
+            f" other users access its tokens; restrict them with `chmod {permitted} {path}`"
         )
 
 

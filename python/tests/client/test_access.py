@@ -2,12 +2,13 @@
 
 import http.server
 import logging
+import os
 import socket
 import threading
 
 import pytest
 
-from rollout_client import Client
+from rollout_client import Client, access, probe
 from rollout_client.errors import (
     AccessDeniedError,
     CoordinatorError,
@@ -35,6 +36,16 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path):
             Client("http://127.0.0.1:1", token_file=path)
         assert TOKENS["operator"] not in str(refused.value)
     path.chmod(0o400)
+    Client("http://127.0.0.1:1", token_file=path).close()
+
+
+def test_a_token_file_of_another_user_may_be_read_by_its_group(tmp_path, monkeypatch):
+    path = token_file(tmp_path, f"operator {TOKENS['operator']}")
+    monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
+    path.chmod(0o644)
+    with pytest.raises(SettingsError, match="0644.*chmod o= "):
+        Client("http://127.0.0.1:1", token_file=path)
+    path.chmod(0o640)
     Client("http://127.0.0.1:1", token_file=path).close()
 
 
@@ -161,6 +172,15 @@ def test_servers_of_other_kinds_are_named(connect, gateway, listening):
     assert "closes the connection or sends nothing" in error.found
     proxy = listening(b"HTTP/1.1 502 Bad Gateway\r\n\r\n")
     assert "a proxy there" in unreachable(connect(f"http://127.0.0.1:{proxy}")).found
+
+
+def test_a_server_that_leaves_calls_unanswered_is_not_taken_for_a_coordinator(
+    listening, monkeypatch
+):
+    monkeypatch.setattr(probe, "ANSWER_TIMEOUT", 0.5)
+    empty_settings = b"\0\0\0\x04\0\0\0\0\0"
+    port = listening(empty_settings, closes=False)
+    assert probe.identify_server(access.read(f"http://127.0.0.1:{port}", None, None)) is probe.SLOW
 
 
 def test_a_web_server_is_named(connect):

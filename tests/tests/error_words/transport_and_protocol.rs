@@ -40,7 +40,7 @@ pub(crate) fn add(messages: &mut Messages) {
 fn tokens_and_certificates(messages: &mut Messages) {
     variants!(messages, TokenError,
         TokenError::Read { .. } => TokenError::Read { path: path(), source: io_error() },
-        TokenError::Exposed { .. } => TokenError::Exposed { path: path(), mode: 0o644 },
+        TokenError::Exposed { .. } => TokenError::Exposed { path: path(), mode: 0o644, chmod: "600" },
         TokenError::TooLarge { .. } => TokenError::TooLarge { path: path() },
         TokenError::Line { .. } => TokenError::Line {
             place: text(), line: 3, problem: "it has no token",
@@ -55,7 +55,7 @@ fn tokens_and_certificates(messages: &mut Messages) {
         },
         SecurityError::Tokens(_) => SecurityError::Tokens(TokenError::Empty { place: text() }),
         SecurityError::Pem { .. } => SecurityError::Pem { path: path(), source: io_error() },
-        SecurityError::Exposed { .. } => SecurityError::Exposed { path: path(), mode: 0o644 },
+        SecurityError::Exposed { .. } => SecurityError::Exposed { path: path(), mode: 0o644, chmod: "600" },
         SecurityError::Tls => SecurityError::Tls,
     );
     variants!(messages, AccessError,

@@ -85,11 +85,16 @@ pub enum SecurityError {
     Pem { path: PathBuf, source: io::Error },
     #[error(
         "read private key {}: its permissions, {mode:04o}, let other users access it; restrict \
-         them with `chmod 600 {}`",
+         them with `chmod {chmod} {}`",
         path.display(),
         path.display()
     )]
-    Exposed { path: PathBuf, mode: u32 },
+    Exposed {
+        path: PathBuf,
+        mode: u32,
+        /// Argument of `chmod` that restricts the permissions.
+        chmod: &'static str,
+    },
     #[error(
         "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
          key of its first certificate, as PEM"
@@ -237,10 +242,11 @@ fn read_key(path: &Path) -> Result<Vec<u8>, SecurityError> {
         source,
     };
     let mut file = File::open(path).map_err(unreadable)?;
-    if let Some(mode) = exposed(&file).map_err(unreadable)? {
+    if let Some((mode, chmod)) = exposed(&file).map_err(unreadable)? {
         return Err(SecurityError::Exposed {
             path: path.to_owned(),
             mode,
+            chmod,
         });
     }
     let mut key = Vec::new();

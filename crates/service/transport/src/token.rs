@@ -114,11 +114,16 @@ pub enum TokenError {
     Read { path: PathBuf, source: io::Error },
     #[error(
         "read token file {}: its permissions, {mode:04o}, let other users access its tokens; \
-         restrict them with `chmod 600 {}`",
+         restrict them with `chmod {chmod} {}`",
         path.display(),
         path.display()
     )]
-    Exposed { path: PathBuf, mode: u32 },
+    Exposed {
+        path: PathBuf,
+        mode: u32,
+        /// Argument of `chmod` that restricts the permissions.
+        chmod: &'static str,
+    },
     /// The file is larger than [`MAX_TOKEN_FILE_BYTES`].
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge { path: PathBuf },
@@ -155,10 +160,11 @@ impl Tokens {
         };
         let mut bytes = Vec::new();
         let file = File::open(path).map_err(read_error)?;
-        if let Some(mode) = exposed(&file).map_err(read_error)? {
+        if let Some((mode, chmod)) = exposed(&file).map_err(read_error)? {
             return Err(TokenError::Exposed {
                 path: path.to_owned(),
                 mode,
+                chmod,
             });
         }
         let mut bounded = file.take(MAX_TOKEN_FILE_BYTES + 1);
