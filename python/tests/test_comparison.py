@@ -17,7 +17,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
     folder = Path(__file__).parents[1] / "bench" / "rl"
     monkeypatch.syspath_prepend(str(folder))
     yield importlib.import_module
-    for name in ("checks", "report", "rollouts", "stand_ins"):
+    for name in ("checks", "compare", "report", "rollouts", "stand_ins"):
         sys.modules.pop(name, None)
 
 
@@ -44,6 +44,16 @@ def test_success_may_differ_by_two_steps(bench: Any, ours: int | None, is_same: 
     checks = bench("checks")
     verdict = checks.verdict(replay([0.0], success=3), replay([0.0], success=ours))
     assert verdict["same_success"] is is_same
+
+
+def test_a_size_above_a_frameworks_limit_is_measured_once(bench: Any) -> None:
+    sizes = bench("compare").sizes
+    assert sizes([100, 200], ["rlinf", "simplevla"]) == [("rlinf", 50), ("simplevla", 16)]
+    assert sizes([16, 50], ["simplevla", "rlinf"]) == [
+        ("simplevla", 16),
+        ("rlinf", 16),
+        ("rlinf", 50),
+    ]
 
 
 def test_tables_have_medians_ranges_and_ratios_to_the_original(bench: Any) -> None:

@@ -50,12 +50,9 @@ def main() -> int:
     results["checks"] = fairness(flags) if flags.checks else {}
     report.write(results, flags.out)
     longest: dict[Any, float] = {}
-    for round_number, size, framework, task in itertools.product(
-        range(1, flags.rounds + 1), flags.environments, flags.frameworks, flags.tasks
+    for round_number, (framework, count), task in itertools.product(
+        range(1, flags.rounds + 1), sizes(flags.environments, flags.frameworks), flags.tasks
     ):
-        count = min(size, MAX_ENVIRONMENTS[framework])
-        if count != size and count in flags.environments:
-            continue
         scenario = {"framework": framework, "task": task, "environments": count}
         arms = [arm for arm in ARMS[framework] if arm in flags.arms]
         keys = {arm: (framework, task, count, arm) for arm in arms}
@@ -74,6 +71,12 @@ def main() -> int:
     print(report.markdown(results))
     fair = all(task["same_motion"] and task["same_success"] for task in results["checks"].values())
     return 0 if fair else 1
+
+
+def sizes(environments: list[int], frameworks: list[str]) -> list[tuple[str, int]]:
+    """Returns each framework with each number of environments that it runs, once."""
+    pairs = itertools.product(environments, frameworks)
+    return list(dict.fromkeys((name, min(size, MAX_ENVIRONMENTS[name])) for size, name in pairs))
 
 
 def arguments() -> argparse.Namespace:
