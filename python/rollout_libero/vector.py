@@ -223,7 +223,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         With ``render="last"`` an environment's observation is the one after its last step; with
         ``"all"`` arrays are [environments, steps, …], and zero beyond the executed steps, which
         ``info["taken"]`` counts (0 for an environment that begins a rollout, whose first
-        observation is at index 0); with ``"none"`` there are no frames.
+        observation is at index 0; under ``SAME_STEP``, a new rollout's first observation takes the
+        place of the ended rollout's last); with ``"none"`` there are no frames.
 
         ``expert``, [environments, steps], queries a scripted expert, which reads the simulator's
         state, at every step: ``info["expert_action"]``, [environments, steps, 7], has the expert's
@@ -383,8 +384,10 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self._begin(starts, errors)
         begun = self._observation(advanced)
         for name, values in observation.items():
-            last = values[:, -1] if values.ndim > begun[name].ndim else values
-            last[indices] = begun[name]
+            if render == "all":
+                values[indices, infos["taken"][indices] - 1] = begun[name]
+            else:
+                values[indices] = begun[name]
         infos.update(self._infos(infos["success"]))
 
     def _rows(self, starts: Mapping[int, Start]) -> list[str | None]:

@@ -199,6 +199,22 @@ def test_a_chunks_arrays_hold_the_executed_steps_and_zeros(make_vector):
     assert frames[0, 0].any() and not frames[0, 1:].any() and frames[1, 2].any()
 
 
+def test_the_first_observation_of_a_rollout_begun_in_a_chunk_replaces_the_last_one(make_vector):
+    environments = make_vector(
+        num_envs=2, init_states=[0, 1], autoreset_mode=AutoresetMode.SAME_STEP
+    )
+    environments.reset()
+    open_the_drawer(environments.simulations[0])
+    observation, *_, infos = environments.step_chunk(np.zeros((2, 3, 7)), "all")
+    assert infos["taken"].tolist() == [1, 3] and infos["init_state"].tolist() == [0, 1]
+    first = make_vector(num_envs=1, init_states=[0]).reset()[0]
+    for name, values in observation.items():
+        np.testing.assert_array_equal(values[0, 0], first[name][0], err_msg=name)
+        assert not values[0, 1:].any() and values[1, 2].any()
+    last = infos["final_obs"][0]["agentview"]
+    assert last[0].any() and not np.array_equal(last[0], first["agentview"][0])
+
+
 def test_a_snapshot_restores_all_environments(make_vector):
     environments = make_vector()
     environments.reset(seed=0)
