@@ -116,11 +116,8 @@ class PlusRows(Rows):
     def _change(self, row: int) -> PlusPath:
         current = self._changes[row]
         if current is None:
-            raise ValueError(f"failed to step row {row}: it has no rollout; call reset")
+            raise ValueError(f"failed to use row {row}: it has no rollout; call reset")
         return current[1]
-
-    def _simulation(self, row: int) -> Any:
-        return self._rows.simulations[row]
 
 
 def _seeded(seed: int) -> LegacyState:

@@ -117,11 +117,11 @@ class Rows:
 
     def check_success(self) -> list[bool]:
         """Returns for each environment True if its goal holds."""
-        return [simulation.success() for simulation in self._simulations()]
+        return [self._simulation(row).success() for row in self._ids(None)]
 
     def get_sim_state(self) -> list[NDArray[np.float64]]:
         """Returns the simulator state of each environment."""
-        return [simulation.state() for simulation in self._simulations()]
+        return [self._simulation(row).state() for row in self._ids(None)]
 
     def close(self) -> None:
         """Closes all environments and the threads."""
@@ -144,7 +144,7 @@ class Rows:
         """Returns observations. When a frame is first read, the frames of all rows are rendered on
         threads."""
         instant = _Instant(
-            [self._rows.simulations[row].capture() for row in rows],  # type: ignore[union-attr]
+            [self._simulation(row).capture() for row in rows],
             [self._frame_change(row) for row in rows],
             self._size,
             self._pool.map,
@@ -167,8 +167,8 @@ class Rows:
         not corrupted."""
         return lambda frames: frames
 
-    def _simulations(self) -> list[Any]:
-        return [simulation for simulation in self._rows.simulations if simulation is not None]
+    def _simulation(self, row: int) -> Any:
+        return self._rows._simulation(row)
 
     def _ids(self, id: Any) -> list[int]:
         if id is None:

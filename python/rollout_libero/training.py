@@ -133,8 +133,10 @@ class TrainingEnvironment:
             raise ValueError(
                 f"failed to begin in {len(rows)} rows: {len(starts)} starts were given"
             )
-        for row, start in zip(rows, starts, strict=True):
-            self._assign(row, start.task)
+        # All scenes are compiled before any row changes, as files may be missing.
+        compiled = [scenes.scene(_bddl_file(start.task), self._assets) for start in starts]
+        for row, scene in zip(rows, compiled, strict=True):
+            self._assign(row, scene)
         # Equal starts are simulated once, in the first row that has them.
         first: dict[tuple[str, str], int] = {}
         leader_of = [
@@ -220,9 +222,8 @@ class TrainingEnvironment:
                 simulation.close()
         self.simulations = [None] * self.num_envs
 
-    def _assign(self, row: int, task: str) -> None:
-        """Gives a row a simulation of the task's scene, unless it has one."""
-        scene = scenes.scene(_bddl_file(task), self._assets)
+    def _assign(self, row: int, scene: native.Scene) -> None:
+        """Gives a row a simulation of the scene, unless it has one."""
         simulation = self.simulations[row]
         if simulation is None or simulation.scene is not scene:
             if simulation is not None:

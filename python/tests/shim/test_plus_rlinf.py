@@ -152,9 +152,18 @@ def test_initial_states_equal_those_in_processes(rows: PlusRows) -> None:
         assert_same(ours[i], processes[i].call("step", ZERO)[0], f"step of {i}")
 
 
+def test_calls_before_a_reset_are_refused(rows: PlusRows) -> None:
+    for use in (
+        lambda: rows.step(np.zeros((1, 7)), [0]),
+        lambda: rows.set_init_state([np.zeros(3)], [0]),
+        rows.get_sim_state,
+        rows.check_success,
+    ):
+        with pytest.raises(ValueError, match="row 0: it has no rollout; call reset"):
+            use()
+
+
 def test_variants_with_missing_files_are_refused(rows: PlusRows) -> None:
-    with pytest.raises(ValueError, match="call reset"):
-        rows.step(np.zeros((1, 7)), [0])
     rows.reconfigure_env_fns([parameters(f"{BOWL}_light_1")], [1])
     with pytest.raises(FileNotFoundError, match="scenes/lights/"):
         rows.reset()

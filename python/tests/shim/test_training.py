@@ -175,6 +175,10 @@ def test_a_refused_call_moves_no_row(envs: TrainingEnvironment) -> None:
     file, states = task("libero_goal", 8)
     with pytest.raises(ValueError, match="row 0: it has no rollout; call reset"):
         envs.step_chunk(np.zeros((3, 1, 7)))
+    with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
+        envs.reset([Start(file), Start(file), Start("nowhere.bddl")])
+    with pytest.raises(ValueError, match="failed to use row 0: it has no rollout"):
+        envs.observe()
     envs.reset([Start(file, states[0])] * 3)
     for rows in ([], [0, 0], [3]):
         with pytest.raises(ValueError, match="choose rows"):
