@@ -66,7 +66,7 @@ pub(super) fn warnings(document: &Document) -> Markup {
                             li {
                                 (label(analysis)) (quarantined)
                                 @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
-                                " in quarantine after repeated errors: excluded from every rate"
+                                " in quarantine (failed too often, or skipped): excluded from every rate"
                                 @if document.family.is_none() {
                                     "; tables below bound the effect and list the errors"
                                 }
