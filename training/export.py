@@ -3,8 +3,8 @@
     python -m training.export --run runs/second --name student --into student.safetensors \\
         --reference queries.safetensors
 
-The reference has four queries, each in a scene that LIBERO's samplers place, and the
-answers of the rounded weights, computed in single precision on the processor.
+The file of `--reference` has four queries, each in a scene that LIBERO's samplers place, and the
+answers of the rounded weights, computed in single precision on the CPU.
 """
 
 from __future__ import annotations

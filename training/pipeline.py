@@ -6,9 +6,10 @@
 
 ``teach`` collects on the processor's cores while the GPU trains. In the first round the expert
 drives, mostly disturbed. In each later round the student, with its newest weights, takes turns with
-the expert, and tasks that the student failed before get more environments. Training keeps the
-frames of all rounds. A call ends after ``--minutes``, and the same command resumes it; the learning
-rate decays over ``--total-minutes``, the training time of all calls.
+the expert, and tasks that the student failed before get more environments. Training draws on the
+frames of all rounds; once its memory is full, new frames replace random ones. A call ends after
+``--minutes``, and the same command resumes it; the learning rate decays over ``--total-minutes``,
+the training time of all calls.
 
 ``evaluate`` exports the weights and measures the student on the benchmark's released initial
 states, which no other stage uses.

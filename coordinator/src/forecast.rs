@@ -8,7 +8,8 @@ use terminal::{counted, wrapped};
 
 use crate::words::duration_text;
 
-/// Share of waiting in a rollout's time from which the text explains the waiting, percent.
+/// Smallest share of waiting in a rollout's time at which the text names what is waited for,
+/// percent.
 const LARGE_WAITING_PERCENT: f64 = 20.0;
 
 /// Converts a forecast to its gRPC message.
@@ -145,7 +146,7 @@ pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
         Bottleneck::Slots => format!(
             "bottleneck: slots, which wait for the policy while cores are idle. More slots help up \
              to {enough}: the campaign then takes about {enough_duration} if the policy answers as \
-             fast"
+             fast as now"
         ),
         Bottleneck::Cores => format!(
             "bottleneck: the workers' cores, all of which are busy. More slots on them do not \

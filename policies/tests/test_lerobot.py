@@ -250,7 +250,7 @@ def test_a_large_tensor_that_differs_from_the_file_is_refused(altered, monkeypat
         inner(network, file, checkpoint)
 
     monkeypatch.setattr(adapter, "_require_weights", require_weights_after_a_change)
-    with pytest.raises(UnusableCheckpoint, match="1 of other content") as refused:
+    with pytest.raises(UnusableCheckpoint, match="1 with other content") as refused:
         loaded(name, folder)
     assert largest[0] in str(refused.value)
 

@@ -1,4 +1,4 @@
-"""The samples of the package's page run as printed."""
+"""The samples in the package's README run as printed."""
 
 import pathlib
 import re
@@ -37,7 +37,7 @@ def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     check(policy)
 
 
-def test_every_name_in_the_readme_is_exported():
+def test_public_functions_named_in_the_readme_are_in_all():
     named = set(re.findall(r"`([A-Za-z_0-9]+)\(", PAGE.read_text(encoding="utf-8")))
     exported = {name for name in named if hasattr(rollout_policies, name)}
     assert {"check", "fake_observation", "resize", "Ensemble", "gripper_from_rlds"} <= exported

@@ -90,7 +90,7 @@ def test_files_are_compared_in_parts_of_any_size(tmp_path, monkeypatch, count):
     require_loaded()
     stored["old.0.weight"][-1, -1] += 1
     save_file(stored, file)
-    with pytest.raises(UnusableCheckpoint, match=r"1 of other content \(0.weight\)"):
+    with pytest.raises(UnusableCheckpoint, match=r"1 with other content \(0.weight\)"):
         require_loaded()
 
 

@@ -96,7 +96,7 @@ class Connection:
         """Identifies the server at the URL; None if the coordinator itself answered."""
         code, details = error.code(), error.details() or ""
         is_from_web_server = details.startswith(probe.WEB_ANSWER)
-        # Only answers of a server have headers; errors of this client have none.
+        # Only a server's answers have trailing metadata; this client's own errors have none.
         has_answered = bool(error.trailing_metadata()) and not is_from_web_server
         is_unimplemented = code is grpc.StatusCode.UNIMPLEMENTED
         may_be_lost = is_from_web_server or code in CONNECTION_CODES

@@ -43,8 +43,8 @@ def main() -> int:
     origins.add_argument(
         "--index",
         metavar="URL",
-        help="the package index, or a mirror of it [default: $ROLLOUT_INDEX_URL, pip's or uv's, "
-        "else PyPI]",
+        help="the package index, or a mirror of it [default: $ROLLOUT_INDEX_URL, or the "
+        "index that pip or uv is set to use, else PyPI]",
     )
     origins.add_argument(
         "--wheels",
@@ -84,7 +84,7 @@ def main() -> int:
         return 1
     print(f"LIBERO's assets: {folder}")
     if flags.into:
-        print(f"to use them, give assets={str(folder)!r}, or set ROLLOUT_ASSETS")
+        print(f"to use them, pass assets={str(folder)!r} to environments, or set ROLLOUT_ASSETS")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Start of a rollout, as a manifest row (JSON)."""
+"""Start of a rollout, as JSON for the simulator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Start(NamedTuple):
     """Start of the next rollout."""
 
     row: str
-    """Manifest row, JSON, for the simulator."""
+    """JSON for the simulator: a manifest row, or the seed of a sampled placement."""
     init_state: int | None
     """None if LIBERO's samplers place the objects."""
     instruction: str
@@ -122,7 +122,7 @@ class Starts:
         nothing: pass the start to ``use`` after the rollout has begun.
 
         Raises:
-            ValueError: if the options name no initial state of the task.
+            ValueError: if the option ``init_state`` is not a state of the task.
         """
         generator = copy.deepcopy(generator)
         turn = self._turn if turn is None else turn
@@ -223,7 +223,7 @@ def _choose(init_states: InitStates, count: int) -> str | Sequence[int]:
             f"failed to choose init_states {init_states!r}: it must be 'cycle', 'random', "
             "'sampled', a number, or numbers"
         )
-    listed = [init_states] if isinstance(init_states, int) else init_states
+    listed = [init_states] if isinstance(init_states, int | np.integer) else init_states
     numbers = [int(number) for number in listed]
     if not numbers or not all(0 <= number < count for number in numbers):
         raise ValueError(

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
-/// Timeout of all waits.
+/// Longest wait for commits.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Returns the path of the program `name`: in the folder that `ROLLOUT_PROGRAMS` names, else as
@@ -72,7 +72,7 @@ impl Process {
         Self::start(command.args(["--slots", &slots.to_string()]))
     }
 
-    /// Starts a program and discards its output.
+    /// Starts a program and discards its standard output.
     ///
     /// # Panics
     /// If it cannot be started.

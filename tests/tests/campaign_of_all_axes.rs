@@ -107,9 +107,9 @@ struct Stored {
     realised: BTreeMap<String, serde_json::Value>,
 }
 
-/// Asserts that the policy got the same paraphrase wherever the language axis was perturbed, and
-/// the canonical instruction elsewhere, and that every axis was realised in combinations as it was
-/// alone.
+/// Asserts that the policy got the canonical instruction or, where the language axis was perturbed,
+/// the paraphrase of language alone at the same task, level and configuration, and that every axis
+/// was realised in combinations as it was alone.
 fn check_stored(stored: &BTreeMap<RolloutId, Stored>) {
     assert_eq!(stored.len(), ROLLOUTS);
     for (id, Stored { row, realised }) in stored {

@@ -1,5 +1,5 @@
-//! `worker assets`: describes, verifies and fetches asset packs; and the tasks that a
-//! worker can show with its pack.
+//! `worker assets`: describes, verifies and fetches asset packs; and the tasks whose files a
+//! worker's pack has.
 
 mod coverage;
 mod error;
@@ -121,8 +121,8 @@ impl Provider {
     /// Fetches a row's missing or altered assets, with progress in the log.
     ///
     /// # Errors
-    /// If the assets cannot be fetched, a variant's assets are in no index, or a variant's task
-    /// files are missing or wrong.
+    /// If the assets cannot be fetched, no package index has a variant's assets, or a variant's
+    /// task files are missing or wrong.
     pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
         let files = match row.id.variant() {
@@ -342,7 +342,7 @@ fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError>
         false => pack.dir().display().to_string(),
     };
     print(&format!(
-        "{}: {} fetched{replaced}, {} packed; {} already present. Give it as --assets \
+        "{}: {} fetched{replaced}, {} compressed; {} already present. Give it as --assets \
          {pack_or_path}\n",
         pack.dir().display(),
         counted(fetched.fetched as u64, "file"),
@@ -393,11 +393,7 @@ pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackEr
         return Ok(Vec::new());
     }
     let coverage = Coverage::check(pack, sources)?;
-    tracing::info!(
-        "assets {}: of the tasks, {}",
-        pack.name(),
-        coverage.summary()
-    );
+    tracing::info!("assets {}: tasks: {}", pack.name(), coverage.summary());
     let mut lacking = Vec::new();
     for (reason, tasks) in coverage.not_shown() {
         let named = tasks.iter().map(ToString::to_string).collect();

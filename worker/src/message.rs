@@ -161,7 +161,7 @@ pub struct Finished {
 }
 
 /// Simulator, scene and policy that produced a result. Digests are SHA-256,
-/// hex.
+/// hex, except that of the policy's weights, which is as the policy gives it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// Name that the renderer reports. Empty if no renderer was opened; a campaign opens one even
@@ -216,8 +216,8 @@ pub enum FailureKind {
     SlotStuck,
     /// The policy answered with an error, or with actions that cannot be executed.
     PolicyMisbehaved,
-    /// The policy cannot be reached, is overloaded or has an unusable description. Not charged to
-    /// the rollout.
+    /// The policy cannot be reached, is overloaded or has an unusable description, or the execution
+    /// model would drop every answer. Not charged to the rollout.
     PolicyUnavailable,
     /// The policy accepted the episode, but did not answer its first or a later query. Not charged
     /// to the rollout, unless the rollout loses its policy repeatedly.

@@ -34,8 +34,8 @@ pub(crate) struct Options {
     arguments: Vec<String>,
 }
 
-/// Runs the comparison. RLinf is omitted if PyTorch cannot be installed, and the original if it
-/// cannot be run on this machine.
+/// Runs the comparison. RLinf is omitted if the packages of its clients cannot be installed, and
+/// the original if it cannot be run on this machine.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     let oracle = options.oracle.clone();
@@ -45,7 +45,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let shim = wheel::installed(root, &cache, Profile::Release)?;
     let clients = clients::provide(root, &cache);
     let clients = clients.as_deref().map(packages).transpose()?;
-    // PYTHONPATH of a simulator: its own packages precede the clients'.
+    // PYTHONPATH of a simulator: its own packages precede those of LeRobot, RLinf and vla-eval.
     let path = |simulator: &Path| -> Result<String> {
         let clients = clients.iter().map(|folder| folder.display().to_string());
         let all = std::iter::once(simulator.display().to_string()).chain(clients);

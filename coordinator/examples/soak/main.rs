@@ -141,7 +141,7 @@ async fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Creates the campaigns: 55 % of the jobs are only measured, 30 % are filmed, and 15 % belong to
-/// the campaign that may stop early, which has no replicates.
+/// the campaign that may stop early, which has a single replicate.
 fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     let spec = |name: &str, share: f64| {
         let designs = (arguments.jobs as f64 * share / DESIGN as f64).round();

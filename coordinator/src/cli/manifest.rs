@@ -117,5 +117,8 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
 }
 
 fn is_nominal(row: &ManifestRow) -> bool {
-    row.id.config().is_none()
+    match row.id.variant() {
+        Some(variant) => variant.is_unperturbed(),
+        None => row.id.config().is_none(),
+    }
 }

@@ -25,8 +25,8 @@ pub(super) struct ReportArguments {
     /// Names of campaigns; several are shown side by side.
     #[arg(required_unless_present = "from")]
     campaigns: Vec<String>,
-    /// Folder with a `rollouts.jsonl` of the reference implementation or of `export`, one
-    /// policy each; or such a file.
+    /// Folders that each hold the `rollouts.jsonl` of one policy, from the reference
+    /// implementation or from `export`; or such files.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     from: Vec<PathBuf>,
     /// Print every measure with its interval, and the meaning of each symbol.

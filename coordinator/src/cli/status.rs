@@ -1,5 +1,5 @@
-//! `coordinator campaign list` and `coordinator campaign status`: progress of campaigns in lines of
-//! at most 80 columns. `--watch` is implemented in `watch`.
+//! `coordinator campaign list` and `coordinator campaign status`: progress of campaigns, in one
+//! line of at most 79 columns each, and details. `--watch` is implemented in `watch`.
 
 use clap::Args;
 use coordinator::words::duration_text;
@@ -91,8 +91,10 @@ fn details(status: &CampaignStatus) -> String {
     ];
     if let Some(early) = &status.early_stop {
         lines.push(format!(
-            "  ends early   once {}; order of seed {}, rounds of {}",
-            early.rule, early.seed, early.strata
+            "  ends early   once {}; random order of seed {}, in rounds of {}",
+            early.rule,
+            early.seed,
+            early.strata.replace('_', " ")
         ));
     }
     if !status.follows_from.is_empty() {

@@ -65,7 +65,7 @@ struct Screen {
 }
 
 impl Screen {
-    /// Prints permanent lines in place of the table, which is drawn again below them.
+    /// Erases the table and prints lines in its place; `show` draws the table again.
     fn print(&mut self, text: &str) -> anyhow::Result<()> {
         if self.is_terminal && self.lines > 0 {
             terminal::clear_lines(self.lines).context("print to standard output")?;

@@ -4,13 +4,13 @@
 use std::path::PathBuf;
 use std::process::Stdio;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::Args;
 use libero_ctrl::{Condition, Suite};
 use report::Subject;
 use tokio::process::Command;
 
-use super::command::{CommandError, Connection, print_line};
+use super::command::{CommandError, Connection, failure, print_line};
 use super::siblings::sibling;
 
 /// Printed below the long help.
@@ -60,9 +60,12 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
         .status()
         .await
         .context("run `policy-gateway doctor`")?;
-    match exit_status.success() {
-        true => Ok(()),
-        false => Err(CommandError::FaultsPrinted),
+    match exit_status.code() {
+        Some(0) => Ok(()),
+        Some(_) => Err(CommandError::FaultsPrinted),
+        None => Err(failure(anyhow!(
+            "run `policy-gateway doctor`: {exit_status}"
+        ))),
     }
 }
 

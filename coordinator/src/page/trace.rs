@@ -5,8 +5,8 @@
 use maud::{Markup, html};
 use rollout_types::Motion;
 
-/// Positions of the hand, at rest and after every control step: x, y, z in the
-/// world frame, m.
+/// Positions of the hand, after settling and then after every control step of the policy: x, y, z
+/// in the world frame, m.
 pub(super) type Path = Vec<[f64; 3]>;
 
 /// Unit of a stored position, m.

@@ -119,7 +119,7 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     }
     assert!(!merged.exists());
 
-    // A rollout in another scene is a different rollout, even with the same outcome.
+    // Halves with different scenes of one rollout are refused, even if their outcomes agree.
     let mut third = Bench::with(&spec()).await;
     let lease = third.worker.claim_one().await;
     let mut report = third.worker.report(&lease, succeeds(&rollout_id(&lease)));

@@ -41,8 +41,8 @@ def fake_observation(
 ) -> Observation:
     """Returns an observation as the description requests it, drawn from (seed, query_index).
 
-    Frames show a table with coloured objects; readings are consistent with one
-    arm near its rest posture. Without `episode`, an episode is generated, too.
+    Frames show a table with coloured objects; readings are near those of the
+    arm's rest posture. Without `episode`, an episode is generated, too.
     """
     rng = np.random.default_rng([seed, query_index])
     readings = fake_readings(rng)
@@ -71,8 +71,9 @@ def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
-    """Returns every kind of reading, all of one posture: the fingers point
-    down, and the hand is turned about the vertical."""
+    """Returns every kind of reading. The orientations are of one hand, whose fingers
+    point down and which is turned about the vertical; the others are drawn
+    independently near the rest posture."""
     turn = rng.uniform(-SPREAD, SPREAD)
     # The orientation is a half turn about a horizontal axis at the angle `turn / 2`.
     axis = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0])

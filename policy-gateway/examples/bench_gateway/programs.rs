@@ -1,5 +1,5 @@
 //! Processes of a measurement: they listen on free ports, print their addresses, and are killed
-//! with the measurement.
+//! when the measurement drops them.
 
 use std::{path::PathBuf, process::Stdio};
 

@@ -92,7 +92,8 @@ fn descriptions() -> impl Strategy<Value = DescribeResponse> {
         )
 }
 
-/// Fails if only one of two verdicts is a refusal, or if a refusal does not name the fault.
+/// Requires that both verdicts accept the same value if there is no `fault`, and otherwise that
+/// both are refusals which name it.
 fn compare_verdicts<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
     direct: Result<T, E>,
     through: Result<T, E>,
@@ -116,9 +117,8 @@ fn compare_verdicts<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
     Ok(())
 }
 
-/// Regression: the gateway refused numbers beyond 1,000, which the worker clipped if the campaign's
-/// endpoint was the policy server itself, so that failures of a broken network were counted as
-/// failed tasks.
+/// Regression: the gateway refused numbers beyond 1,000. Without a gateway, the worker clipped
+/// them, so that failures of a broken neural network were counted as failed tasks.
 #[test]
 fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     let runtime = Runtime::new().expect("a runtime");

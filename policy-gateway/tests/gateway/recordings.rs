@@ -96,7 +96,9 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     let third_query = send_query(&mut client, 2, observation(2)).await;
     let third_query = third_query.expect_err("no third query was recorded");
     assert!(
-        third_query.message().contains("ends after 2 queries"),
+        third_query
+            .message()
+            .contains("has 2 queries and none with the number 2"),
         "{third_query}"
     );
     let unrecorded = proto::policy::ResetRequest {

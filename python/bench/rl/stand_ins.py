@@ -64,7 +64,8 @@ def _attribute(name: str) -> Any:
 
 
 def prepare() -> None:
-    """Makes the frameworks' files importable. Spawned processes call it, too."""
+    """Makes the frameworks' files importable. A program whose spawned processes need this calls it
+    when it is imported."""
     # The original imports PyTorch, and does not call it in these rollouts.
     if importlib.util.find_spec("torch") is None:
         sys.modules["torch"] = types.ModuleType("torch")
@@ -79,8 +80,9 @@ def prepare() -> None:
 
 
 def _render_last_of_chunk(settling: int, chunk: int) -> None:
-    """Makes the original render only in the last settling step and the last step of each chunk.
-    Observations of the other steps hold the last rendered picture, so that they keep their size.
+    """Makes the original render only in the last settling step and the last step of each chunk,
+    once an initial state was set and each camera has a picture. Observations of the other steps
+    hold the last rendered picture, so that they keep their size.
     """
     from robosuite.utils import binding_utils
 

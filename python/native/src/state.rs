@@ -49,7 +49,9 @@ impl State {
         Ok(frame)
     }
 
-    /// Ends the rollout: removes perturbations and resets the expert.
+    /// Ends the rollout: actions and frames are no longer perturbed, and the expert is reset. The
+    /// perturbed camera, lights and robot pose remain until the environment is loaded or
+    /// hard-reset.
     pub(crate) fn end_rollout(&mut self) {
         self.conditions = None;
         self.expert = Expert::default();
@@ -71,8 +73,8 @@ impl State {
             return Ok(());
         }
         Err(invalid(
-            "restore a snapshot: it is of another scene; take one of an environment of the same \
-             task, assets and process",
+            "restore a snapshot: it is of another scene; restore one that an environment of the \
+             same task, assets and process took",
         ))
     }
 

@@ -1,1 +1,1 @@
-"""Generated from coordinator.proto by proto/regenerate.py; do not edit."""
+"""Modules generated from coordinator.proto by proto/regenerate.py; do not edit them."""

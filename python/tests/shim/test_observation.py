@@ -133,7 +133,7 @@ def test_an_unused_camera_is_black_and_the_other_is_unchanged(
     printed = capsys.readouterr().err
     assert printed.count("robot0_eye_in_hand: its frames are black") == 1, printed
     monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", "wrist")
-    with pytest.raises(ValueError, match="no such camera: choose of .*agentview"):
+    with pytest.raises(ValueError, match="no such camera: choose from .*agentview"):
         construct(bddl_file)
 
 

@@ -150,7 +150,7 @@ def test_rows_with_equal_starts_settle_once_and_then_step_independently(
         stepped.observation["agentview"][2], stepped_alone.observation["agentview"][0]
     )
     assert (stepped.observation["eef_pos"][0] != stepped.observation["eef_pos"][2]).any()
-    # A settled start can be restored.
+    # A state in the middle of a rollout can be restored.
     before = alone.snapshot(0)
     after = [alone.step_chunk(moves[:1]).observation["eef_pos"] for _ in range(2)]
     alone.restore(0, before)
@@ -193,7 +193,12 @@ def test_a_refused_call_moves_no_row(envs: TrainingEnvironment) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
         envs.reset([Start("nowhere.bddl")], rows=[1])
     positions = envs.step_chunk(np.zeros((3, 1, 7))).observation["eef_pos"]
-    np.testing.assert_array_equal(positions[0], positions[2])
+    undisturbed = TrainingEnvironment(1, height=SIZE, width=SIZE)
+    undisturbed.reset([Start(file, states[0])])
+    expected = undisturbed.step_chunk(np.zeros((1, 1, 7))).observation["eef_pos"]
+    undisturbed.close()
+    for position in positions:
+        np.testing.assert_array_equal(position, expected[0])
 
 
 def test_failed_rows_are_named_and_the_others_continue(envs: TrainingEnvironment) -> None:

@@ -23,7 +23,7 @@ const SIDE: u32 = 256;
 /// Number of steps before the timing starts.
 const WARM_UP: usize = 3;
 
-/// Time environments of one scene that step on threads.
+/// Measure how fast environments of one scene step on threads.
 #[derive(Parser)]
 struct Arguments {
     /// The task: SUITE/N.
@@ -86,8 +86,8 @@ fn actions(count: usize) -> Vec<[f64; 7]> {
         .collect()
 }
 
-/// Steps all environments once, reads the robot's state, and renders every camera into one buffer
-/// of all environments. Each thread takes the next pending environment.
+/// Steps all environments once, reads the robot's state, and renders each camera into its buffer,
+/// which holds the frames of all environments. Each thread takes the next pending environment.
 fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 7]) -> Result<()> {
     let bytes = (SIDE * SIDE * 3) as usize;
     let pictures = CAMERAS.map(|_| Mutex::new(vec![0_u8; environments.len() * bytes]));

@@ -45,8 +45,8 @@ for _ in range(3):
 print('moved', flush=True)
 sys.stdin.read()
 ";
-/// Number of environments: per task in a single Python process, or per process in [`PROCESSES`] of
-/// them.
+/// Number of environments per task in the run with one Python process, and per process in the run
+/// with [`PROCESSES`] processes.
 const ENVIRONMENTS: usize = 16;
 const PROCESSES: usize = 8;
 
@@ -139,7 +139,7 @@ fn run_slot(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// A slot's process.
+/// A measured process: a slot or a Python program.
 struct Slot {
     child: Child,
     commands: Option<ChildStdin>,
@@ -335,17 +335,17 @@ fn measure(arguments: &Arguments) -> Result<()> {
         pair.into_iter().try_for_each(Slot::end)?;
     }
     row(
-        "a further slot, one scene, not shared: most",
+        "a further slot, one scene, not shared: maximum",
         format!("{:.1} MiB", most(&private)),
         "<= 40 MiB",
     );
     row(
-        "  resident: most",
+        "  resident: maximum",
         format!("{:.1} MiB", most(&resident)),
         "",
     );
     row(
-        "  of its scene file, resident: mean, most",
+        "  resident part of its scene file: mean, maximum",
         format!("{:.1}, {:.1} MiB", mean(&mapped), most(&mapped)),
         "",
     );

@@ -12,7 +12,8 @@ use super::frames::Comparison;
 use super::reference::{Array, ReferenceTask, read_npz};
 
 const SETTLING_STEPS: usize = 10;
-/// Sensitivity up to which the original counts as insensitive, m or rad.
+/// Largest deviation of the original under tiny torque noise at which it counts as insensitive, m
+/// or rad.
 const INSENSITIVE: f64 = 1e-11;
 
 type Arrays = BTreeMap<String, Array>;
@@ -162,9 +163,9 @@ pub(super) fn compare_contact(
     }))
 }
 
-/// Compares the differences of joint positions from the original's with the original's own
-/// sensitivity, step by step. Without a measured sensitivity, the effect of rounding alone is
-/// unknown, so that differences are reported but not judged.
+/// Compares, at each step, how far joint positions are from the original's with the original's own
+/// sensitivity, its deviation under tiny torque noise. Without a measured sensitivity, the effect
+/// of rounding alone is unknown, so that differences are reported but not judged.
 fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFindings {
     let mut findings = ContactFindings::default();
     let mut is_insensitive = sampled.is_some();

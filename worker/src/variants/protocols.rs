@@ -65,8 +65,8 @@ fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
 /// protocol of their benchmark, and reports each variant's starts as soon as they are known.
 ///
 /// # Errors
-/// If a named variant lacks files, a case is of no benchmark with protocols, the simulator fails,
-/// or `report` fails.
+/// If a named variant lacks files, a case belongs to no benchmark with protocols, the simulator
+/// fails, or `report` fails.
 pub fn compare(
     audit: &Audit,
     choice: &Choice,

@@ -29,7 +29,7 @@ fn missing_sources_are_reported_with_the_remedy() {
     );
 }
 
-/// A value from the environment must not count as an option of the command line.
+/// Options of the command line exclude a subcommand; `ROLLOUT_SOURCES` must not count as one.
 #[test]
 fn the_environment_names_the_sources_in_every_mode() {
     for mode in [

@@ -16,8 +16,8 @@ use crate::outcomes::{Matched, Outcome};
 /// exclude such rollouts; the range shows how much their outcomes could change a measure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
-    /// Configurations without a missing rollout, single or simultaneous. Nominal rollouts do not
-    /// count.
+    /// Configurations of which no rollout, single or simultaneous, is missing. Their nominal
+    /// rollouts are ignored.
     pub n: u64,
     /// Configurations counted in `n` that have a quarantined rollout.
     pub affected: u64,

@@ -23,7 +23,7 @@ use crate::report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Re
 /// those without a result, because the expected conditions are derived from them.
 ///
 /// # Errors
-/// If a rollout and replicate is recorded twice.
+/// If a rollout is recorded twice in the same replicate.
 pub fn report(records: &[Record], options: &Options) -> Result<Report, DuplicateRecord> {
     Ok(report_of(&Records::new(records)?, options))
 }

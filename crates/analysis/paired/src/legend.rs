@@ -42,7 +42,7 @@ pub fn legend(reports: &[&Report]) -> String {
         );
         add(
             "I",
-            "net effect of simultaneity; chance alone makes it positive, see the floor",
+            "net effect of simultaneity, S_sim - S_conj; chance alone makes it positive",
         );
         add(
             "b emergent",
@@ -115,7 +115,7 @@ pub(crate) fn interval_entries(
     let mut entries = vec![(
         "95 %",
         format!(
-            "interval about new tasks: {} resamplings of whole tasks",
+            "interval for the value on new tasks, from {} resamplings of whole tasks",
             bootstrap.replicates
         ),
     )];

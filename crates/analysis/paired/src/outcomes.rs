@@ -225,7 +225,7 @@ impl Records {
     /// Matches the records of each configuration.
     ///
     /// # Errors
-    /// If a rollout and replicate is recorded twice.
+    /// If a rollout is recorded twice in the same replicate.
     pub fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
         let mut matching = Self::default();
         for record in records {

@@ -1,6 +1,6 @@
-//! The figures, as SVG. Each is a panel of one fixed width, so that a page can
-//! set panels side by side if there is room and below one another if there is
-//! not, without scaling text; a wide figure takes a row of its own.
+//! The figures, as SVG. Most are panels of the same fixed width, so that a page can set panels side
+//! by side if there is room and below one another if there is not, without scaling text; a wide
+//! figure takes a row of its own.
 //!
 //! Colour never carries meaning alone: transitions have marks, measures have
 //! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,
@@ -46,8 +46,8 @@ pub use upset::upset;
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
-/// Maps a configuration's simultaneous rollout and its replicate to the URL of the page
-/// that shows its rollouts.
+/// Maps the simultaneous rollout of a configuration, and a replicate, to the URL of the page that
+/// shows the configuration's rollouts.
 pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
 
 /// Padding around a panel that is written to a file of its own.
@@ -132,7 +132,7 @@ impl Figure {
     }
 }
 
-/// Returns the levels of a document, by radius.
+/// Returns the levels of a document, in ascending order of radius.
 pub fn levels(document: &Document) -> Vec<Level> {
     let cells = document.analyses.iter().flat_map(Analysis::cells);
     let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();

@@ -87,7 +87,8 @@ pub(crate) fn p_value(p: f64) -> String {
 }
 
 /// Formats the radius at which half of the configurations still succeed: `4.25`; `2 to 4` if
-/// no radius between was run; `> 16`; or `none` if fewer than half succeed nominally.
+/// success is known at these radii only; `> 16`; or `none` if fewer than half succeed nominally, or
+/// there is no configuration.
 pub(crate) fn half_success(curve: &Curve) -> String {
     let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
     match (curve.half_success.radius, curve.half_success.bounds) {

@@ -1,5 +1,5 @@
-//! Identifiers of designs: of campaigns, of manifests, and of campaigns that are derived from the
-//! outcomes of another campaign.
+//! Identifiers of designs: v0.1, custom designs, manifests, campaigns derived from another one's
+//! outcomes, variants, and suite files.
 
 use serde::Serialize;
 

@@ -86,8 +86,8 @@ impl Design {
     /// including levels that the design does not run; the direction is the same at all levels.
     ///
     /// # Errors
-    /// If the condition perturbs language and the level has no paraphrases, or the condition is
-    /// latency and the level has no delay.
+    /// If the row alone is no valid design, for example because the condition perturbs language and
+    /// the level has no paraphrases, or the condition is latency and the level has no delay.
     pub fn row_at(
         &self,
         task: TaskRef,

@@ -127,8 +127,8 @@ pub const PROTOCOLS: [Protocol; 9] = [
         seed: 7,
         waits: 10,
         budgets: BUDGETS,
-        source: "LIBERO-Para dec2d93, eval_scripts/examples; the prompt is the file's sentence in \
-                 its own case",
+        source: "LIBERO-Para dec2d93, eval_scripts/examples; the prompt is the BDDL file's \
+                 sentence with its capital letters",
     },
 ];
 
@@ -163,7 +163,7 @@ impl Protocol {
         }
     }
 
-    /// Returns the step budget of the policy in one of LIBERO's suites.
+    /// Returns the step budget of the policy in a suite; `Own` has that of `Long`.
     pub const fn budget(&self, suite: Suite) -> u32 {
         match suite {
             Suite::Spatial => self.budgets[0],

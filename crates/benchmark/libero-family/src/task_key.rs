@@ -31,8 +31,8 @@ impl TaskKey {
         }
     }
 
-    /// Returns the text of a row's key. That of a suite file's task names the file with its digest,
-    /// as in `own/17+libero_90@0123456789abcdef`, since two files may have the same name.
+    /// Returns the text of a row's key. The key of a suite file's task has the file's name and
+    /// digest, as in `own/17+libero_90@0123456789abcdef`, since two files may have the same name.
     pub fn of_row(row: &ManifestRow) -> String {
         match (&row.own, &row.protocol) {
             (Some(_), Some(protocol)) => format!("{}+{protocol}", row.id.task()),

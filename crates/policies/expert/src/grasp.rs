@@ -16,9 +16,9 @@ const PINCH_WIDTH_M: f64 = 0.072;
 const PINCH_DEPTH_M: f64 = 0.025;
 /// Depth of the grip point below an object's top when gripping a rim, m.
 const RIM_DEPTH_M: f64 = 0.014;
-/// Distances of the grip point inside the side of the box when gripping a rim, m. At larger
-/// distances the closing fingers pull the rim to their centre, which helps if a container's wall
-/// leaves the outer finger little room.
+/// Distances of the grip point inside the side of the box when gripping a rim, m. A larger distance
+/// keeps the outer finger away from the wall of a container around the object; the closing fingers
+/// then pull the rim to their centre.
 const RIM_INSETS_M: [f64; 3] = [0.006, 0.016, 0.026];
 /// Clearance of the fingertips above the object's support, m.
 const FLOOR_GAP_M: f64 = 0.004;

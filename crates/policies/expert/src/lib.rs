@@ -77,7 +77,8 @@ impl Expert {
 
     /// Reports that the robot did not execute the last action. The next action is then replanned:
     /// the expert derives the remaining goals, the held object and the phase of its skill from the
-    /// state and the hand's motion. Of its plan, it keeps only the grasps tried on the next object.
+    /// state and the hand's motion. Of its plan, it keeps only the grasps tried on the next object
+    /// and the pose of an object in the hand.
     /// Without this call, the other controller's steps would count as the expert's own, and a hand
     /// held still by the other controller would be mistaken for a hand stopped by an object.
     pub fn interrupt(&mut self) {
@@ -85,8 +86,8 @@ impl Expert {
     }
 
     /// Returns `command`, unless the hand is stuck: caught on an object, or at a joint limit of the
-    /// arm, which the expert does not foresee. A stuck hand first moves up and then back to its rest
-    /// position, for a number of steps.
+    /// arm, which the expert does not foresee. A stuck hand first moves up and then back to its
+    /// rest position, for a number of steps.
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
         // Commands at a lower pace move the hand near obstacles, where contact may stop it.
         let travels = command.pace >= 1.0;

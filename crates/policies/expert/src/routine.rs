@@ -53,9 +53,8 @@ const NEAR_RAD: f64 = 0.1;
 const FINGER_STEPS: u32 = 8;
 /// Number of steps after which a stage ends regardless of progress.
 const PATIENCE_STEPS: u32 = 80;
-// Tolerances with which a resumed routine recognises its stage.
-
-/// Largest distance of the hand from the path between two stages, m.
+/// Largest distance of the hand from the path between two stages at which a resumed routine takes
+/// the hand to be on that path, m.
 const ASIDE_M: f64 = 0.02;
 /// Distance from a handle or knob within which the hand closes, m.
 const AT_M: f64 = 0.012;
@@ -63,7 +62,7 @@ const AT_M: f64 = 0.012;
 const HELD_M: f64 = 0.025;
 /// Height above the contact point within which the hand presses on a flat object, m.
 const PRESSING_M: f64 = 0.006;
-/// Share of full vertical speed near obstacles.
+/// Share of full vertical speed in all stages but the approach.
 const GENTLE: f64 = 0.4;
 /// Distance from the centre at which fingertips drag a flat object by its upper face, and
 /// distance from the goal at which the object is released, m.
@@ -194,7 +193,7 @@ impl RoutineTask {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
                 let is_open = world.opening > FINGERS_OPEN_M;
                 if distance < HELD_M && motion::is_partly_open(world) && !is_open {
-                    // The opening varies while the mechanism moves.
+                    // Not `grasps`: the opening varies while the mechanism moves.
                     if motion.holds_mechanism() { 3 } else { 2 }
                 } else if distance < AT_M && is_on_the_way && motion.may_close(world) {
                     2
@@ -458,7 +457,7 @@ fn drag(
     }))
 }
 
-/// Returns the position of the only joint of `fixture`.
+/// Returns the position of the first joint of `fixture`, which has only one.
 pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertError> {
     let name = world.joints_of(fixture).next();
     let name = name.ok_or_else(|| ExpertError::NoJoint {

@@ -1,6 +1,7 @@
 //! Back-end that answers from recordings: an observation that equals the recorded observation of
 //! the same query of the same episode gets the recorded actions. For any other observation, the
-//! error names the first difference. Replay needs neither computation nor a server.
+//! error names the first difference from the episode's first recording. Replay needs neither
+//! computation nor a server.
 //!
 //! An episode is identified by suite, instruction and seed. If there are several recordings of an
 //! episode, the recording that contains the query's observation is used.
@@ -202,7 +203,7 @@ fn difference(path: &Path, query_index: u32, sent: &Observation) -> Result<Strin
         pairs += 1;
     }
     Ok(format!(
-        "the recording ({}) ends after {pairs} queries",
+        "the recording ({}) has {pairs} queries and none with the number {query_index}",
         path.display()
     ))
 }
@@ -223,6 +224,13 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
                 "frame {:?} was recorded, and {:?} was sent",
                 shape(recorded),
                 shape(sent)
+            );
+        }
+        if recorded.rgb.len() != sent.rgb.len() {
+            let counts = (recorded.rgb.len(), sent.rgb.len());
+            return format!(
+                "frame {:?} had {} bytes, and {} were sent",
+                sent.camera, counts.0, counts.1
             );
         }
         let levels = recorded.rgb.iter().zip(&sent.rgb);

@@ -214,7 +214,7 @@ fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
         .sum();
     let scale = match variance / count > 1e-12 {
         true => covariance / variance,
-        // A constant value only determines an offset.
+        // If the first server's value is constant, only an offset can be determined.
         false => 1.0,
     };
     (scale.abs() >= LEAST_SCALE).then_some(Map::Affine {

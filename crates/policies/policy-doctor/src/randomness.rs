@@ -13,7 +13,7 @@ pub(crate) const REPEATABLE: f64 = BATCH_TOLERANCE as f64;
 /// Number of situations that are queried again.
 const SITUATIONS: usize = 3;
 
-/// Variation of a server's answers to one observation.
+/// Largest variation of a server's answers to the same observation, over [`SITUATIONS`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Randomness {
     /// Largest difference between answers to a repeated query.

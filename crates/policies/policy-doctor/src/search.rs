@@ -11,12 +11,11 @@ use crate::{
 
 /// Largest number of changes to observations in one explanation.
 const MAX_CHANGES: usize = 3;
-/// Largest share of the remaining difference that another change may leave in order to be
-/// accepted.
+/// Another change is kept only if it reduces the remaining difference to less than this share.
 const MAX_REMAINDER_PER_CHANGE: f64 = 0.75;
 
-/// Largest share of a difference that an explanation may leave unexplained; a larger remainder is a
-/// separate difference.
+/// Largest share of a difference that an accepted explanation may leave. The part of it above
+/// `SearchSetup::floor` is then searched as a separate difference.
 const MAX_UNEXPLAINED: f64 = 0.1;
 
 /// Setup of a search: the servers, the situations and the seeds.
@@ -34,7 +33,7 @@ pub(crate) struct SearchSetup<'a> {
 /// Changes to the observations, and a map of the actions.
 #[derive(Clone, Debug)]
 pub(crate) struct Explanation {
-    /// Changes to either server's observations that make the answers alike.
+    /// Changes to either server's observations.
     pub changes: Vec<(Side, Variant)>,
     /// Map from A's actions to B's.
     pub fit: Fit,
@@ -111,7 +110,7 @@ impl SearchSetup<'_> {
         a: &Answers,
         b: &Answers,
     ) -> Result<SearchResult, ExaminationError> {
-        // An explanation with a change to the observations costs at least 1, too.
+        // No extension is cheaper: each further change to the observations costs 1.
         if start.fit.explains && start.fit.cost() <= 1 {
             return Ok(SearchResult::Explained(start.clone()));
         }

@@ -29,9 +29,9 @@ pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// Longest quoted part of a name in a description, characters.
 const QUOTED_CHARS: usize = 64;
 
-/// Largest magnitude of a number in an action. Policies that return millimetres, degrees or
-/// pixels by mistake stay below this limit; their actions are clipped and counted. Larger
-/// numbers come from a broken network; clipping them would report its failure as a failed task.
+/// Largest magnitude of a number in an action. Policies that return millimetres, degrees or pixels
+/// by mistake stay below this limit; their actions are clipped and counted. Larger numbers come
+/// from a broken neural network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
 /// One action in wire format.

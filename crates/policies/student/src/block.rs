@@ -14,7 +14,7 @@ pub(crate) struct Block {
     stride: usize,
     conv1: Convolution,
     norm1: GroupNorm,
-    /// Layer that maps the text to factors and shifts of the channels.
+    /// Layer that maps the text to each channel's factor − 1 and shift.
     pub(crate) film: Linear,
     conv2: Convolution,
     norm2: GroupNorm,

@@ -12,7 +12,7 @@ use crate::error::WeightsError;
 const COARSE: &str = "rollout-student/1";
 const FINE: &str = "rollout-student/2";
 
-/// Tensors of a file; each must be taken by exactly one layer.
+/// Tensors of a file; each must be taken by a layer.
 #[derive(Debug)]
 pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,
@@ -126,8 +126,8 @@ impl<'a> Tensors<'a> {
     }
 }
 
-/// Collects values and checks that they are finite. Replaces -0 by +0, because products must
-/// not start from -0.
+/// Collects values and checks that they are finite. Replaces -0 by +0: products are added to
+/// biases, and `product` requires that these sums do not start from -0.
 fn finite(
     tensor: &str,
     values: impl ExactSizeIterator<Item = f32>,

@@ -1,4 +1,4 @@
-//! Files with secrets, which only their owner may read.
+//! Permissions of files with secrets.
 
 use std::fs::File;
 use std::io;
@@ -6,15 +6,15 @@ use std::os::unix::fs::MetadataExt;
 
 use rustix::process::geteuid;
 
-/// Permission bits that let others read or write a file.
+/// Permission bits of the group and of other users.
 const OF_GROUP_AND_OTHERS: u32 = 0o077;
 const OF_OTHERS: u32 = 0o007;
 
 /// Returns the permissions of an open secret file, and the argument of `chmod` that restricts them,
 /// if they are too broad.
 ///
-/// A file of this user must not be accessible to its group, as `ssh` demands of its keys. A file of
-/// another user, such as a mounted secret or a systemd credential, is shared with this program
+/// A file of this user must not be accessible to anybody else, as `ssh` demands of its keys. A file
+/// of another user, such as a mounted secret or a systemd credential, is shared with this program
 /// through its group and must not be accessible to others. The permissions of a pipe do not matter.
 pub(crate) fn exposed(file: &File) -> io::Result<Option<(u32, &'static str)>> {
     let metadata = file.metadata()?;

@@ -1,5 +1,5 @@
 //! Rate limit per connection: a token bucket that refills over time. This module reads no clock;
-//! the gate passes the time.
+//! its caller `gate` passes the current time.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;

@@ -1,6 +1,7 @@
 //! Reflections in a single mirror face: a plane, or a box's upper side. MuJoCo draws the mirrored
 //! scene in place of the face and adds the face's own colour; this module draws the mirrored scene
-//! only for samples at which the face is finally visible.
+//! in the window of the samples at which the face is visible in the finished picture, and adds it
+//! to these samples only.
 
 use crate::glass;
 use crate::instance::{self, View, is_behind, is_plane};

@@ -95,7 +95,8 @@ impl TaskFiles {
         Problem::parse(&self.text()?).map_err(|error| self.malformed(error.to_string()))
     }
 
-    /// Returns the sentence of the BDDL file in its own case, as LIBERO-Para's scripts read it.
+    /// Returns the sentence of the BDDL file with its capital letters, as LIBERO-Para's scripts
+    /// read it.
     pub fn sentence(&self) -> Result<String, SceneError> {
         let text = self.text()?;
         let mut lines = text.lines().map(str::trim);

@@ -1,5 +1,5 @@
-//! Files that users provide, other than those of a scene. Checks that parsed data survives a round
-//! trip, that accepted data can be used, and that no error contains a secret.
+//! Files that users provide, other than those of a scene. Checks that accepted data can be used,
+//! that manifests and specifications survive a round trip, and that no error contains a token.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -130,7 +130,7 @@ pub(crate) fn campaign_spec_seeds() -> Vec<Vec<u8>> {
         "budget":3,"trials":4,"suites":[{"name":"s","bddl":"*.bddl","states":"*.npz","budget":5,
         "tasks":["a",{"name":"b","prompt":"p","view":[1,2,3,4,5],"posture":[0,0,0,0,0,0,0],
         "noise":6}]}]}}"#;
-    // Includes every optional field.
+    // Has the fields that are always written: `realisation`, `replicates`, `record`.
     let written = serde_json::to_vec(&spec).expect("JSON");
     vec![short.into(), written, suite_file.into()]
 }

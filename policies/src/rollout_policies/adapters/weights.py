@@ -60,7 +60,7 @@ class Differences:
             "missing in the file": self.missing,
             "unknown to the network": self.unknown,
             "of another shape": self.shape,
-            "of other content": self.content,
+            "with other content": self.content,
         }
         return "; ".join(
             f"{len(names)} {kind} ({', '.join(names[:SHOWN])}{', ...' * (len(names) > SHOWN)})"

@@ -35,7 +35,7 @@ SCENE_SEED = 0
 
 
 class CannotCheck(Exception):
-    """The check is impossible: no server, no description or no answer."""
+    """The check is impossible: for example, there is no server, no description or no token."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class EpisodeAnswers:
 
     #: Answers by query index.
     answers: list[pb.InferResponse] = field(default_factory=list)
-    #: Latency of each query, in the order of the queries, s.
+    #: Latency of each query, in the order of sending, s.
     latencies: list[float] = field(default_factory=list)
 
 
@@ -294,7 +294,7 @@ def to_message(observation: Observation) -> pb.Observation:
 
 
 def _connect(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...]]:
-    """Returns a channel and the metadata of every call. Raises CannotCheck."""
+    """Returns a channel and the metadata of every call. Raises CannotCheck or AccessError."""
     url = urlsplit(target.url)
     encrypted = url.scheme in ("https", "grpcs")
     if not (encrypted or url.scheme in ("http", "grpc")) or not url.netloc or url.path.strip("/"):

@@ -27,8 +27,8 @@ def get_libero_path(query_key: str) -> str:
     of a removed installation does no harm. Otherwise the default folder is used, whose files are
     fetched at first use.
 
-    Raises KeyError for another key, FileNotFoundError if the files are unavailable, ValueError if
-    the configuration file is not YAML.
+    Raises KeyError for another key that the configuration file lacks, FileNotFoundError if the
+    files are unavailable, ValueError if the configuration file is not YAML.
     """
     configured = _configured()
     if query_key not in _KEYS and query_key not in configured:
@@ -54,10 +54,8 @@ def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
 
 
 def set_libero_default_path(custom_location: str | None = None) -> None:
-    """Writes the configuration file, with LIBERO's files below this folder.
-
-    Without a folder, or with that of this package, removes the file, so that
-    the defaults apply again.
+    """Writes a configuration file for LIBERO's files in `custom_location`. If that is None or this
+    package's folder, removes the configuration file, so that the defaults apply again.
 
     Raises FileNotFoundError if the folder has no `bddl_files`, because `get_libero_path` would
     ignore such a folder.
@@ -114,7 +112,7 @@ def _configured() -> dict[str, str]:
         raise ValueError(f"{config_file} is not YAML ({error}): correct or remove it") from error
     if not isinstance(config, dict):
         return {}
-    return {str(key): str(folder) for key, folder in config.items()}
+    return {str(key): str(folder) for key, folder in config.items() if folder is not None}
 
 
 def _is_usable(key: str, folder: str) -> bool:

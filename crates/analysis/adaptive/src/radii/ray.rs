@@ -30,7 +30,8 @@ impl Outcomes<Level> {
         self.at(Level::L0).unwrap_or_default()
     }
 
-    /// Returns the outcome of most results at a radius. Without a majority it is missing while a
+    /// Returns the outcome of the majority of results at a radius, which the source campaign and
+    /// the campaign of further radii may both have. Without a majority it is missing while a
     /// rollout is pending, and quarantined otherwise. `None` if no campaign has a rollout there.
     pub fn at(&self, level: Level) -> Option<Outcome> {
         let tally = self.both(level);
@@ -42,8 +43,8 @@ impl Outcomes<Level> {
         }
     }
 
-    /// Returns the radii beyond 0 with a rollout in either campaign, and their outcomes, in
-    /// ascending order.
+    /// Returns the radii beyond 0 with a rollout in either of these campaigns, and their outcomes,
+    /// in ascending order.
     pub fn perturbed(&self) -> impl DoubleEndedIterator<Item = (Level, Outcome)> {
         let perturbed = self.points().filter(|level| *level != Level::L0);
         perturbed.filter_map(|level| Some((level, self.at(level)?)))

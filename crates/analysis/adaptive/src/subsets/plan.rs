@@ -10,7 +10,7 @@ use super::next::{Request, Strategy, next};
 use crate::decision::Decision;
 use crate::source::rank;
 
-/// Settings of the random sample of transitions that a budget explains.
+/// Settings for explaining a random sample of transitions within a budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sample {
     /// Total number of rollouts to spend beyond those of the explained campaign.
@@ -44,7 +44,8 @@ pub fn plan<'a>(
         (requested == 0, rank(name, sample.seed), name, lattice)
     };
     let mut candidates: Vec<_> = configurations.iter().map(candidate).collect();
-    // Configurations in progress come first; a new one starts only if it can be finished.
+    // Configurations in progress come first; a new one starts only if it can be
+    // finished, or if it is the first.
     candidates.sort_by_key(|&(is_new, rank, name, _)| (is_new, rank, name));
     let mut budget_left = sample.budget.saturating_sub(spent);
     let mut is_first = true;

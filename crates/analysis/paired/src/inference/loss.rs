@@ -43,14 +43,14 @@ pub struct Loss {
     pub equivalence_p: Option<f64>,
 }
 
-/// Columns of a row: 1, nominal success, success under the condition.
+/// Columns of a row: the constant 1, nominal success, success under the condition.
 const N: usize = 0;
 const NOMINAL: usize = 1;
 const SUCCESS: usize = 2;
 
 impl Loss {
-    /// Computes the loss under each axis alone and under simultaneous perturbation, as far as a
-    /// configuration has both outcomes.
+    /// Computes the loss under each axis alone and under simultaneous perturbation. Conditions for
+    /// which no configuration has both outcomes are left out, and so are latency and subsets.
     pub(crate) fn of_each(matched: &[Matched], directions: Directions) -> Losses {
         let axes = matched.iter().flat_map(|matched| matched.alone.keys());
         let conditions = axes.map(|&axis| Condition::Single(axis));

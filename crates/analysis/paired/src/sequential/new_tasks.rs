@@ -38,8 +38,8 @@ use crate::sequential::measures::values;
 use crate::sequential::order::{Drawn, Order, Unit};
 
 /// Size of the two bets, on large and on small values, as a share of the largest bet that cannot
-/// lose all capital. For a difference detectable with few tasks, the optimal bet exceeds the
-/// largest bet that the range of values allows.
+/// lose all capital. It is close to 1 because the optimal bet on a difference that few tasks can
+/// show exceeds that limit.
 const SIZE: f64 = 0.9;
 
 /// Weight of the prior of the centre: a number of virtual tasks with the middle value of the
@@ -229,7 +229,7 @@ impl Mean {
         let is_kept = |index: &i64| e_value(*index) * self.alpha < 1.0;
         let [low, high] = self.kept;
         // E-values are convex in the candidate, so that the kept candidates have no gaps. If none
-        // is kept, the true mean is ruled out, now or before, and the interval stays unchanged.
+        // is kept, the interval stays unchanged.
         if let Some(least) = (low..=high).find(is_kept) {
             let greatest = (least..=high).rev().find(is_kept).unwrap_or(least);
             self.kept = [least, greatest];

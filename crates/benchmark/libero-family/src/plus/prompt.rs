@@ -12,7 +12,8 @@ use super::variant::{Change, Variant};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prompt {
     /// As in the released code: the file's name including the description of the change, or
-    /// the BDDL file's sentence for language variants and LIBERO-Para.
+    /// the BDDL file's sentence for language variants and LIBERO-Para, or LIBERO's prompt of the
+    /// unperturbed task for LIBERO-PRO.
     Released,
     /// The file's name without the description of the change: LIBERO's prompt of the task.
     Stripped,
@@ -50,7 +51,8 @@ impl Prompt {
         }
     }
 
-    /// Returns a nominal task's prompt; `sentence` is that of its BDDL file, in lower case.
+    /// Returns the prompt of an unperturbed task, a task of LIBERO-PRO or a task of a suite file.
+    /// `sentence` is that of its BDDL file, in lower case.
     pub fn of_task(self, task: TaskRef, sentence: &str) -> String {
         match self {
             Self::Bddl => sentence.to_owned(),

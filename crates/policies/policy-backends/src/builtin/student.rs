@@ -42,7 +42,7 @@ impl Weights {
         }
     }
 
-    /// Returns the name that provenance gives the asset pack used in training.
+    /// Returns the name of the asset pack used in training, as in the provenance of results.
     fn training_pack(self) -> &'static str {
         match self {
             Self::Libero | Self::LiberoRandomised => "libero",

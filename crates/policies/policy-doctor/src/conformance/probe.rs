@@ -1,6 +1,6 @@
 //! Client of the conformance check: plays episodes of synthetic observations and collects the
-//! answers. Judges only the points that need no comparison of actions: the protocol version, the
-//! health service, and sessions without a Reset.
+//! answers. Judges three points itself, the protocol version, the health service and sessions
+//! without a Reset; `verdict` judges the others.
 
 use std::time::{Duration, Instant};
 
@@ -137,10 +137,11 @@ impl Probe {
         }
     }
 
-    /// Checks that the health service reports SERVING for the policy service.
+    /// Checks that the health service reports SERVING for the policy service; any other state is a
+    /// failed verdict.
     ///
     /// # Errors
-    /// If the server answers with an unexpected status.
+    /// If the call fails with a status that no verdict describes.
     pub(super) async fn health(&self) -> Result<Verdict, Status> {
         let request = HealthCheckRequest {
             service: SERVICE_NAME.to_owned(),

@@ -139,7 +139,8 @@ pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdi
     let differences = numbers(alone)
         .zip(numbers(batched))
         .map(|(a, b)| (a - b).abs());
-    let largest = differences.fold(0.0, f32::max);
+    // `total_cmp` counts NaN as the largest number; `f32::max` would ignore it.
+    let largest = differences.max_by(f32::total_cmp).unwrap_or_default();
     if is_comparable && largest <= BATCH_TOLERANCE {
         pass(format!(
             "except by up to {largest:e}: actions depend on the batch in low-order bits"

@@ -20,7 +20,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Returns a number from -1 to 1, exact in binary.
+    /// Returns a multiple of 2⁻²³ in [-1, 1), which `f32` represents exactly.
     pub fn unit(&mut self) -> f32 {
         (self.next() >> 40) as f32 / (1 << 23) as f32 - 1.0
     }

@@ -29,14 +29,16 @@ impl Queue {
     /// Alters a campaign. Returns the number of revoked leases; each worker learns of the
     /// revocation from the response to its next heartbeat.
     ///
-    /// A renamed campaign is found under its new name only; its files stay in their folder. Name
-    /// and policy also change in the stored specification, so creating the campaign again with the
-    /// altered specification is accepted and with the original one refused.
+    /// A renamed campaign is found under its new name only; its files stay in their folder. Name,
+    /// policy and endpoint also change in the stored specification, so that creating a campaign
+    /// with the altered specification finds this one. Creation with the original specification is
+    /// refused after a change of policy or endpoint; after a change of name, it creates another
+    /// campaign under the old name.
     ///
     /// # Errors
     /// If there is no such campaign, the policy or endpoint of an ended campaign would change, the
-    /// new name is taken, the campaign has results of another policy, the endpoint is not a URL, or
-    /// the database fails.
+    /// new name is taken, the policy's name would change although the campaign has results, the
+    /// endpoint is not a URL, or the database fails.
     pub async fn alter_campaign(
         &self,
         name: &CampaignName,
@@ -83,7 +85,7 @@ impl Context<'_> {
             });
         }
         // The leases are revoked before the policy changes: the end of their attempts, one of which
-        // may be the probe, counts as evidence about the old policy only.
+        // may be the probe of the paused policy, counts as evidence about the old policy only.
         let explanation = "the campaign's policy or endpoint was changed";
         let revoked = self.revoke_leases(campaign.id, explanation).await?;
         let (spec, digest) = self

@@ -29,8 +29,11 @@ pub(super) async fn insert(
     let inserted = insert_jobs(shared, new, id, folder).await;
     if inserted.is_err() {
         // The incomplete campaign is hidden; if its removal fails, the next start removes it.
-        let policy = policy_of(shared, id).await;
-        if let Err(error) = remove(shared, id, policy?).await {
+        let removed = match policy_of(shared, id).await {
+            Ok(policy) => remove(shared, id, policy).await,
+            Err(error) => Err(error),
+        };
+        if let Err(error) = removed {
             tracing::warn!(
                 "failed to {}; the next start tries again",
                 error.with_cause()
@@ -96,8 +99,8 @@ pub(crate) async fn interrupted(
     hidden::all(&mut view).await
 }
 
-/// Deletes incomplete campaigns of the previous run. Then never returns, since the end of a task
-/// means that it panicked.
+/// Deletes incomplete campaigns of the previous run. Then never returns, because a background task
+/// of the queue that ends counts as one that panicked.
 pub(crate) async fn run(shared: Arc<Shared>, interrupted: Vec<(CampaignId, PolicyId)>) {
     for (id, policy) in interrupted {
         match remove(&shared, id, policy).await {

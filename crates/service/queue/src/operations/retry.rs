@@ -22,7 +22,8 @@ pub enum Retry {
 }
 
 impl Queue {
-    /// Takes all of the named jobs out of quarantine, or none. Returns their number.
+    /// Takes the chosen jobs out of quarantine: all of them, or none if one cannot be. Returns
+    /// their number.
     ///
     /// # Errors
     /// If the campaign or a job is unknown, the campaign has ended, a job is not in quarantine, or
@@ -38,6 +39,9 @@ impl Queue {
                 for job in names {
                     chosen.push(context.quarantined(&campaign, job).await?);
                 }
+                // A job may be named twice.
+                chosen.sort_unstable();
+                chosen.dedup();
                 chosen
             }
         };

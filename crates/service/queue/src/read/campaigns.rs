@@ -16,8 +16,8 @@ use crate::store::derivations::{self, Source};
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, workers};
 
-/// Window over which a campaign's rate is measured; shorter if the campaign's first rollout began,
-/// or the campaign was resumed, within the window.
+/// Window over which a campaign's rate is measured; shorter if the earliest of the rollouts
+/// committed in it began, or the campaign was resumed, within the window.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
 /// Counts of a campaign's jobs, by state.
@@ -37,8 +37,8 @@ pub struct CampaignStatus {
     pub campaign: Campaign,
     /// Numbers of the campaign's jobs, by state.
     pub counts: Counts,
-    /// Reason why the campaign's policy is paused, kept while a probe tries it; `None` if the
-    /// policy is available.
+    /// Reason why the campaign's policy is paused, also while a probe tries the policy; `None` if
+    /// the policy is available.
     pub policy_pause_reason: Option<String>,
     /// Time until a probe tries the paused policy again; `None` if it is not paused or a probe is
     /// running.

@@ -80,8 +80,8 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     .doing("list derived campaigns")
 }
 
-/// Returns true if a campaign still has the source and the number of jobs that it had when
-/// `campaign` was read, and is not cancelled. Row numbers of campaigns are never reused.
+/// Returns true if the stored campaign still has the source and the number of jobs in `campaign`,
+/// and is not cancelled. Row numbers of campaigns are never reused.
 pub(crate) async fn is_unchanged(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -120,7 +120,8 @@ pub struct Source {
     pub is_cancelled: bool,
 }
 
-/// Returns the source campaign that a derived campaign waits for; `None` for other campaigns.
+/// Returns the source of a derived campaign, with the number of its unsettled rollouts; `None` for
+/// other campaigns.
 pub(crate) async fn awaited(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -169,7 +170,8 @@ pub(crate) async fn outcomes(
     .doing("read a campaign's outcomes")
 }
 
-/// Returns the manifest rows of those of the named rollouts that a campaign has, JSON.
+/// Returns the manifest rows, JSON, of these rollouts of replicate 0; rollouts that the campaign
+/// lacks are left out.
 pub(crate) async fn rows(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -32,7 +32,7 @@ async fn run(
             .bind(id)
             .execute(&mut *tx)
             .await
-            .doing("hide an incomplete campaign")?;
+            .doing("hide, publish or remove a campaign")?;
     }
     Ok(())
 }

@@ -180,8 +180,8 @@ pub(crate) async fn record_heartbeats(
     .map(drop)
 }
 
-/// Stores a worker's number of failures in a row, and the reason why the worker must stop leasing;
-/// `None` keeps a reason that is already stored.
+/// Stores a worker's number of failures in a row, and the reason why the worker must stop leasing.
+/// A reason that is already stored is kept in any case.
 pub(crate) async fn set_strike(
     tx: &mut SqliteConnection,
     id: &WorkerId,

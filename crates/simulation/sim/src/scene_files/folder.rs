@@ -136,7 +136,8 @@ impl SceneFolder {
         };
         let failed = |source| failure("read", &path, source);
         // The lock is held while the scene is mapped. Without it, the file may be removed, but the
-        // mapping stays valid. `try_lock` never waits: any reader could hold the lock for ever.
+        // mapping stays valid. `try_lock_shared` never waits: any reader of the file could hold an
+        // exclusive lock for ever.
         let _ = scene.file.try_lock_shared();
         if scene.file.metadata().map_err(failed)?.nlink() == 0 {
             return Ok(None);
@@ -226,8 +227,9 @@ impl SceneFolder {
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(file),
-                // Without locks, the caller proceeds: no file in use is evicted, since eviction
-                // requires a lock; and two processes that write one scene write identical files.
+                // If the file system has no locks, the caller proceeds: no file in use is evicted,
+                // since eviction requires a lock; and two processes that write one scene write
+                // identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) if started.elapsed() < self.max_wait => {
                     thread::sleep(POLL);
@@ -312,8 +314,8 @@ impl SceneFolder {
         container::has_checksum(&file, checksum).map_err(|source| failure("read", path, source))
     }
 
-    /// Writes a file under a temporary name, and renames it with its permissions once it is on
-    /// disk.
+    /// Writes a file under a temporary name, makes sure that it is on disk, makes it read-only, and
+    /// renames it.
     fn write(
         &self,
         path: &Path,

@@ -78,17 +78,17 @@ class Controller:
 
     @property
     def output_min(self) -> F64:
-        """Displacements that the least values of an action command [6], m and rad."""
+        """Displacements [6], m and rad, for the least values of an action."""
         return _six(OSC_POSE["output_min"])
 
     @property
     def output_max(self) -> F64:
-        """Displacements that the largest values of an action command [6], m and rad."""
+        """Displacements [6], m and rad, for the largest values of an action."""
         return _six(OSC_POSE["output_max"])
 
     @property
     def initial_joint(self) -> F64:
-        """The posture [7], rad, towards which the controller moves the redundant joint."""
+        """The posture [7], rad, that the controller prefers among those with the hand's pose."""
         return self._posture.copy()
 
     @property

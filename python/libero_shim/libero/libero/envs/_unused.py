@@ -24,8 +24,8 @@ def unused_cameras(known: Collection[str]) -> frozenset[str]:
     for name in sorted(unused):
         if name not in known:
             raise ValueError(
-                f"{VARIABLE} names `{name}`, and there is no such camera: choose of "
-                f"{', '.join(known)}, or unset it"
+                f"{VARIABLE} names `{name}`, and there is no such camera: choose from "
+                f"{', '.join(known)}, or unset the variable"
             )
         if name not in _warned:
             _warned.add(name)

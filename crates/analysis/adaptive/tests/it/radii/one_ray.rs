@@ -34,8 +34,8 @@ fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Outcomes<Level> {
     outcomes
 }
 
-/// Returns a pseudorandom outcome, independent of the radius: of 16 outcomes, `failing` are
-/// failures and `quarantined` are in quarantine.
+/// Returns a pseudorandom outcome of seed and radius, without a trend over the radius: of 16
+/// outcomes, `failing` are failures and `quarantined` are in quarantine.
 fn pseudorandom(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
     let mut bits = seed ^ (level.radius() * 1e6) as u64;
     for _ in 0..3 {
