@@ -186,6 +186,7 @@ fn simulator(messages: &mut Messages) {
             path: path(), owner: 1_000, mode: 0o777,
         },
         SceneFileError::Busy { .. } => SceneFileError::Busy { path: path(), secs: 60 },
+        SceneFileError::Limit { .. } => SceneFileError::Limit { given: "8G".to_owned() },
         SceneFileError::Layout => SceneFileError::Layout,
     );
 }

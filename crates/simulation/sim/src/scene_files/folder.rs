@@ -61,6 +61,8 @@ pub enum SceneFileError {
     },
     #[error("wait for {}: other processes have held it for {secs} s", path.display())]
     Busy { path: PathBuf, secs: u64 },
+    #[error("use ROLLOUT_SCENES_GIB={given}: write a whole number of GiB, such as 16")]
+    Limit { given: String },
     #[error("store a model in a file: its arrays do not have the expected layout")]
     Layout,
 }
@@ -89,14 +91,26 @@ struct Opened {
     stamp: String,
 }
 
+fn given_limit() -> Option<String> {
+    std::env::var("ROLLOUT_SCENES_GIB").ok()
+}
+
+/// Returns the limit of the files' total size, bytes.
+pub(super) fn limit(given: Option<&str>) -> Result<u64, SceneFileError> {
+    let gib = given.map_or(Ok(LIMIT_GIB), |text| text.trim().parse());
+    let limit = gib.ok().and_then(|gib| gib.checked_mul(1 << 30));
+    limit.ok_or_else(|| SceneFileError::Limit {
+        given: given.unwrap_or_default().to_owned(),
+    })
+}
+
 impl SceneFolder {
     /// Describes a folder, which is created when the first scene is stored.
     pub fn new(dir: &Path) -> Self {
-        let gib = std::env::var("ROLLOUT_SCENES_GIB").ok();
-        let gib = gib.and_then(|text| text.parse().ok()).unwrap_or(LIMIT_GIB);
         Self {
             dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
-            limit: gib.saturating_mul(1 << 30),
+            // `check` reports an unusable limit.
+            limit: limit(given_limit().as_deref()).unwrap_or(LIMIT_GIB << 30),
             user: rustix::process::geteuid().as_raw(),
             layout: layout(),
             max_wait: MAX_LOCK_WAIT,
@@ -109,8 +123,9 @@ impl SceneFolder {
     /// may have filled it.
     ///
     /// # Errors
-    /// If the folder cannot be created or is not trusted.
+    /// If the folder cannot be created or is not trusted, or the limit of its size is not a number.
     pub fn check(&self) -> Result<(), SceneFileError> {
+        limit(given_limit().as_deref())?;
         if self.exists_and_is_trusted()? {
             return Ok(());
         }

@@ -476,6 +476,16 @@ fn programs_with_different_layouts_use_separate_texture_files() {
 }
 
 #[test]
+fn an_unusable_limit_is_refused_with_its_text() {
+    assert_eq!(folder::limit(None).expect("the default"), 16 << 30);
+    assert_eq!(folder::limit(Some("3")).expect("a number"), 3 << 30);
+    for given in ["8G", "0.5", "18446744073709551615"] {
+        let error = folder::limit(Some(given)).expect_err("unusable");
+        assert!(error.to_string().contains(given), "{error}");
+    }
+}
+
+#[test]
 fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
     let mut fixture = Fixture::new();
     let obtain = |fixture: &Fixture, name, size| {
