@@ -75,7 +75,7 @@ pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted
     let ends = || Ok::<_, io::Error>((connection.peer_addr()?, connection.local_addr()?));
     let (peer, local) = ends().map_err(|_| Untrusted::UnknownUser)?;
     // The tables of a busy machine have thousands of rows.
-    let rows = tokio::task::spawn_blocking(rows).await;
+    let rows = tokio::task::spawn_blocking(move || rows(peer.port())).await;
     let rows = rows.map_err(io::Error::other).flatten();
     let rows = rows.map_err(|_| Untrusted::UnknownUser)?;
     check_rows(&rows, peer, local, geteuid().as_raw())
@@ -101,7 +101,7 @@ fn check_rows(
     if let Some(owner) = owner(rows, peer, local) {
         return check(owner);
     }
-    let port = format!(":{:04X}", peer.port());
+    let port = port_text(peer.port());
     let is_listener = |row: &&Row| row.state == LISTENS && row.local.ends_with(&port);
     let mut listeners = rows.iter().filter(is_listener).map(|row| row.user);
     listeners.try_for_each(check)
@@ -115,7 +115,7 @@ fn is_system_user(user: u32) -> bool {
 
 /// Returns the owner of the socket at `peer` that is connected to `local`, on this machine.
 fn user_of(peer: SocketAddr, local: SocketAddr) -> io::Result<Option<u32>> {
-    Ok(owner(&rows()?, peer, local))
+    Ok(owner(&rows(peer.port())?, peer, local))
 }
 
 fn owner(rows: &[Row], peer: SocketAddr, local: SocketAddr) -> Option<u32> {
@@ -131,17 +131,27 @@ struct Row {
     user: u32,
 }
 
-fn rows() -> io::Result<Vec<Row>> {
+/// Returns the sockets with this port at either end; the other rows are not parsed.
+fn rows(port: u16) -> io::Result<Vec<Row>> {
+    let port = port_text(port);
     let mut all = Vec::new();
     for table in TABLES {
         match std::fs::read_to_string(table) {
-            Ok(text) => all.extend(text.lines().filter_map(row)),
+            Ok(text) => {
+                let lines = text.lines().filter(|line| line.contains(&port));
+                all.extend(lines.filter_map(row));
+            }
             // Without IPv6 there is no second table.
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(error),
         }
     }
     Ok(all)
+}
+
+/// Returns the end of an address with this port, as in the tables.
+fn port_text(port: u16) -> String {
+    format!(":{port:04X}")
 }
 
 /// Parses a line of a table. Its fields are: number, local address, remote address, state, queues,
@@ -207,7 +217,12 @@ mod tests {
             assert_eq!(user, Some(geteuid().as_raw()), "{listen}");
             let unconnected = SocketAddr::new(peer.ip(), peer.port() ^ 1);
             assert_eq!(user_of(unconnected, local).expect("a table"), None);
-            let trusted = check_rows(&rows().expect("a table"), peer, local, geteuid().as_raw());
+            let trusted = check_rows(
+                &rows(peer.port()).expect("a table"),
+                peer,
+                local,
+                geteuid().as_raw(),
+            );
             assert_eq!(trusted, Ok(()), "{listen}");
             drop(client);
             assert_eq!(user_of(peer, local).expect("a table"), None, "{listen}");
