@@ -69,6 +69,7 @@ CONFIGURATIONS = {
     "init_id": COUNT,
     "nominal": OUTCOME,
     **{axis: OUTCOME for axis in AXES},
+    "latency": OUTCOME,
     "conjunction": OUTCOME,
     "combination": OUTCOME,
     "transition": TEXT,
@@ -115,8 +116,10 @@ class Report:
 
     #: The whole report, as `coordinator report --json` prints it.
     json: Mapping[str, Any] = field(repr=False)
-    #: Warnings that affect the figures.
+    #: Warnings about reading several campaigns or files side by side.
     warnings: tuple[str, ...]
+    #: Warnings about the figures of one policy, each after its label.
+    notes: tuple[str, ...]
     #: A row per policy, replicate, level and condition (`clean` at L0, each axis alone,
     #: `combination`): successes of n rollouts, and rollouts without an outcome.
     success: pd.DataFrame = field(repr=False)
@@ -151,8 +154,9 @@ class Comparison:
     #: Labels of the two policies.
     a: str
     b: str
-    #: Warnings that affect the comparison or either policy.
+    #: Warnings about the comparison.
     warnings: tuple[str, ...]
+    #: Warnings about one policy, each after its label.
     notes: tuple[str, ...]
     #: A row per replicate, level and condition (`clean` at L0, each axis, `combination`).
     #: `difference_worst` and `difference_best` bound the difference for all possible outcomes of
@@ -178,6 +182,11 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
     return Report(
         json=document,
         warnings=tuple(document["warnings"]),
+        notes=tuple(
+            f"{subject['label']}: {note}"
+            for subject in document["reports"]
+            for note in subject["notes"]
+        ),
         success=frames.frame(_success(document), SUCCESS),
         paired=frames.frame(_paired(document), PAIRED),
         configurations=rows,

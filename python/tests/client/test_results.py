@@ -73,6 +73,7 @@ def test_a_campaign_without_results_has_a_report_that_says_what_is_missing(clien
     assert report.success["n"].sum() == 0
     assert report.success["rate"].isna().all()
     assert report.success["missing"].sum() == 8
+    assert any("8 of 8 rollouts have no result yet" in note for note in report.notes)
     assert (report.configurations["transition"].isna()).all()
     assert len(report.emergent) == len(report.compensated) == 0
 

@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 libero_suites = list(_libero.libero_suites)
-#: Names of the variants by suite, in the benchmark's order.
+#: Names of the variants by suite (of LIBERO's tasks in `libero_90`), in the benchmark's order.
 libero_task_map: dict[str, list[str]] = {
     suite: [variant.name for variant in PlusVariant.of_suite(suite)]
     if suite != UNCHANGED
@@ -40,9 +40,9 @@ libero_task_map: dict[str, list[str]] = {
 
 
 def grab_language_from_filename(suite_name: str, x: str) -> str:
-    """Returns the prompt of the variant with this file name: the words of the name, including those
-    of its change. If the change is to the sentence, returns the BDDL file's sentence, in lower
-    case.
+    """Returns the prompt of the variant with this file name: the words of the name, including the
+    description of the change. If the change is of the instruction, returns the instruction in the
+    BDDL file, in lower case.
 
     Raises FileNotFoundError if the task files cannot be fetched.
     """

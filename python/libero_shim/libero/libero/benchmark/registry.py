@@ -26,7 +26,7 @@ class Registry(Generic[_Suite]):
         return self.suites
 
     def find(self, benchmark_name: str) -> type[_Suite]:
-        """Returns a suite by its name, in any case. Raises KeyError if there is none."""
+        """Returns the suite of a name, in upper or lower case. Raises KeyError if there is none."""
         try:
             return self.suites[benchmark_name.lower()]
         except KeyError:

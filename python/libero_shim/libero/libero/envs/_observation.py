@@ -74,7 +74,7 @@ class Observer:
 
     @property
     def names(self) -> list[str]:
-        """Returns the keys of observations."""
+        """Keys of the readings and pictures in observations, without the joined vectors."""
         return [name for name in self.modalities if name not in self._left_out]
 
     def include(self, name: str, included: bool) -> None:
