@@ -120,8 +120,9 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// Renders the policy's first view of a row; under a condition with actuation, the view after a
-/// fixed motion, also for the unperturbed row.
+/// Renders the policy's first view in the rollout of a manifest row. Actuation shows only in
+/// motion: for a condition with actuation, the view after a fixed motion is rendered, also of the
+/// nominal rollout beside it.
 fn picture(
     simulator: &mut Simulator,
     request: &Request,

@@ -292,5 +292,6 @@ async fn move_films(
 
 fn merge_error(error: MergeError, first: &Path, second: &Path) -> CommandError {
     let error = anyhow::Error::from(error);
-    failure(error.context(format!("use {} and {}", first.display(), second.display())))
+    let (first, second) = (first.display(), second.display());
+    failure(error.context(format!("merge {second} with the archives from {first} on")))
 }

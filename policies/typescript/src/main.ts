@@ -1,6 +1,6 @@
 /**
  * Serves the policy: `node dist/src/main.js [ADDR]`, by default on a free port
- * of the loopback. Prints one line, the address; stops on SIGTERM or SIGINT.
+ * of the loopback. Prints one line, `listening on HOST:PORT`; stops on SIGTERM or SIGINT.
  */
 
 import { fileURLToPath } from "node:url";

@@ -24,8 +24,8 @@ pub struct Chosen {
     pub reason: String,
 }
 
-/// Measures how many slots are worth running on this machine: at most one per core, and as many as
-/// fit into memory if each keeps `scenes` compiled scenes. `program` starts a measured slot.
+/// Measures how many slots are worth running on this machine: at most one per core, and no more
+/// than fit into memory if each keeps `scenes` compiled scenes. `program` starts a measured slot.
 ///
 /// # Errors
 /// If the machine's cores or memory cannot be read, or slots cannot be measured.
@@ -66,8 +66,9 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
         slots: NonZeroUsize::new(slots).unwrap_or(NonZeroUsize::MIN),
         reason: format!(
             "the fewest that reach {:.0} % of the most control steps per second \
-             (by number of slots, {}); there are {cores} cores, and memory for {fitting} slots in \
-             {} MiB available, of {} MiB each and {} MiB a scene that slots share",
+             (by number of slots, {}); there are {cores} cores, and {} MiB of memory are \
+             available, enough for {fitting} slots: a slot takes {} MiB, and a scene, which slots \
+             share, {} MiB",
             ENOUGH_SHARE * 100.0,
             rates.join(", "),
             available / MIB,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use paired::{Count, Outcome};
 use serde::{Deserialize, Serialize};
 
-/// Counts of the rollouts at one point of a search: its replicates.
+/// Rollouts at one point of a search, which are replicates of one another, counted by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tally {
     /// Rollouts that succeeded.
@@ -19,7 +19,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Returns the number of requested rollouts.
+    /// Returns the number of all these rollouts, with or without a result.
     pub const fn requested(&self) -> u32 {
         self.successes + self.failures + self.pending + self.quarantined
     }
@@ -53,7 +53,8 @@ impl Tally {
 
 /// Outcomes of one search by point: a subset of the axes, or a radius. The tallies of the source
 /// campaign are separate from those of requested rollouts: only requested rollouts count against
-/// the budget, and only they are evidence if source outcomes select the tested hypotheses.
+/// the budget. Where the source's outcomes selected the hypotheses to test, only requested rollouts
+/// are evidence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcomes<P>(BTreeMap<P, Tallies>);
 

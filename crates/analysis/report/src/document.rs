@@ -27,7 +27,8 @@ pub struct Document {
     pub warnings: Vec<String>,
     /// Analyses, one per subject, in the given order.
     pub analyses: Vec<Analysis>,
-    /// Results by dimension, suite or type of a campaign of LIBERO's family or of a suite file.
+    /// Results of a campaign of LIBERO's family or of a suite file, by dimension, suite, or type of
+    /// paraphrase.
     /// Reports show them instead of the measures of LIBERO-CTRL.
     pub family: Option<Family>,
 }
@@ -81,11 +82,11 @@ struct JsonReport<'a> {
     sequential: Option<&'a Sequential>,
     #[serde(flatten)]
     report: &'a Report,
-    /// Form of `explain --json`.
+    /// In the form of `explain --json`.
     explanation: Option<&'a Findings>,
-    /// Form of `thresholds --json`.
+    /// In the form of `thresholds --json`.
     thresholds: Option<&'a ThresholdReport>,
-    /// Form of `interactions --json`.
+    /// In the form of `interactions --json`.
     interactions: Option<interactions::JsonForm<'a>>,
 }
 

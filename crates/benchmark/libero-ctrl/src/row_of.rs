@@ -19,8 +19,8 @@ pub struct NoSuchRow {
     pub problem: String,
 }
 
-/// Returns the row of an id in LIBERO-CTRL v0.1 or, for configurations that v0.1 does not have, in
-/// the design with seed 0. A combination perturbs all six axes or, at unnamed radii, which have
+/// Returns the row of an id in LIBERO-CTRL v0.1; configurations that v0.1 does not have are drawn
+/// with design seed 0. A combination perturbs all six axes or, at unnamed radii, which have
 /// no paraphrases, the five metric axes.
 ///
 /// # Errors

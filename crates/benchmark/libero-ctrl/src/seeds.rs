@@ -12,8 +12,8 @@ pub fn rollout_seed(id: &RolloutId) -> u32 {
 
 /// Returns the seed passed to the policy at Reset: for replicate 0 the rollout's seed, for
 /// replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. Replicates differ in this seed only. A variant of
-/// LIBERO's family has the seed of its task's nominal rollout, so that a policy that samples
-/// draws the same random numbers in both rollouts.
+/// LIBERO's family, or a rollout of a suite file, has the seed of its task's nominal rollout, so
+/// that a policy that samples draws the same random numbers in both rollouts.
 pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
     let id = match id.variant() {
         Some(_) => RolloutId::clean(id.task(), id.number()),

@@ -126,7 +126,8 @@ pub enum SpecError {
     /// The suite file is invalid.
     #[error("read campaign specification: {0}")]
     SuiteFile(SuiteFileError),
-    /// Some imported rows are invalid. Line numbers refer to a manifest with one row per line.
+    /// Some imported rows are invalid. Their line numbers are positions in the specification's list
+    /// of rows, from 1.
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
 }

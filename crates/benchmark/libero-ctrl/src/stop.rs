@@ -39,8 +39,8 @@ pub enum Strata {
     Suites,
     /// A stratum per task.
     Tasks,
-    /// A stratum per suite, from which whole tasks are drawn: for rules about new tasks, to
-    /// which an incomplete task contributes nothing.
+    /// A stratum per suite, from which whole tasks are drawn: for rules about new
+    /// tasks, which count a task only once all its configurations are complete.
     WholeTasks,
 }
 

@@ -31,7 +31,7 @@ pub struct Thresholds {
     /// Largest number of rollouts; `None` if every configuration is measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
-    /// Seed of the random sample of configurations that `budget` allows to measure.
+    /// Seed of the random order in which configurations are measured, as many as `budget` covers.
     #[serde(default)]
     pub seed: u64,
 }

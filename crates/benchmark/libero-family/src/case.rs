@@ -21,8 +21,8 @@ pub enum Subject {
     Pro(ProSuite),
     /// A sentence of LIBERO-Para for a task of LIBERO.
     Para(&'static Paraphrase),
-    /// A task of a suite file, named by its suite. The field `own` of its manifest row names the
-    /// task's files and the rules of its rollouts.
+    /// A task of a suite file, with the name of its suite. The field `own` of its manifest row
+    /// names the task's files and the rules of its rollouts.
     Own(VariantName),
 }
 
@@ -153,7 +153,7 @@ impl Case {
     }
 
     /// Returns the policy's prompt. `sentence` is that of the BDDL file, in lower case except for
-    /// LIBERO-Para; without the sentence, prompts that consist of it are `None`.
+    /// LIBERO-Para; returns `None` if it is the prompt and not given.
     pub fn prompt(&self, protocol: &Protocol, sentence: Option<&str>) -> Option<String> {
         let is_file_sentence = match self.subject {
             Subject::Plus(entry) => matches!(entry.variant.change, Change::Language(_)),
@@ -186,7 +186,7 @@ impl Case {
     }
 
     /// Returns the files that the case needs in addition to LIBERO's and to the benchmark's task
-    /// files, and that no package index has; `None` if the case needs none.
+    /// files; `None` if the case needs none.
     pub fn further_assets(&self) -> Option<Further> {
         match self.subject {
             Subject::Unperturbed | Subject::Para(_) | Subject::Own(_) => None,
@@ -200,7 +200,7 @@ impl Case {
     }
 }
 
-/// Files that are in no package index, so that a user must provide a folder with them.
+/// Files that no asset pack of this project has, so that a user must provide a folder with them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Further {
     /// Files of LIBERO-Plus' archive.

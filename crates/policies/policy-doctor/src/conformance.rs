@@ -159,7 +159,8 @@ async fn examine(
             if described.unseeded =>
         {
             verdict::skip(
-                "its random numbers do not depend on the seed, so episodes cannot be compared",
+                "the policy's random numbers do not depend on the seed, so episodes cannot be \
+                 compared",
             )
         }
         Point::Description => {

@@ -16,11 +16,10 @@ const TEXT: usize = 128;
 const STATE_WIDTH: usize = 64;
 /// Width of the head's input: both cameras, the robot's state and the instruction.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
-/// Width of the head's hidden layers in format `rollout-student/1`, in which points are located
-/// on a grid of 16 x 16.
+/// Width of the head's hidden layers in format `rollout-student/1`, whose encoders locate points on
+/// a grid of 16 x 16 (see `points`).
 const HEAD: usize = 384;
-/// Width of the head's hidden layers in format `rollout-student/2`, in which points are located
-/// on a grid of 32 x 32.
+/// Width of the head's hidden layers in format `rollout-student/2`, whose grid is 32 x 32.
 const WIDE_HEAD: usize = 512;
 
 /// A student with its weights. It is stateless and may be queried from several threads at

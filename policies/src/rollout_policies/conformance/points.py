@@ -55,7 +55,7 @@ SEEDED = frozenset(
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of a server on one point."""
+    """Verdict about a server on one point."""
 
     point: Point
     verdict: Verdict
@@ -89,7 +89,7 @@ def _check_point(point: Point, probe: Probe, reference: EpisodeAnswers) -> Verdi
     described, answers = probe.described, reference.answers
     if point in SEEDED and described.unseeded:
         return verdict.skipped(
-            "its random numbers do not depend on the seed, so episodes cannot be compared"
+            "the policy's random numbers do not depend on the seed, so episodes cannot be compared"
         )
     if point is Point.DESCRIPTION:
         return verdict.description(described)

@@ -166,7 +166,7 @@ fn legend(top: f64, has_minimal: bool) -> Markup {
     let entries = [
         (Verdict::Success, "succeeds"),
         (Verdict::Failure, "fails"),
-        (Verdict::NotRun, "not run, or not yet"),
+        (Verdict::NotRun, "not run, or waits for rollouts"),
         (Verdict::Quarantined, "quarantined or undecided"),
     ];
     let names = Axis::ALL.map(|axis| format!("{} {axis}", abbreviation(axis)));

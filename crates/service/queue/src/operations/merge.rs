@@ -15,7 +15,7 @@ use crate::rules::pairing::{self, Demand, Sibling};
 use crate::store::halves::{self, Rollout, Schema, Stored};
 use crate::store::{DATABASE_FILE, Doing, StoreError, portable, undecodable};
 
-/// Contradictions that are described; further ones are only counted.
+/// Maximum number of contradictions that an error describes; further ones are only counted.
 const MAX_EXAMPLES: usize = 20;
 
 /// Numbers of rollouts in a merged campaign.
@@ -144,7 +144,8 @@ pub async fn merge(
     Ok((whole, merged))
 }
 
-/// Checks that two halves have one design. Name and endpoint may differ, since each half had its
+/// Checks that neither half is a derived campaign, and that both have one design and, if both are
+/// pinned, one pin. Name and endpoint may differ, since each half had its
 /// own coordinator.
 fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
     for half in [first, second] {

@@ -17,9 +17,11 @@ pub const MAX_MISBEHAVED_IN_A_ROW: u32 = 5;
 /// Health of one policy at one endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct PolicyHealth {
-    /// Pauses since the last committed rollout.
+    /// Pauses since a rollout was last committed while the policy was available; at least 1 while a
+    /// job of the policy is leased alone.
     pub outages: u32,
-    /// Attempts with invalid answers since the last committed rollout.
+    /// Attempts with invalid answers since a rollout was last committed while the policy was
+    /// available.
     pub misbehaved: u32,
     /// Instant since which the policy is considered available; failures of leases granted earlier
     /// are not evidence of a new outage.
@@ -49,7 +51,9 @@ pub enum PolicyState {
 /// Evidence about a policy that an attempt could not reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Contact {
-    /// Queries that the policy answered in this attempt, if it was reachable at the first query.
+    /// Number of queries that the policy had answered when a query of this attempt failed; `None`
+    /// if an earlier call failed, the policy is overloaded, or the worker does not report the
+    /// number.
     pub answered: Option<u32>,
     /// True if the policy has answered another attempt since this job last failed to reach it.
     pub is_back: bool,
@@ -61,9 +65,10 @@ impl Contact {
     /// Returns true if the attempt had reached its policy and lost it, so that the rollout may have
     /// crashed the policy. The loss is then counted against the job.
     ///
-    /// A policy that answered no query of the attempt may have been down before the attempt. It
-    /// counts as lost only if it answered another attempt since this job last failed to reach it,
-    /// or if all other waiting jobs have repeatedly lost it.
+    /// A policy that answered no query of the attempt may have been down before the attempt, since
+    /// some back-ends accept an episode without calling their server. It counts as lost only if it
+    /// answered another attempt since this job last failed to reach it, or if all other waiting
+    /// jobs have repeatedly lost it.
     pub fn was_lost(self) -> bool {
         match self.answered {
             None => false,
@@ -278,7 +283,7 @@ mod tests {
         );
         assert!(
             lost(Some(0), false, true),
-            "no other rollout can be answered"
+            "all other jobs have repeatedly lost the policy"
         );
     }
 }

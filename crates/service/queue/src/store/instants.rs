@@ -1,4 +1,5 @@
-//! Correction of stored instants after the system clock was set back while no coordinator ran.
+//! Correction of stored instants after the system clock was set back while no coordinator ran, or
+//! after an import from a coordinator whose clock was ahead.
 //!
 //! The clock of a running coordinator never goes back, but the next coordinator may start earlier
 //! than stored instants. Without the correction, a policy that is recorded as available since a

@@ -1,4 +1,4 @@
-//! Outcome of a job, as a row of several queries.
+//! A job with its outcome: the type of row that several queries return.
 
 use libero_ctrl::UnknownName;
 use paired::{Outcome, Record};

@@ -10,8 +10,8 @@ use crate::error::SimError;
 
 /// Owned simulation state of a model.
 ///
-/// Model and state are separate types, because a rollout perturbs a model that has several states.
-/// Methods take a model of the compilation that the state was made for.
+/// A state does not own its model, because an environment has two states of one model, which
+/// perturbations change. Methods take a model of the compilation that the state was made for.
 ///
 /// # Panics
 /// Every method panics if it is given a model of another compilation.
