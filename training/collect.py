@@ -11,6 +11,7 @@ never used. Earlier shards are kept: a further run adds shards with new seeds.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import threading
 import time
@@ -147,13 +148,11 @@ class NewestStudent:
         if self._file is None:
             return None
         with self._lock:
-            try:
+            with contextlib.suppress(FileNotFoundError):
                 stamp = self._file.stat().st_mtime_ns
-            except FileNotFoundError:
-                return self._student
-            if stamp != self._stamp:
-                self._student, self._stamp = Student(self._file, self._device), stamp
-                print(f"the student drives with {self._file}", flush=True)
+                if stamp != self._stamp:
+                    self._student, self._stamp = Student(self._file, self._device), stamp
+                    print(f"the student drives with {self._file}", flush=True)
             return self._student
 
 

@@ -132,7 +132,7 @@ pub enum ArchiveError {
         member: &'static str,
         source: JsonError,
     },
-    #[error("write {}: is there room on the disk, and may this user write there?", path.display())]
+    #[error("write {}: make room on the disk, and make the folder writable for this user", path.display())]
     Write { path: PathBuf, source: io::Error },
     #[error("archive {}: it changed or cannot be read; archive the campaign again", path.display())]
     Input { path: PathBuf, source: io::Error },

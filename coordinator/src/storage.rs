@@ -75,7 +75,7 @@ pub enum StorageError {
         location: String,
         problem: String,
     },
-    #[error("copy {}: is there room on the disk, and may this user read and write there?", path.display())]
+    #[error("copy {}: make room on the disk, and make the folder readable and writable for this user", path.display())]
     File { path: PathBuf, source: io::Error },
 }
 

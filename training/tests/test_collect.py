@@ -1,6 +1,7 @@
 """Collection from fake environments: observed, executed and stored values agree."""
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +202,15 @@ def test_the_student_keeps_its_weights_when_their_file_disappears(
     student = newest_student.student()
     assert student is not None
     weights.unlink()
+    assert newest_student.student() is student
+
+    def disappears(*_: object) -> None:
+        raise FileNotFoundError
+
+    # The file may also disappear while it is read.
+    monkeypatch.setattr(collect, "Student", disappears)
+    weights.touch()
+    os.utime(weights, ns=(1, 1))
     assert newest_student.student() is student
 
 

@@ -101,8 +101,8 @@ pub enum Command {
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),
-    /// Makes the missing videos of campaigns that record transitions or explain others, from the
-    /// recorded actions, until none is left; queries no policy
+    /// Makes the missing videos of campaigns that record transitions, from the recorded actions,
+    /// until none is left; queries no policy
     Film(FilmArguments),
     /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files; with
     /// --endpoint, runs them and the unperturbed tasks of variants

@@ -78,6 +78,13 @@ impl DerivedCampaign<'_> {
                 )));
             }
         }
+        if !exists && let Some(first) = spec(client, self.source).await?.rollouts.source() {
+            return Err(failure(anyhow!(
+                "derive a campaign from `{0}`: `{0}` is itself derived from `{first}`; name \
+                 `{first}`",
+                self.source
+            )));
+        }
         let source = client.campaign_status(self.source).await?;
         let prospect = prospect(&client.report(self.source).await?)?;
         let proposal = self.proposal(client, &source, &prospect).await;

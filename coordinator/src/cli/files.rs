@@ -28,7 +28,7 @@ fn read_text(path: &Path) -> Result<String, CommandError> {
     let checked = match read {
         Ok(size) if size <= MAX_INPUT_BYTES as usize => Ok(text),
         Ok(_) => Err(anyhow!(
-            "it is larger than {} MiB: divide it into several campaigns",
+            "it is larger than {} MiB: divide it",
             MAX_INPUT_BYTES >> 20
         )),
         Err(error) => Err(error.into()),

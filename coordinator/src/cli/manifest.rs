@@ -117,7 +117,8 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
 }
 
 fn is_nominal(row: &ManifestRow) -> bool {
-    match row.id.variant() {
+    let variant = row.id.variant();
+    match variant.filter(|name| name.benchmark().is_some()) {
         Some(variant) => variant.is_unperturbed(),
         None => row.id.config().is_none(),
     }

@@ -191,8 +191,7 @@ async fn receive(
     let unwritable = |error: io::Error| {
         tracing::error!("failed to write {}: {error}", path.display());
         Status::unavailable(format!(
-            "write the archive into the coordinator's data folder: is there room on the disk? \
-             ({error})"
+            "write the archive into the coordinator's data folder: {error}; make room on its disk"
         ))
     };
     let folder = path.parent().unwrap_or(path);
@@ -237,7 +236,7 @@ fn moving_folder(data: &Path) -> Result<TempDir, Status> {
 fn folder_failed(folder: &Path, error: &io::Error) -> Status {
     tracing::error!("failed to make a folder in {}: {error}", folder.display());
     Status::unavailable(format!(
-        "make a folder in the coordinator's data folder: is there room on the disk? ({error})"
+        "make a folder in the coordinator's data folder: {error}; make room on its disk"
     ))
 }
 

@@ -205,10 +205,11 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
         "neither or both are requeued"
     );
     assert_eq!(
-        retry(&bench, "one", &[CAMERA], false)
+        retry(&bench, "one", &[CAMERA, CAMERA], false)
             .await
             .expect("requeued"),
-        1
+        1,
+        "a job that is named twice counts once"
     );
     let again = retry(&bench, "one", &[CAMERA], false)
         .await

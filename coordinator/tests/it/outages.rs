@@ -370,8 +370,11 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
         "neither or both are skipped"
     );
     assert_eq!(
-        skip(&[running, id("combination")]).await.expect("skipped"),
-        2
+        skip(&[running.clone(), id("combination"), running])
+            .await
+            .expect("skipped"),
+        2,
+        "a job that is named twice counts once"
     );
     assert_eq!(bench.status("some").await.quarantined, 2);
     let card = "GET /campaigns/some/configurations/object/t0/combination/L1/c00";

@@ -180,9 +180,11 @@ async fn planted_thresholds_are_found_again() {
     let page = http(&serve.url, &format!("GET {transition}")).await;
     assert_eq!(page.code, 200, "{transition}");
     assert!(!page.text().contains("coordinator explain"), "{transition}");
-    let refused = serve.command(&["explain", "first-thresholds", "--create"]);
-    let error = text(&refused.stderr);
-    assert!(error.contains("is itself derived from `first`"), "{error}");
+    for more in [&["--create"][..], &["--dry-run"], &[]] {
+        let refused = serve.command(&[&["explain", "first-thresholds"], more].concat());
+        let error = text(&refused.stderr);
+        assert!(error.contains("is itself derived from `first`"), "{error}");
+    }
     let violations = invariants::check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
 }

@@ -288,7 +288,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
             });
             let mut cells = report.cells.iter().filter(|cell| cell.replicate == 0);
             let cause = match cells.any(|cell| cell.level == Level::L0) {
-                true => "because no configuration of the placebo level L0 has all its outcomes"
+                true => "because the placebo level L0 has no complete configuration of these axes"
                     .to_owned(),
                 false => format!("without a placebo (`--levels L0,{level}`)"),
             };

@@ -268,7 +268,7 @@ fn an_incomplete_placebo_is_not_taken_for_an_absent_one() {
     let simultaneity = findings.find(|finding| finding.kind == FindingKind::Simultaneity);
     let sentence = &simultaneity.expect("a sentence").sentence;
     assert!(
-        sentence.contains("no configuration of the placebo level L0 has all its outcomes"),
+        sentence.contains("the placebo level L0 has no complete configuration of these axes"),
         "{sentence}"
     );
     assert!(!sentence.contains("--levels"), "{sentence}");

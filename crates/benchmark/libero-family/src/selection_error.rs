@@ -84,7 +84,7 @@ pub enum SelectionError {
 /// Returns the advice on a selection with missing files, of which `runnable` rollouts can run.
 fn advice(runnable: usize) -> &'static str {
     match runnable {
-        0 => "No chosen rollout can run: follow this advice, or choose other rollouts",
+        0 => "No chosen rollout can run: follow the advice above, or choose other rollouts",
         _ => {
             "Give --runnable (`\"runnable\": true` in a specification) to run the other rollouts \
              only"

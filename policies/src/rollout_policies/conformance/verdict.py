@@ -137,9 +137,9 @@ def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]
     if lengths[0] != lengths[1]:
         return failed("in a batch the answers have other numbers of actions")
     differences = [abs(a - b) for a, b in zip(_numbers(alone), _numbers(batched))]
-    largest = max(differences)
     # `max` may miss a NaN, because comparisons with it are false.
-    if largest <= BATCH_TOLERANCE and not any(map(math.isnan, differences)):
+    largest = math.nan if any(map(math.isnan, differences)) else max(differences)
+    if largest <= BATCH_TOLERANCE:
         return passed(
             f"except by up to {largest:.1e}: actions depend on the batch in low-order bits"
         )

@@ -262,6 +262,7 @@ mod tests {
         let moved = batch(&alone, &answers(&[0.500_01]));
         assert!(matches!(moved, Verdict::Pass { note } if note.contains("low-order bits")));
         assert!(fails(&batch(&alone, &answers(&[0.6])), "differ by up to"));
+        assert!(fails(&batch(&alone, &answers(&[f32::NAN])), "by up to NaN"));
         assert!(fails(&batch(&alone, &[]), "differ"));
     }
 

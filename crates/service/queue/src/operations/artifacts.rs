@@ -32,7 +32,7 @@ pub enum ArtifactError {
     TooLarge { attempt: AttemptId },
     #[error("store the video of attempt {attempt}: this attempt has no committed outcome")]
     NoOutcome { attempt: AttemptId },
-    #[error("write {}: is there room on the disk, and may this user write there?", path.display())]
+    #[error("write {}: make room on the disk, and make the folder writable for this user", path.display())]
     Write { path: PathBuf, source: io::Error },
     #[error(transparent)]
     Store(#[from] StoreError),

@@ -1,6 +1,8 @@
 //! Skipping of rollouts: at an operator's request they are quarantined, and the campaign continues
 //! without them.
 
+use std::collections::BTreeSet;
+
 use super::campaigns::check_not_ended;
 use super::context::Context;
 use super::error::QueueError;
@@ -28,6 +30,7 @@ impl Queue {
         let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
         let campaign = context.campaign_named(name).await?;
         check_not_ended(&campaign)?;
+        let mut skipped = BTreeSet::new();
         for job in names {
             let JobName {
                 rollout_id,
@@ -41,6 +44,10 @@ impl Queue {
                     job: job.clone(),
                 });
             };
+            // A job may be named twice.
+            if !skipped.insert(id) {
+                continue;
+            }
             match jobs::lease(&mut context.tx, id).await? {
                 Some(row) => {
                     if let JobState::Leased(lease) = &row.job.state {
@@ -63,8 +70,8 @@ impl Queue {
         }
         context.settles = true;
         context.commit().await?;
-        tracing::info!(campaign = %name, jobs = names.len(), "skipped by an operator");
+        tracing::info!(campaign = %name, jobs = skipped.len(), "skipped by an operator");
         self.shared.work.notify_waiters();
-        Ok(names.len() as u64)
+        Ok(skipped.len() as u64)
     }
 }

@@ -92,7 +92,8 @@ struct Opened {
 }
 
 fn given_limit() -> Option<String> {
-    std::env::var("ROLLOUT_SCENES_GIB").ok()
+    let given = std::env::var("ROLLOUT_SCENES_GIB").ok();
+    given.filter(|text| !text.is_empty())
 }
 
 /// Returns the limit of the files' total size, bytes.
