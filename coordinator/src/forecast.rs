@@ -199,7 +199,7 @@ mod tests {
              query), waiting 10 %; mean of 180 rollouts\n  \
              bottleneck: slots, which wait for the policy while cores are idle. More slots\n    \
              help up to 22: the campaign then takes about 2h25m if the policy answers as\n    \
-             fast"
+             fast as now"
         );
         assert!(text.lines().all(|line| line.chars().count() <= 80));
     }
