@@ -431,5 +431,5 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, recei
             check=False,
         )
     assert check.returncode == 0, check.stdout + check.stderr
-    assert "skip  the same seed gives the same actions: its random numbers" in check.stdout
+    assert "skip  the same seed gives the same actions: the policy's random numbers" in check.stdout
     assert "pass  a retry gets the same actions" in check.stdout
