@@ -26,7 +26,7 @@ pub struct Finding {
     pub level: Option<Level>,
     /// True if the sentence claims an effect.
     pub claims: bool,
-    /// The corrected p-value behind the sentence, or the smaller of two; absent if no test is
+    /// The corrected p-value behind the sentence, or the smallest of several; absent if no test is
     /// behind it.
     pub holm_p: Option<f64>,
     /// The sentence.
