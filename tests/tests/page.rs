@@ -100,19 +100,29 @@ fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
         (before - after).abs() <= 10.0,
         "the focused square keeps its position: {before} and {after} px from the top"
     );
-    let grown = format!(
+    let inserted = format!(
         "(() => {{ const main = document.getElementById('main');
         const grown = main.cloneNode(true);
         const section = document.createElement('section');
-        section.innerHTML = '<h2>New</h2><p>Something to say</p>';
+        section.innerHTML = '<h2>New</h2><p>Something to say</p>'.repeat(9);
         grown.insertBefore(section, grown.querySelector('section'));
-        merge(main, grown);
-        return main.isEqualNode(grown) && {is_focused}; }})()"
+        const top = () => {square}[11].getBoundingClientRect().top;
+        const before = top();
+        show(grown);
+        return main.isEqualNode(grown) && {is_focused} && Math.abs(top() - before) <= 1; }})()"
     );
     assert_eq!(
-        bench.browser.value(&grown),
+        bench.browser.value(&inserted),
         true,
-        "the focus stays when a section is inserted above"
+        "focus and position stay when a section is inserted above"
+    );
+    bench.browser.value("document.activeElement.blur()");
+    assert_eq!(
+        bench
+            .browser
+            .value(&inserted.replace(&is_focused, "scrollY > 0")),
+        true,
+        "the position stays without a focused element"
     );
     bench.check();
 

@@ -36,6 +36,32 @@ function merge(current, fetched) {
   olds.slice(next).forEach((old) => old.remove());
 }
 
+// Merges a fetched copy of the page's content, and scrolls so that the anchor stays at
+// its position on the screen. Browsers that do this themselves do it a frame later.
+function show(fetched) {
+  const main = document.getElementById("main");
+  const anchor = scrollAnchor(main);
+  const before = anchor && anchor.getBoundingClientRect().top;
+  merge(main, fetched);
+  if (anchor && anchor.isConnected) {
+    window.scrollBy(0, anchor.getBoundingClientRect().top - before);
+  }
+}
+
+// Returns the focused element if it is on the screen, otherwise the first block that
+// begins there, or undefined at the top of the page, where new content is to be seen.
+function scrollAnchor(main) {
+  if (window.scrollY === 0) return undefined;
+  const isInView = (element) => {
+    const [box] = element.getClientRects();
+    return box && box.top >= 0 && box.top < window.innerHeight;
+  };
+  const focused = document.activeElement;
+  if (main !== focused && main.contains(focused) && isInView(focused)) return focused;
+  const blocks = main.querySelectorAll("h2, h3, p, figure, pre, summary, tr, li");
+  return [...blocks].find(isInView);
+}
+
 // Key that identifies a node among its siblings.
 function keyOf(node) {
   if (node.nodeType !== Node.ELEMENT_NODE) return node.nodeName;
@@ -111,7 +137,7 @@ async function refresh() {
       tag = answer.headers.get("ETag") || "";
       const page = new DOMParser().parseFromString(await answer.text(), "text/html");
       document.title = page.title;
-      merge(document.getElementById("main"), page.getElementById("main"));
+      show(page.getElementById("main"));
       showOrigin();
       centre();
       updateTabStops();
