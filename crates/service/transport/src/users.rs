@@ -75,7 +75,7 @@ pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted
     let ends = || Ok::<_, io::Error>((connection.peer_addr()?, connection.local_addr()?));
     let (peer, local) = ends().map_err(|_| Untrusted::UnknownUser)?;
     // The tables of a busy machine have thousands of rows.
-    let rows = tokio::task::spawn_blocking(move || rows(peer.port())).await;
+    let rows = tokio::task::spawn_blocking(move || rows(peer, local)).await;
     let rows = rows.map_err(io::Error::other).flatten();
     let rows = rows.map_err(|_| Untrusted::UnknownUser)?;
     check_rows(&rows, peer, local, geteuid().as_raw())
@@ -115,7 +115,7 @@ fn is_system_user(user: u32) -> bool {
 
 /// Returns the owner of the socket at `peer` that is connected to `local`, on this machine.
 fn user_of(peer: SocketAddr, local: SocketAddr) -> io::Result<Option<u32>> {
-    Ok(owner(&rows(peer.port())?, peer, local))
+    Ok(owner(&rows(peer, local)?, peer, local))
 }
 
 fn owner(rows: &[Row], peer: SocketAddr, local: SocketAddr) -> Option<u32> {
@@ -131,11 +131,17 @@ struct Row {
     user: u32,
 }
 
-/// Returns the sockets with this port at either end; the other rows are not parsed.
-fn rows(port: u16) -> io::Result<Vec<Row>> {
-    let port = port_text(port);
+/// Returns the sockets with the port of `peer` at either end; the other rows are not parsed. The
+/// kernel visits all its sockets for each table, so the table of the other address family is read
+/// only if the first does not list the socket at `peer`.
+fn rows(peer: SocketAddr, local: SocketAddr) -> io::Result<Vec<Row>> {
+    let mut tables = TABLES;
+    if peer.ip().to_canonical().is_ipv6() {
+        tables.reverse();
+    }
+    let port = port_text(peer.port());
     let mut all = Vec::new();
-    for table in TABLES {
+    for table in tables {
         match std::fs::read_to_string(table) {
             Ok(text) => {
                 let lines = text.lines().filter(|line| line.contains(&port));
@@ -144,6 +150,9 @@ fn rows(port: u16) -> io::Result<Vec<Row>> {
             // Without IPv6 there is no second table.
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(error),
+        }
+        if owner(&all, peer, local).is_some() {
+            break;
         }
     }
     Ok(all)
@@ -218,7 +227,7 @@ mod tests {
             let unconnected = SocketAddr::new(peer.ip(), peer.port() ^ 1);
             assert_eq!(user_of(unconnected, local).expect("a table"), None);
             let trusted = check_rows(
-                &rows(peer.port()).expect("a table"),
+                &rows(peer, local).expect("a table"),
                 peer,
                 local,
                 geteuid().as_raw(),
