@@ -33,36 +33,46 @@ fn secrets() -> PathBuf {
     folder("kubernetes").join("secrets.example.yaml")
 }
 
-/// Returns true if the manifests are valid, and the output of the check.
-fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/deploy/manifests.py");
-    let output = Command::new(python)
-        .arg(script)
-        .args(files)
-        .output()
-        .expect("Python runs");
-    let decode = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let text = decode(&output.stdout) + &decode(&output.stderr);
-    (output.status.success(), text)
+/// The result of checking manifests that belong together.
+#[derive(Debug, serde::Deserialize)]
+struct Checked {
+    faults: Vec<String>,
+    /// Command lines of the containers.
+    commands: Vec<Vec<String>>,
+    /// Kinds without a schema.
+    without_schema: Vec<String>,
+    resources: usize,
+}
+
+/// Checks groups of manifests in one Python process, which takes seconds to start.
+fn check(python: &Path, groups: &[Vec<PathBuf>]) -> Vec<Checked> {
+    let mut script = Command::new(python);
+    script.arg(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/deploy/manifests.py"
+    ));
+    for files in groups {
+        script.args(files).arg("--");
+    }
+    let output = script.output().expect("Python runs");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let lines = serde_json::Deserializer::from_slice(&output.stdout).into_iter();
+    let checked: Vec<Checked> = lines.map(|group| group.expect("a result")).collect();
+    assert_eq!(checked.len(), groups.len());
+    checked
 }
 
 /// Asserts that manifests and their command lines are valid; returns the kinds without a schema.
-fn assert_valid(python: &Path, files: &[PathBuf]) -> serde_json::Value {
-    let (is_valid, output) = check(python, files);
-    assert!(is_valid, "{output}");
-    let (commands, last) = output.trim_end().rsplit_once('\n').expect("some lines");
-    // The command lines of coordinator, gateway and worker.
-    assert_eq!(commands.lines().count(), 3, "{commands}");
-    for line in commands.lines() {
-        let words: Vec<String> = serde_json::from_str(line).expect("a command line");
-        assert_eq!(unknown_flags(&words), [""; 0], "{line}");
+fn assert_valid(checked: &Checked) -> &[String] {
+    assert_eq!(checked.faults, [""; 0]);
+    // Coordinator, gateway and worker.
+    assert_eq!(checked.commands.len(), 3, "{checked:?}");
+    for words in &checked.commands {
+        assert_eq!(unknown_flags(words), [""; 0], "{words:?}");
     }
-    let summary: serde_json::Value = serde_json::from_str(last).expect("a summary");
-    assert!(
-        summary["checked"].as_u64().expect("a number") > 10,
-        "{summary}"
-    );
-    summary["no schema"].clone()
+    assert!(checked.resources > 10, "{checked:?}");
+    &checked.without_schema
 }
 
 #[test]
@@ -89,7 +99,10 @@ fn manifests_are_valid_and_their_references_exist() {
     let Some(python) = python("manifests_are_valid_and_their_references_exist") else {
         return;
     };
-    assert_eq!(assert_valid(&python, &base()), serde_json::json!([]));
+    let [checked] = &check(&python, &[base()])[..] else {
+        panic!("one group of manifests has several results");
+    };
+    assert_eq!(assert_valid(checked), [""; 0]);
 }
 
 #[test]
@@ -98,12 +111,9 @@ fn manifest_faults_are_named() {
         return;
     };
     let folder = tempfile::tempdir().expect("a folder");
-    let broken = folder.path().join("workers.yaml");
-    let mut files = base();
     // `workers.yaml` is the fourth of `BASE`.
-    let text = fs::read_to_string(&files[3]).expect("a manifest");
-    files[3] = broken.clone();
-    for (from, to, named) in [
+    let text = fs::read_to_string(&base()[3]).expect("a manifest");
+    let faults = [
         ("  replicas: 2", "  replica: 2", "replica"),
         (
             "secretName: rollout-worker",
@@ -125,11 +135,19 @@ fn manifest_faults_are_named() {
             "/etc/rollout/tokens",
             "no secret has tokens",
         ),
-    ] {
+    ];
+    let groups = faults.iter().enumerate().map(|(index, (from, to, _))| {
         assert!(text.contains(from), "{from}");
+        let broken = folder.path().join(format!("workers{index}.yaml"));
         fs::write(&broken, text.replace(from, to)).expect("a manifest");
-        let (is_valid, output) = check(&python, &files);
-        assert!(!is_valid && output.contains(named), "{to}: {output}");
+        let mut files = base();
+        files[3] = broken;
+        files
+    });
+    let groups: Vec<_> = groups.collect();
+    for (checked, (_, to, named)) in check(&python, &groups).iter().zip(faults) {
+        let is_named = checked.faults.iter().any(|fault| fault.contains(named));
+        assert!(is_named, "{to}: {:?}", checked.faults);
     }
 }
 
@@ -142,7 +160,7 @@ fn kustomize_renders_valid_manifests_of_every_folder() {
         return;
     }
     let rendered = tempfile::tempdir().expect("a folder");
-    for name in FOLDERS {
+    let groups = FOLDERS.map(|name| {
         let mut kustomize = Command::new("kubectl");
         let output = kustomize
             .arg("kustomize")
@@ -152,12 +170,13 @@ fn kustomize_renders_valid_manifests_of_every_folder() {
         assert!(output.status.success(), "{name}: {errors}");
         let file = rendered.path().join(format!("{name}.yaml"));
         fs::write(&file, output.stdout).expect("manifests");
-        let foreign = assert_valid(&python, &[file, secrets()]);
-        let expected = if name == "keda" {
-            &["ScaledObject"][..]
-        } else {
-            &[]
+        vec![file, secrets()]
+    });
+    for (checked, name) in check(&python, &groups).iter().zip(FOLDERS) {
+        let expected: &[&str] = match name {
+            "keda" => &["ScaledObject"],
+            _ => &[],
         };
-        assert_eq!(foreign, serde_json::json!(expected), "{name}");
+        assert_eq!(assert_valid(checked), expected, "{name}");
     }
 }

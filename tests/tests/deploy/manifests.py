@@ -1,12 +1,12 @@
 """Checks Kubernetes manifests against the API's schemas, and against each other.
 
-`manifests.py FILE…` prints one line per fault and exits with status 1 if there are any. Otherwise
-it prints each container's command line as JSON, and then the kinds that have no schema and the
-number of resources.
+`manifests.py FILE… [-- FILE…]…` prints a line of JSON for each group of files: the faults, each
+container's command line, the kinds without a schema and the number of resources.
 """
 
 import json
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import kubernetes_validate
@@ -152,23 +152,26 @@ class Manifests:
             self.add_fault(document, f"no service listens on {address}")
 
 
-def main() -> int:
+def check(paths: list[str]) -> dict:
     documents = []
-    for path in sys.argv[1:]:
+    for path in paths:
         loaded = yaml.safe_load_all(Path(path).read_text())
         documents += [document for document in loaded if document]
     manifests = Manifests(documents)
     foreign = manifests.check_schemas()
     manifests.check_references()
-    if manifests.faults:
-        print("\n".join(manifests.faults))
-        return 1
-    for _, pod in manifests.pods():
-        for container in pod["spec"]["containers"]:
-            print(json.dumps(container["command"] + container["args"]))
-    print(json.dumps({"no schema": sorted(foreign), "checked": len(documents)}))
-    return 0
+    containers = [
+        container for _, pod in manifests.pods() for container in pod["spec"]["containers"]
+    ]
+    return {
+        "faults": manifests.faults,
+        "commands": [container["command"] + container["args"] for container in containers],
+        "without_schema": sorted(foreign),
+        "resources": len(documents),
+    }
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    for is_separator, paths in groupby(sys.argv[1:], "--".__eq__):
+        if not is_separator:
+            print(json.dumps(check(list(paths))))
