@@ -10,12 +10,12 @@ use std::{fs, io};
 use libero_ctrl::{ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
 use sim::{CameraRequest, Episode, Frame, ObservationRequest, SimError};
+use video::{PANE_SIDE, VideoEncoder, VideoError};
 
 use crate::actor::Action;
 use crate::message::Assignment;
 use crate::rollout::Simulated;
 use crate::stage::Stage;
-use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
 
 /// Reason why a rollout has no video.
 #[derive(Debug, thiserror::Error)]

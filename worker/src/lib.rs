@@ -33,4 +33,3 @@ pub mod stage;
 mod stopwatch;
 pub mod supervise;
 pub mod variants;
-pub mod video;

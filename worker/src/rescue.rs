@@ -19,13 +19,13 @@ use libero_ctrl::{Condition, RolloutId};
 use serde::Serialize;
 use sim::episode::NUDGE_M;
 use sim::{Episode, Observation, Simulator};
+use video::VideoEncoder;
 
 use crate::actor::{Action, Actor};
 use crate::filming::{FilmingError, Replay, render_again};
 use crate::message::Assignment;
 use crate::rollout::{self, Change, Resumed, RolloutError, Simulated, Step, Watcher};
 use crate::stage::Stage;
-use crate::video::VideoEncoder;
 
 use search::{Search, SearchResult};
 

@@ -24,11 +24,12 @@ pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway
 const CAMPAIGN: &str = "demo";
 /// Name of the demo's policy.
 const POLICY: &str = "student";
-/// Tasks and configurations, chosen because both kinds of transitions occur in them.
-const TASKS: &str = "libero_object/1,libero_object/5";
-const CONFIGURATIONS: &str = "0,1";
-/// Task and configuration with an emergent failure, for the demo's own test.
-const EMERGENT: (&str, &str) = ("libero_object/5", "0");
+/// Tasks whose first configurations have an emergent failure and a compensated success, in the
+/// fewest control steps that `examples/student` has for such a pair.
+const TASKS: &str = "libero_spatial/0,libero_goal/6";
+const CONFIGURATIONS: &str = "0";
+/// Task with an emergent failure, for the demo's own test.
+const EMERGENT: &str = "libero_spatial/0";
 /// Address of the live page when the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 
@@ -72,8 +73,8 @@ pub(crate) fn check(root: &Path, programs: &Path) -> Result<()> {
     let options = Options {
         slots: 2,
         assets: "libero".to_owned(),
-        tasks: EMERGENT.0.to_owned(),
-        configs: EMERGENT.1.to_owned(),
+        tasks: EMERGENT.to_owned(),
+        configs: CONFIGURATIONS.to_owned(),
     };
     let dir = fresh_folder(&root.join("demo-data"))?;
     campaign(programs, &dir, &options)?;

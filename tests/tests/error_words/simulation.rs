@@ -14,6 +14,7 @@ use sim::mujoco::ObjectKind;
 use sim::{SceneFileError, SimError};
 use tonic::Status;
 use transport::{AccessError, EndpointError};
+use video::VideoError;
 use worker::actor::PolicyError;
 use worker::assets::PackError;
 use worker::film::FilmError;
@@ -26,7 +27,6 @@ use worker::single::SingleError;
 use worker::slot::SlotError;
 use worker::supervise::SuperviseError;
 use worker::variants::VariantsError;
-use worker::video::VideoError;
 
 use crate::{Messages, io_error, path, text, variants};
 

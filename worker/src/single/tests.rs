@@ -9,13 +9,13 @@ use proto::policy as wire;
 use rollout_types::GoalProgress;
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
+use video::PANE_SIDE;
 
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};
 use crate::filming::{Replay, render_again};
 use crate::ids::random_id;
 use crate::message::{Session, VideoOf, VideoRequest};
-use crate::video::PANE_SIDE;
 
 #[test]
 fn a_rollout_id_determines_the_simulation() {

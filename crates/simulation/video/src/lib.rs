@@ -27,6 +27,7 @@ const KEYFRAME_EVERY: u32 = 40;
 /// Reason why a video could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
+    /// A frame does not have [`PANE_SIDE`]² pixels of three bytes.
     #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
     PaneSize {
         /// Size of the given frame, bytes.
@@ -34,7 +35,10 @@ pub enum VideoError {
     },
     /// The H.264 encoder failed.
     #[error("encode a video: OpenH264 fails with code {code}")]
-    Encode { code: i64 },
+    Encode {
+        /// OpenH264's return value.
+        code: i64,
+    },
     /// The MP4 writer failed.
     #[error("write a video as MP4")]
     Mux(#[from] MuxerError),
