@@ -1,10 +1,8 @@
 //! Generates the code of `rollout/*/v1/*.proto`, without needing `protoc`.
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let [policy, coordinator] = [
-        "rollout/policy/v1/policy.proto",
-        "rollout/coordinator/v1/coordinator.proto",
-    ];
+    let [policy, coordinator] =
+        ["rollout/policy/v1/policy.proto", "rollout/coordinator/v1/coordinator.proto"];
     for file in [policy, coordinator] {
         println!("cargo:rerun-if-changed={file}");
     }

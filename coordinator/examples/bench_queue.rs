@@ -72,13 +72,7 @@ async fn main() -> Result<()> {
     let folder = arguments.data.clone().unwrap_or(temporary.path().into());
     let store = Store::open(&folder).await?;
     let rng = ChaCha8Rng::seed_from_u64(1);
-    let queue = Queue::start(
-        store,
-        Arc::new(SystemClock::start()),
-        rng,
-        Timing::default(),
-    )
-    .await?;
+    let queue = Queue::start(store, Arc::new(SystemClock::start()), rng, Timing::default()).await?;
     let (jobs, expand_secs) = create(&queue, &spec("bench", arguments.jobs)?).await?;
     let step_secs = Arc::new(Mutex::new(Vec::new()));
 
@@ -96,24 +90,14 @@ async fn main() -> Result<()> {
     });
 
     if arguments.beside > 0 {
-        background.spawn(move_other_campaign(
-            queue.clone(),
-            arguments.beside,
-            step_secs.clone(),
-        ));
+        background.spawn(move_other_campaign(queue.clone(), arguments.beside, step_secs.clone()));
     }
 
     let measured = Arc::new(Measured::default());
     let began = Instant::now();
     let mut slots = JoinSet::new();
     for slot in 0..arguments.slots {
-        slots.spawn(run_slot(
-            queue.clone(),
-            measured.clone(),
-            slot,
-            arguments.clone(),
-            jobs,
-        ));
+        slots.spawn(run_slot(queue.clone(), measured.clone(), slot, arguments.clone(), jobs));
     }
     let seconds = tokio::select! {
         seconds = watch(&measured, jobs) => seconds,
@@ -122,13 +106,8 @@ async fn main() -> Result<()> {
     let elapsed = began.elapsed();
     slots.abort_all();
     background.abort_all();
-    let mut report = report(
-        &arguments,
-        (&measured, &seconds, elapsed),
-        jobs,
-        expand_secs,
-        &folder,
-    )?;
+    let mut report =
+        report(&arguments, (&measured, &seconds, elapsed), jobs, expand_secs, &folder)?;
     report["beside_create_copy_delete_import_secs"] =
         json!(*step_secs.lock().expect("nothing panics"));
     println!("{}", serde_json::to_string_pretty(&report)?);
@@ -312,9 +291,7 @@ fn percentiles(micros: &Mutex<Vec<u64>>) -> Value {
     micros.sort_unstable();
     let quantile = |share: f64| {
         let index = (micros.len() as f64 * share) as usize;
-        micros
-            .get(index.min(micros.len().saturating_sub(1)))
-            .map(|micros| *micros as f64 / 1e3)
+        micros.get(index.min(micros.len().saturating_sub(1))).map(|micros| *micros as f64 / 1e3)
     };
     json!({
         "p50": quantile(0.5),
@@ -396,10 +373,7 @@ fn outcome(
     CommitReport {
         attempt: job.attempt,
         // A path of 220 control steps, 11 s: 6 bytes at rest and after every step.
-        motion: Motion {
-            path: vec![1; 6 * 221],
-            actions: Vec::new(),
-        },
+        motion: Motion { path: vec![1; 6 * 221], actions: Vec::new() },
         realised,
         result: RolloutResult {
             success: rng.next_u32().is_multiple_of(2),

@@ -101,18 +101,10 @@ pub enum ArchiveError {
     #[error(
         "read archive {archive}: {member} is altered ({problem}); copy it again, or archive the campaign again"
     )]
-    Altered {
-        archive: String,
-        member: String,
-        problem: String,
-    },
+    Altered { archive: String, member: String, problem: String },
     /// The database cannot be opened, violates an invariant or does not hold exactly one campaign.
     #[error("use member {member} of archive {archive}: archive the campaign again")]
-    Content {
-        archive: String,
-        member: &'static str,
-        source: Box<PortableError>,
-    },
+    Content { archive: String, member: &'static str, source: Box<PortableError> },
     #[error(
         "use archive {archive}: {member}, made from its rows, differs from the archived one at {place}; import it with {program}, which wrote it"
     )]
@@ -128,10 +120,7 @@ pub enum ArchiveError {
     #[error(transparent)]
     Report(#[from] DocumentError),
     #[error("write {member} of the archive")]
-    Json {
-        member: &'static str,
-        source: JsonError,
-    },
+    Json { member: &'static str, source: JsonError },
     #[error("write {}: make room on the disk, and make the folder writable for this user", path.display())]
     Write { path: PathBuf, source: io::Error },
     #[error("archive {}: it changed or cannot be read; archive the campaign again", path.display())]

@@ -267,9 +267,7 @@ mod tests {
             let mut command = command.expect(words);
             let long = command.render_long_help().to_string();
             let (_, examples) = long.split_once("Examples:").expect(words);
-            let shown = examples
-                .lines()
-                .filter(|line| line.trim().starts_with("coordinator "));
+            let shown = examples.lines().filter(|line| line.trim().starts_with("coordinator "));
             assert!(shown.count() >= 3, "{words}: {examples}");
             let short = command.render_help().to_string();
             assert!(!short.contains("Examples:"), "{words}: {short}");

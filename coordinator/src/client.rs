@@ -23,12 +23,8 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Flags and URL prefixes that error messages name.
-const SETTINGS: Settings = Settings {
-    address: "--connect",
-    authority: "--ca",
-    clear: "http://",
-    encrypted: "https://",
-};
+const SETTINGS: Settings =
+    Settings { address: "--connect", authority: "--ca", clear: "http://", encrypted: "https://" };
 
 /// Generated client of the operator service, whose methods [`Client::call`] takes.
 pub type Service = OperatorServiceClient<Connection>;
@@ -51,10 +47,7 @@ pub enum ClientError {
     #[error(transparent)]
     Access(#[from] AccessError),
     #[error("reach the coordinator at {url}: {trouble}")]
-    Unreachable {
-        url: String,
-        trouble: Box<ConnectError>,
-    },
+    Unreachable { url: String, trouble: Box<ConnectError> },
     #[error("{message}")]
     Invalid { message: String },
     #[error("{message}")]
@@ -89,18 +82,14 @@ impl Client {
 
     /// Returns the status of a campaign.
     pub async fn campaign_status(&self, name: &str) -> Result<wire::CampaignStatus, ClientError> {
-        let request = wire::GetCampaignRequest {
-            campaign: name.to_owned(),
-        };
+        let request = wire::GetCampaignRequest { campaign: name.to_owned() };
         let response = self.call(request, Service::get_campaign);
         Ok(response.await?.status.unwrap_or_default())
     }
 
     /// Returns the current results of a campaign for a report.
     pub async fn report(&self, name: &str) -> Result<Subject, ClientError> {
-        let request = wire::ReportRequest {
-            campaign: name.to_owned(),
-        };
+        let request = wire::ReportRequest { campaign: name.to_owned() };
         let mut parts = self.call(request, Service::report).await?;
         let mut json = Vec::new();
         while let Some(part) = self.next(&mut parts).await? {
@@ -168,10 +157,7 @@ impl Client {
     /// could not be reached.
     fn call_error(&self, status: &Status, trouble: Option<ConnectError>) -> ClientError {
         if let Some(trouble) = trouble {
-            return ClientError::Unreachable {
-                url: self.url.clone(),
-                trouble: trouble.into(),
-            };
+            return ClientError::Unreachable { url: self.url.clone(), trouble: trouble.into() };
         }
         let message = status_text(status);
         match status.code() {

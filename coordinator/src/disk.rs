@@ -23,10 +23,7 @@ impl Room {
         let free_bytes = rustix::fs::statvfs(folder)
             .map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize))
             .unwrap_or(0);
-        Room {
-            free_bytes,
-            needed_bytes,
-        }
+        Room { free_bytes, needed_bytes }
     }
 
     /// Returns the message for a disk without enough space for leasing; `None` if there is enough.
@@ -59,10 +56,7 @@ mod tests {
     #[test]
     fn leasing_continues_down_to_the_needed_space() {
         let folder = Path::new("data");
-        let room = |free_bytes| Room {
-            free_bytes,
-            needed_bytes: 5,
-        };
+        let room = |free_bytes| Room { free_bytes, needed_bytes: 5 };
         assert_eq!(room(5).shortage(folder), None);
         assert!(room(4).shortage(folder).is_some());
     }

@@ -77,9 +77,7 @@ pub async fn lines(
         let next = next.map(|row| (row.rollout_id.clone(), row.replicate));
         Ok(Some((rows, (queue, next))))
     });
-    let rows = pages
-        .map_ok(|rows| stream::iter(rows).map(Ok::<_, ReadError>))
-        .try_flatten();
+    let rows = pages.map_ok(|rows| stream::iter(rows).map(Ok::<_, ReadError>)).try_flatten();
     let policy = campaign.policy;
     Ok(rows.map(move |row| line(&row?, &policy)))
 }
@@ -112,10 +110,7 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         goal_at_end: result.goal_at_end,
         goal_at_most: result.goal_at_most,
         // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
-        prompt: result
-            .prompt
-            .as_deref()
-            .filter(|_| row.id.variant().is_some()),
+        prompt: result.prompt.as_deref().filter(|_| row.id.variant().is_some()),
     })
     .map_err(row_error)
 }

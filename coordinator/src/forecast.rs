@@ -117,10 +117,7 @@ pub fn phase_shares(speed: &Speed) -> String {
             1_000.0 * secs / speed.policy_queries
         ),
         "waiting" if share(secs) >= LARGE_WAITING_PERCENT => {
-            format!(
-                "waiting {:.0} % (for cores, a graphics card or a disk)",
-                share(secs)
-            )
+            format!("waiting {:.0} % (for cores, a graphics card or a disk)", share(secs))
         }
         phase => format!("{phase} {:.0} %", share(secs)),
     });
@@ -217,25 +214,15 @@ mod tests {
 
     #[test]
     fn unmeasured_parts_are_left_out_of_the_forecast() {
-        let unmeasured = ForecastResponse {
-            workers: 1,
-            slots: 2,
-            ..ForecastResponse::default()
-        };
+        let unmeasured = ForecastResponse { workers: 1, slots: 2, ..ForecastResponse::default() };
         let text = describe(&unmeasured, "pi05");
         assert!(text.contains("no worker has been measured"), "{text}");
         assert!(text.contains("`--configs 0`"), "{text}");
         let text = describe(&ForecastResponse::default(), "pi05");
         assert!(text.ends_with("no worker is connected"), "{text}");
-        let by_earlier_workers = ForecastResponse {
-            speed: None,
-            ..measured(Bottleneck::Slots)
-        };
+        let by_earlier_workers = ForecastResponse { speed: None, ..measured(Bottleneck::Slots) };
         let text = describe(&by_earlier_workers, "pi05");
-        assert!(
-            text.contains("is not known") && !text.contains("bottleneck"),
-            "{text}"
-        );
+        assert!(text.contains("is not known") && !text.contains("bottleneck"), "{text}");
         let mut without_cores = measured(Bottleneck::Unspecified);
         let speed = without_cores.speed.as_mut().expect("a speed");
         (speed.enough_slots, speed.enough_slots_secs) = (None, None);
@@ -246,11 +233,7 @@ mod tests {
     fn a_large_share_of_waiting_is_explained() {
         let small = phase_shares(&measured(Bottleneck::Slots).speed.expect("a speed"));
         assert!(small.contains("waiting 10 %; mean"), "{small}");
-        let mostly_waiting = Speed {
-            physics_secs: 3.0,
-            waiting_secs: 1.0,
-            ..Speed::default()
-        };
+        let mostly_waiting = Speed { physics_secs: 3.0, waiting_secs: 1.0, ..Speed::default() };
         assert!(
             phase_shares(&mostly_waiting).contains("waiting 25 % (for cores, "),
             "{}",

@@ -46,10 +46,7 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
 /// Moves the films that are in the data folder now.
 async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let describe = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
-    let films = queue
-        .local_films()
-        .await
-        .map_err(|error| describe(&error))?;
+    let films = queue.local_films().await.map_err(|error| describe(&error))?;
     // Started transfers run to their end, so that the storage keeps no partial upload; after a
     // failure of the storage no further transfer starts.
     let storage_failed = AtomicBool::new(false);
@@ -70,18 +67,13 @@ async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
     });
     let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(CONCURRENCY).collect().await;
     let mut failed: Vec<MoveError> = moved.into_iter().filter_map(Result::err).collect();
-    if let Some(index) = failed
-        .iter()
-        .position(|error| matches!(error, MoveError::Storage(_)))
-    {
+    if let Some(index) = failed.iter().position(|error| matches!(error, MoveError::Storage(_))) {
         return Err(failed.swap_remove(index).into_message());
     }
     // Retries the removal of deleted campaigns' folders from the storage.
     let removed = queue.finish_removals().await;
     removed.map_err(|error| describe(&error))?;
-    failed
-        .pop()
-        .map_or(Ok(()), |error| Err(error.into_message()))
+    failed.pop().map_or(Ok(()), |error| Err(error.into_message()))
 }
 
 enum MoveError {

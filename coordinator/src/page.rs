@@ -45,9 +45,7 @@ use state::RequestedPage;
 /// Merges the page routes into the gRPC router.
 pub(crate) fn merge_routes(page: Arc<Page>, calls: Router) -> Router {
     let pages = routes().into_iter();
-    let pages = pages.fold(Router::new(), |pages, (path, answer)| {
-        pages.route(path, answer)
-    });
+    let pages = pages.fold(Router::new(), |pages, (path, answer)| pages.route(path, answer));
     calls.merge(pages.with_state(page)).fallback(unknown)
 }
 
@@ -58,10 +56,7 @@ pub(crate) fn routes() -> [(&'static str, MethodRouter<Arc<Page>>); 16] {
         (compare::ADDRESS, get(two_campaigns)),
         ("/campaigns/{name}", get(one_campaign)),
         ("/campaigns/{name}/rollouts", get(rollouts_of)),
-        (
-            "/campaigns/{name}/configurations/{*rollout}",
-            get(one_configuration),
-        ),
+        ("/campaigns/{name}/configurations/{*rollout}", get(one_configuration)),
         ("/campaigns/{name}/videos/{*rollout}", get(one_video)),
         ("/workers", get(all_workers)),
         ("/policies", get(all_policies)),
@@ -139,9 +134,7 @@ async fn the_quarantine(State(page): PageState, request: RequestedPage) -> Respo
 }
 
 async fn events(State(page): PageState) -> Response {
-    page.changes
-        .stream()
-        .unwrap_or_else(IntoResponse::into_response)
+    page.changes.stream().unwrap_or_else(IntoResponse::into_response)
 }
 
 /// Fallback for unknown paths: gRPC `UNIMPLEMENTED` for calls, a 404 page for everything else.

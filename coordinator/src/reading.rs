@@ -11,17 +11,11 @@ pub enum ReadError {
     #[error(transparent)]
     Queue(#[from] QueueError),
     #[error("read the stored specification of campaign `{campaign}`")]
-    Spec {
-        campaign: CampaignName,
-        source: SpecError,
-    },
+    Spec { campaign: CampaignName, source: SpecError },
     #[error("read a name in a stored result")]
     Name(#[from] UnknownName),
     #[error("read the stored manifest row of `{rollout_id}`")]
-    Row {
-        rollout_id: String,
-        source: JsonError,
-    },
+    Row { rollout_id: String, source: JsonError },
 }
 
 impl From<StoreError> for ReadError {

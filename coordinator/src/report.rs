@@ -23,16 +23,12 @@ use crate::reading::ReadError;
 /// If the database fails or holds a value that cannot be parsed.
 pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
     let spec = view.spec(campaign).await?;
-    let spec = CampaignSpec::from_json(&spec).map_err(|source| ReadError::Spec {
-        campaign: campaign.name.clone(),
-        source,
-    })?;
+    let spec = CampaignSpec::from_json(&spec)
+        .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     let realisation = campaign.realisation.as_str();
     let rows = view.records(campaign.id).await?;
-    let records: Result<Vec<Record>, _> = rows
-        .iter()
-        .map(|row| read_record(row, realisation))
-        .collect();
+    let records: Result<Vec<Record>, _> =
+        rows.iter().map(|row| read_record(row, realisation)).collect();
     let records = records?;
     let progress = rows.iter().zip(&records);
     let progress = progress.filter(|(_, record)| record.outcome.success().is_some());
@@ -50,10 +46,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     let mut provenances = view.provenances(campaign.id).await?;
     // Sorted by content, since their order of arrival depends on the workers.
     provenances.sort();
-    let quarantined = view
-        .quarantine(Some(campaign.id), u32::MAX)
-        .await?
-        .into_iter();
+    let quarantined = view.quarantine(Some(campaign.id), u32::MAX).await?.into_iter();
     let divergent = view.divergent(campaign.id).await?;
     Ok(Subject {
         policy: campaign.policy.clone(),
@@ -74,14 +67,8 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
                 last_error: job.last_error,
             })
             .collect(),
-        divergent: divergent
-            .iter()
-            .map(|(id, replicate)| rollout_name(id, *replicate))
-            .collect(),
-        left_out: rows
-            .iter()
-            .filter(|row| is_of_other_mode(row, realisation))
-            .count() as u64,
+        divergent: divergent.iter().map(|(id, replicate)| rollout_name(id, *replicate)).collect(),
+        left_out: rows.iter().filter(|row| is_of_other_mode(row, realisation)).count() as u64,
         provenances,
         beyond: Some(beyond_range(view, campaign).await?),
         fingerprints: view.fingerprints(campaign.id).await?,
@@ -115,25 +102,17 @@ async fn derived(
     };
     let realisation = source.realisation.as_str();
     let rows = view.records(source.id).await?;
-    let records: Result<Vec<Record>, _> = rows
-        .iter()
-        .map(|row| read_record(row, realisation))
-        .collect();
+    let records: Result<Vec<Record>, _> =
+        rows.iter().map(|row| read_record(row, realisation)).collect();
     let early_stop = early_stop(view, &source).await?;
-    Ok(Some(Derived {
-        purpose,
-        records: counted(&records?, early_stop.as_ref()).into_owned(),
-    }))
+    Ok(Some(Derived { purpose, records: counted(&records?, early_stop.as_ref()).into_owned() }))
 }
 
 /// Returns a campaign's stop rule and whether the campaign has stopped early; `None` if it has no
 /// rule.
 async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<EarlyStop>, ReadError> {
     let early = view.early_stop(campaign).await?;
-    Ok(early.map(|early| EarlyStop {
-        stop: early.stop,
-        has_stopped: early.used.is_some(),
-    }))
+    Ok(early.map(|early| EarlyStop { stop: early.stop, has_stopped: early.used.is_some() }))
 }
 
 /// Counts the executed actions with a component outside [-1, 1].
@@ -154,17 +133,9 @@ async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRang
 pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
     let mut setups = Setups::default();
     for row in view.setups(campaign.id).await? {
-        let SetupRow {
-            rollout_id,
-            manifest_row,
-            scene_digest,
-            init_state_digest,
-        } = row;
+        let SetupRow { rollout_id, manifest_row, scene_digest, init_state_digest } = row;
         let unreadable = |rollout_id: String| {
-            |error: serde_json::Error| ReadError::Row {
-                rollout_id,
-                source: error.into(),
-            }
+            |error: serde_json::Error| ReadError::Row { rollout_id, source: error.into() }
         };
         let row: ManifestRow =
             serde_json::from_str(&manifest_row).map_err(unreadable(rollout_id))?;
@@ -179,12 +150,8 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         // The digest leaves out `init_slot`, the place of the initial state in the design, and the
         // paraphrase's name, which the policy never observes, and the execution model, which a
         // report compares separately.
-        let observed = ManifestRow {
-            init_slot: 0,
-            variant_id: None,
-            execution: Execution::Wait,
-            ..row
-        };
+        let observed =
+            ManifestRow { init_slot: 0, variant_id: None, execution: Execution::Wait, ..row };
         let id = observed.id;
         let observed = serde_json::to_string(&observed).map_err(unreadable(id.to_string()))?;
         setups.rollouts.insert(id, digest(&[&observed]));
@@ -195,10 +162,7 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
 /// Returns 16 hex digits of a SHA-256, enough to distinguish the rollouts of a campaign.
 fn digest(texts: &[&str]) -> String {
     let digest = Sha256::digest(texts.concat());
-    digest[..8]
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn read_record(row: &RecordRow, realisation: &str) -> Result<Record, UnknownName> {
@@ -210,7 +174,5 @@ fn read_record(row: &RecordRow, realisation: &str) -> Result<Record, UnknownName
 }
 
 fn is_of_other_mode(row: &RecordRow, realisation: &str) -> bool {
-    row.realisation
-        .as_ref()
-        .is_some_and(|mode| mode != realisation)
+    row.realisation.as_ref().is_some_and(|mode| mode != realisation)
 }

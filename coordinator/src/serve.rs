@@ -85,10 +85,8 @@ impl Coordinator {
     /// a newer program wrote it.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
-        remove_partial_files(&config.data).map_err(|source| ServeError::Tidy {
-            folder: config.data.clone(),
-            source,
-        })?;
+        remove_partial_files(&config.data)
+            .map_err(|source| ServeError::Tidy { folder: config.data.clone(), source })?;
         let artifact_store = config.storage.clone();
         let artifact_store = artifact_store.map(|storage| storage as Arc<dyn RemoteStorage>);
         let (clock, rng) = (config.clock, config.rng);
@@ -108,11 +106,7 @@ impl Coordinator {
 
     /// Returns the gRPC services, to be called without a socket.
     pub fn services(&self) -> Routes {
-        Routes::from(grpc::services(
-            &self.queue,
-            &Arc::default(),
-            self.storage.as_ref(),
-        ))
+        Routes::from(grpc::services(&self.queue, &Arc::default(), self.storage.as_ref()))
     }
 
     /// Serves workers, operators and browsers on `listener` until `shutdown` is ready; then stops
@@ -157,10 +151,7 @@ impl Coordinator {
         });
         let calls = grpc::services(&queue, &gauges, storage.as_ref());
         if let Some(storage) = storage {
-            background.spawn(
-                "the task that moves films",
-                mirror::run(queue.clone(), storage),
-            );
+            background.spawn("the task that moves films", mirror::run(queue.clone(), storage));
         }
         // The sweep is a separate task, since it waits for the database writer, for which the
         // handling of connections and signals must not wait.
@@ -231,8 +222,6 @@ async fn server(
         .add_routes(routes)
         .serve_with_incoming_shutdown(Incoming::new(listener), stopped)
         .await
-        .map_err(|error| ServeError::Socket {
-            problem: transport::innermost(&error),
-        })?;
+        .map_err(|error| ServeError::Socket { problem: transport::innermost(&error) })?;
     Ok(())
 }

@@ -91,15 +91,10 @@ impl Storage {
     /// # Errors
     /// If the address is invalid, or the folder cannot be created.
     pub fn open(location: &str) -> Result<Storage, StorageError> {
-        let unusable = || StorageError::Location {
-            location: location.to_owned(),
-        };
+        let unusable = || StorageError::Location { location: location.to_owned() };
         let Some(address) = location.strip_prefix(S3) else {
             let path = PathBuf::from(location);
-            let failed = |source| StorageError::Folder {
-                path: path.clone(),
-                source,
-            };
+            let failed = |source| StorageError::Folder { path: path.clone(), source };
             std::fs::create_dir_all(&path).map_err(failed)?;
             let folder = path.canonicalize().map_err(failed)?;
             let store = LocalFileSystem::new_with_prefix(folder)
@@ -141,9 +136,7 @@ impl Storage {
     /// # Errors
     /// If the address is invalid or names no object.
     pub fn of_object(address: &str) -> Result<(Storage, String), StorageError> {
-        let unusable = || StorageError::Location {
-            location: address.to_owned(),
-        };
+        let unusable = || StorageError::Location { location: address.to_owned() };
         let (folder, name) = address.rsplit_once('/').ok_or_else(unusable)?;
         if name.is_empty() || folder.len() <= S3.len() {
             return Err(unusable());
@@ -161,10 +154,7 @@ impl Storage {
     /// # Errors
     /// If the storage fails, the stored object has another size, or the file cannot be read.
     pub async fn put(&self, key: &str, file: &Path) -> Result<(), StorageError> {
-        let unreadable = |source| StorageError::File {
-            path: file.to_owned(),
-            source,
-        };
+        let unreadable = |source| StorageError::File { path: file.to_owned(), source };
         let mut from = tokio::fs::File::open(file).await.map_err(unreadable)?;
         let full_key = self.key(key);
         let mut to = BufWriter::new(self.store.clone(), full_key.clone());
@@ -219,10 +209,7 @@ impl Storage {
             let problem = format!("{} bytes are there, not {expected}", object.size_bytes);
             return Err(self.failed("fetch", key, &io::Error::other(problem)));
         }
-        let unwritable = |source| StorageError::File {
-            path: into.to_owned(),
-            source,
-        };
+        let unwritable = |source| StorageError::File { path: into.to_owned(), source };
         let mut file = tokio::fs::File::create(into).await.map_err(unwritable)?;
         let mut bytes = object.bytes.0;
         while let Some(data) = bytes.try_next().await? {
@@ -241,10 +228,7 @@ impl Storage {
         key: &str,
         range: Option<GetRange>,
     ) -> Result<Option<ObjectRange>, StorageError> {
-        let options = GetOptions {
-            range,
-            ..GetOptions::default()
-        };
+        let options = GetOptions { range, ..GetOptions::default() };
         let response = match self.store.get_opts(&self.key(key), options).await {
             Ok(response) => response,
             Err(object_store::Error::NotFound { .. }) => return Ok(None),
@@ -252,14 +236,9 @@ impl Storage {
         };
         let (range, size_bytes) = (response.range.clone(), response.meta.size);
         let (storage, key) = (self.clone(), key.to_owned());
-        let bytes = response
-            .into_stream()
-            .map_err(move |error| storage.failed("fetch", &key, &error));
-        Ok(Some(ObjectRange {
-            range,
-            size_bytes,
-            bytes: BoxedBytes(bytes.boxed()),
-        }))
+        let bytes =
+            response.into_stream().map_err(move |error| storage.failed("fetch", &key, &error));
+        Ok(Some(ObjectRange { range, size_bytes, bytes: BoxedBytes(bytes.boxed()) }))
     }
 
     /// Returns the number of bytes of an object; `None` if the object does not exist.
@@ -280,15 +259,8 @@ impl Storage {
     /// If the storage fails.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
         let prefix = self.key(folder);
-        let all = self
-            .store
-            .list(Some(&prefix))
-            .map_ok(|object| object.location)
-            .boxed();
-        let removed = self
-            .store
-            .delete_stream(all)
-            .try_for_each(|_| async { Ok(()) });
+        let all = self.store.list(Some(&prefix)).map_ok(|object| object.location).boxed();
+        let removed = self.store.delete_stream(all).try_for_each(|_| async { Ok(()) });
         match removed.await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(self.failed("remove", folder, &error)),
@@ -353,10 +325,7 @@ mod tests {
         let into = folder.path().join("fetched");
         let refused = storage.fetch("a.mp4", Some(7), &into).await;
         let refused = refused.expect_err("another size").to_string();
-        assert!(
-            refused.contains("1048576 bytes are there, not 7"),
-            "{refused}"
-        );
+        assert!(refused.contains("1048576 bytes are there, not 7"), "{refused}");
         assert!(!into.exists());
         let fetched = storage.fetch("a.mp4", Some(1 << 20), &into).await;
         assert!(fetched.expect("an object of this size") && into.exists());
@@ -381,10 +350,6 @@ mod tests {
         let storage = Storage::open(&folder.path().display().to_string()).expect("opens");
         let words = io::Error::other("w".repeat(1 << 20));
         let message = storage.failed("store", "a.mp4", &words).to_string();
-        assert!(
-            message.contains("www") && message.len() < 1_000,
-            "{}",
-            message.len()
-        );
+        assert!(message.contains("www") && message.len() < 1_000, "{}", message.len());
     }
 }

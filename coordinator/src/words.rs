@@ -99,11 +99,8 @@ mod tests {
         ];
         assert_eq!(instants, texts);
         let written = [0, 1_795_275_369_123, i64::MAX].map(|ms| rfc3339(UnixMillis(ms)));
-        let expected = [
-            "1970-01-01T00:00:00.000Z",
-            "2026-11-21T15:36:09.123Z",
-            "9999-12-31T23:59:59.807Z",
-        ];
+        let expected =
+            ["1970-01-01T00:00:00.000Z", "2026-11-21T15:36:09.123Z", "9999-12-31T23:59:59.807Z"];
         assert_eq!(written, expected);
         let sizes = [812, 3_565_158, u64::MAX].map(size_text);
         assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);

@@ -29,18 +29,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 /// Tables of a few rows, by the names and aliases that statements give them: `c` campaigns, `t`
 /// their tasks or tallies, `p` policies, `w` workers, `d` derivations or divergences, `s` stop
 /// rules.
-const SMALL_TABLES: [&str; 10] = [
-    "c",
-    "t",
-    "p",
-    "w",
-    "d",
-    "s",
-    "campaign",
-    "policy",
-    "worker",
-    "ending_tally",
-];
+const SMALL_TABLES: [&str; 10] =
+    ["c", "t", "p", "w", "d", "s", "campaign", "policy", "worker", "ending_tally"];
 /// Indices that hold only jobs that are leased, backed off or run alone.
 const SMALL_INDICES: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
 /// Indices that frequent statements must walk.
@@ -65,10 +55,7 @@ const LOOPS: [(&str, Walks); 11] = [
     ("derived campaigns", Captured("FROM derivation d JOIN")),
     ("early stop", Captured("FROM stop s")),
     ("films", Captured("record = 'transitions'")),
-    (
-        "mixed fingerprints",
-        OnPurpose("only for a campaign whose tally shows several fingerprints"),
-    ),
+    ("mixed fingerprints", OnPurpose("only for a campaign whose tally shows several fingerprints")),
     (
         "statistics of a page",
         OnPurpose("one computation at a time: an_abandoned_computation_is_not_started_again"),
@@ -80,25 +67,15 @@ const LOOPS: [(&str, Walks); 11] = [
              a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",
         ),
     ),
-    (
-        "report, export, archive",
-        OnPurpose("on request of an operator, outside the writer"),
-    ),
+    ("report, export, archive", OnPurpose("on request of an operator, outside the writer")),
 ];
 
 /// Returns the first column of the table of loops.
 fn documented_loops() -> Vec<&'static str> {
     let page = include_str!("../../docs/ARCHITECTURE.md");
-    let table = page
-        .split_once("| loop | when | rows | walks |")
-        .expect("the table")
-        .1;
-    let rows = table
-        .lines()
-        .skip(2)
-        .take_while(|line| line.starts_with('|'));
-    rows.map(|row| row.split('|').nth(1).expect("a column").trim())
-        .collect()
+    let table = page.split_once("| loop | when | rows | walks |").expect("the table").1;
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
+    rows.map(|row| row.split('|').nth(1).expect("a column").trim()).collect()
 }
 
 /// Collects the statements that sqlx executes.
@@ -200,10 +177,7 @@ async fn call_everything(queue: &Queue, clock: &ManualClock) {
         let attempt = claimed.expect("an answer").job.map(|job| job.attempt);
         // The claim is repeated, as if its answer had been lost.
         let again = queue.claim(&request, Duration::ZERO).await;
-        assert_eq!(
-            again.expect("an answer").job.map(|job| job.attempt),
-            attempt
-        );
+        assert_eq!(again.expect("an answer").job.map(|job| job.attempt), attempt);
         attempt
     };
     let mut leases = Vec::new();
@@ -221,10 +195,9 @@ async fn call_everything(queue: &Queue, clock: &ManualClock) {
     divergent.result.success = false;
     let reply = queue.commit(&divergent).await.expect("a verdict");
     assert_eq!(reply.verdict, CommitVerdict::Divergent);
-    for (attempt, reason) in [
-        (leases[2], FailureReason::SlotCrashed),
-        (leases[3], FailureReason::PolicyUnavailable),
-    ] {
+    for (attempt, reason) in
+        [(leases[2], FailureReason::SlotCrashed), (leases[3], FailureReason::PolicyUnavailable)]
+    {
         let released = queue.release(attempt, reason, "on purpose").await;
         released.expect("a verdict");
     }
@@ -273,10 +246,7 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
         let claimed = queue.claim(&claim(number, None), Duration::ZERO).await;
         let job = claimed.expect("an answer").job.expect("a job waits");
         let row: ManifestRow = serde_json::from_str(&job.manifest_row).expect("a row");
-        let job_name = JobName {
-            rollout_id: row.id.to_string(),
-            replicate: 0,
-        };
+        let job_name = JobName { rollout_id: row.id.to_string(), replicate: 0 };
         if job.campaign != name("done") {
             break (job.campaign, job_name);
         }
@@ -288,19 +258,14 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
             skipped.push(job_name);
         }
     };
-    assert!(
-        has_result,
-        "a result pins the campaign, so that it can be filmed"
-    );
+    assert!(has_result, "a result pins the campaign, so that it can be filmed");
     let skip = queue.skip_jobs(&name("done"), &skipped).await;
     assert_eq!(skip.expect("skipped"), skipped.len() as u64);
     wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
 
     captured.lock().clear();
-    let skip = queue
-        .skip_jobs(&job_of_other_campaign.0, &[job_of_other_campaign.1])
-        .await;
+    let skip = queue.skip_jobs(&job_of_other_campaign.0, &[job_of_other_campaign.1]).await;
     assert_eq!(skip.expect("skipped"), 1);
     wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
@@ -318,9 +283,7 @@ async fn wait_for_queue_tasks(queue: &Queue) {
     for _ in 0..1_000 {
         let mut view = queue.view().await.expect("a view");
         let statuses = view.statuses().await.expect("statuses");
-        let derived = statuses
-            .iter()
-            .find(|status| status.campaign.name.as_str() == "why");
+        let derived = statuses.iter().find(|status| status.campaign.name.as_str() == "why");
         if !derived.expect("the campaign").may_grow {
             return;
         }
@@ -368,14 +331,9 @@ async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> V
     let lines = plan(connection, statement).await;
     let walks = |line: &String| {
         let index = line.split_whitespace().find(|word| {
-            [
-                "job_",
-                "result_",
-                "sqlite_autoindex_job",
-                "sqlite_autoindex_result",
-            ]
-            .iter()
-            .any(|prefix| word.starts_with(prefix))
+            ["job_", "result_", "sqlite_autoindex_job", "sqlite_autoindex_result"]
+                .iter()
+                .any(|prefix| word.starts_with(prefix))
         });
         index.is_some_and(|index| !SMALL_INDICES.contains(&index))
             && line.ends_with("(campaign_id=?)")
@@ -428,9 +386,7 @@ async fn no_frequent_statement_walks_all_jobs() {
     let mut connection = options.connect().await.expect("a database");
     let verbs = ["SELECT", "INSERT", "UPDATE", "DELETE"];
     assert!(
-        statements
-            .iter()
-            .any(|statement| statement.contains("GROUP BY campaign_id")),
+        statements.iter().any(|statement| statement.contains("GROUP BY campaign_id")),
         "no statement compares the leases of campaigns"
     );
     // The plan of inserting a provenance lists a search of the results that refer to it, which
@@ -463,12 +419,8 @@ async fn no_frequent_statement_walks_all_jobs() {
     // Regression: every settled rollout caused finished campaigns to be counted, derived and
     // scanned again.
     assert!(frequent.len() >= 15, "{frequent:#?}");
-    for part in [
-        "FROM derivation d JOIN",
-        "FROM stop s",
-        "ending_tally",
-        "record = 'transitions'",
-    ] {
+    for part in ["FROM derivation d JOIN", "FROM stop s", "ending_tally", "record = 'transitions'"]
+    {
         assert!(
             frequent.iter().any(|statement| statement.contains(part)),
             "{part} in {frequent:#?}"
@@ -476,10 +428,7 @@ async fn no_frequent_statement_walks_all_jobs() {
     }
     for statement in frequent.iter().filter(is_inspected) {
         let reads_outcomes = statement.contains("LEFT JOIN result r");
-        assert!(
-            !reads_outcomes,
-            "a finished campaign is read again by\n{statement}"
-        );
+        assert!(!reads_outcomes, "a finished campaign is read again by\n{statement}");
         let (mut faults, _) = inspect_plan(&mut connection, statement).await;
         faults.extend(campaign_walks(&mut connection, statement).await);
         assert!(faults.is_empty(), "{faults:?} in\n{statement}");
@@ -487,10 +436,8 @@ async fn no_frequent_statement_walks_all_jobs() {
     connection.close().await.expect("closes");
     for (name, walks) in &LOOPS {
         if let Captured(part) = walks {
-            let is_captured = statements
-                .iter()
-                .chain(&frequent)
-                .any(|statement| statement.contains(part));
+            let is_captured =
+                statements.iter().chain(&frequent).any(|statement| statement.contains(part));
             assert!(is_captured, "{name}: {part} in {statements:#?}");
         }
     }

@@ -39,10 +39,7 @@ pub enum Next<T> {
 
 impl<T> Default for Queue<T> {
     fn default() -> Self {
-        Self {
-            waiting: VecDeque::new(),
-            in_flight: 0,
-        }
+        Self { waiting: VecDeque::new(), in_flight: 0 }
     }
 }
 
@@ -184,11 +181,7 @@ mod tests {
         assert_eq!(queue.next(3, now), Next::Send(vec![3, 4, 5]));
         assert_eq!(queue.next(3, late), Next::Nothing);
         queue.done();
-        assert_eq!(
-            queue.next(3, late),
-            Next::Nothing,
-            "a single query waits for a free server"
-        );
+        assert_eq!(queue.next(3, late), Next::Nothing, "a single query waits for a free server");
         queue.done();
         assert_eq!(queue.next(3, late), Next::Send(vec![6]));
     }

@@ -30,13 +30,8 @@ impl Config {
             return Err(ConfigError::NoRoute);
         }
         for (index, route) in routes.iter().enumerate() {
-            if routes[..index]
-                .iter()
-                .any(|earlier| earlier.name == route.name)
-            {
-                return Err(ConfigError::DuplicateRoute {
-                    name: route.name.clone(),
-                });
+            if routes[..index].iter().any(|earlier| earlier.name == route.name) {
+                return Err(ConfigError::DuplicateRoute { name: route.name.clone() });
             }
             route.check()?;
         }
@@ -171,9 +166,8 @@ impl FromStr for RouteSpec {
     type Err = ConfigError;
 
     fn from_str(text: &str) -> Result<Self, ConfigError> {
-        let (name, replicas) = text.split_once('=').ok_or_else(|| ConfigError::Form {
-            text: text.to_owned(),
-        })?;
+        let (name, replicas) =
+            text.split_once('=').ok_or_else(|| ConfigError::Form { text: text.to_owned() })?;
         let name = name.parse()?;
         let replicas = replicas.split(',').map(str::parse);
         Ok(Self {
@@ -202,10 +196,7 @@ mod tests {
         check("expert", "NAME=BACKEND");
         check("=builtin:noop", "letters, digits");
         check("a b=builtin:noop", "letters, digits");
-        check(
-            "x=builtin:nope",
-            "noop, expert, student, student-randomised, student-boxes",
-        );
+        check("x=builtin:nope", "noop, expert, student, student-randomised, student-boxes");
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");
         check("x=vla-eval://host", "vla-eval://HOST:PORT");
@@ -220,10 +211,7 @@ mod tests {
         let route = |text: &str| text.parse::<RouteSpec>().expect(text);
         assert!(matches!(Config::new(vec![]), Err(ConfigError::NoRoute)));
         let twice = vec![route("x=builtin:noop"), route("x=grpc://h:1")];
-        assert!(matches!(
-            Config::new(twice),
-            Err(ConfigError::DuplicateRoute { .. })
-        ));
+        assert!(matches!(Config::new(twice), Err(ConfigError::DuplicateRoute { .. })));
         let same = vec![route("x=grpc://h:1,grpc://h:1")];
         let error = Config::new(same).expect_err("one server twice");
         assert!(error.to_string().contains("grpc://h:1 is given twice"));

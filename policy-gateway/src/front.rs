@@ -42,10 +42,7 @@ impl Front {
                 tracing::error!("the gateway in front of the server failed to {error}");
             }
         });
-        Ok(Self {
-            address,
-            _task: task,
-        })
+        Ok(Self { address, _task: task })
     }
 }
 

@@ -14,10 +14,8 @@ use rollout_types::Waits;
 
 /// Waits between probes of a server that could not be reached. A recovered server is in use again
 /// within the longest wait.
-pub const WAITS: Waits = Waits {
-    first: Duration::from_millis(100),
-    longest: Duration::from_secs(5),
-};
+pub const WAITS: Waits =
+    Waits { first: Duration::from_millis(100), longest: Duration::from_secs(5) };
 /// Waits between probes of a server that is out for any other reason.
 pub const BROKEN_WAITS: Waits = Waits::USUAL;
 /// Longest time for a probing session to produce an answer before another session may probe.
@@ -200,10 +198,7 @@ impl Health {
             Self::Up(errors) => {
                 if errors.comparable_text != comparable_text {
                     let tasks = vec![];
-                    *errors = Errors {
-                        comparable_text,
-                        tasks,
-                    };
+                    *errors = Errors { comparable_text, tasks };
                 }
                 if !errors.tasks.iter().any(|listed| listed == task) {
                     errors.tasks.push(task.to_owned());
@@ -215,16 +210,12 @@ impl Health {
                 self.failed(cause.clone(), now);
                 Some(cause)
             }
-            Self::Out(Outage {
-                cause: Cause::RepeatedError(earlier_error),
-                ..
-            }) if comparable(earlier_error) != comparable_text => {
+            Self::Out(Outage { cause: Cause::RepeatedError(earlier_error), .. })
+                if comparable(earlier_error) != comparable_text =>
+            {
                 // A different error shows that the server works again.
                 let tasks = vec![task.to_owned()];
-                *self = Self::Up(Errors {
-                    comparable_text,
-                    tasks,
-                });
+                *self = Self::Up(Errors { comparable_text, tasks });
                 None
             }
             Self::Out(outage) => {
@@ -289,11 +280,7 @@ mod tests {
             cause.prop_map(Event::Failed),
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Abandoned),
             (
-                prop_oneof![
-                    Just("ValueError: 1"),
-                    Just("KeyError"),
-                    Just("CUDA error: assert")
-                ],
+                prop_oneof![Just("ValueError: 1"), Just("KeyError"), Just("CUDA error: assert")],
                 0..4_usize
             )
                 .prop_map(|(error, task)| Event::Erred(error, task)),

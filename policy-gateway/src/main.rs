@@ -181,52 +181,24 @@ fn main() -> ExitCode {
     let arguments = arguments.unwrap_or_else(|error| error.exit());
     terminal::log("info");
     let done = match arguments.command {
-        Some(Command::Check {
-            url,
-            policy,
-            suite,
-            latency,
-            access,
-        }) => {
-            let target = |access| Target {
-                url,
-                policy,
-                suite,
-                access,
-            };
+        Some(Command::Check { url, policy, suite, latency, access }) => {
+            let target = |access| Target { url, policy, suite, access };
             check(target, access, latency.as_deref())
         }
         Some(Command::Compare(compare)) => exit_code_of(compare.run(&|line| print_line(&line))),
         Some(Command::Doctor(doctor)) => exit_code_of(doctor.run(&|line| print_line(&line))),
-        Some(Command::Record {
-            upstream,
-            output,
-            policy,
-            max_mib,
-            listen,
-        }) => {
-            let into = RecordInto {
-                max_bytes: max_mib << 20,
-                folder: output,
-            };
+        Some(Command::Record { upstream, output, policy, max_mib, listen }) => {
+            let into = RecordInto { max_bytes: max_mib << 20, folder: output };
             record(RouteSpec::new(policy, upstream), into, &listen)
         }
-        Some(Command::Replay {
-            folder,
-            policy,
-            listen,
-        }) => {
+        Some(Command::Replay { folder, policy, listen }) => {
             let route = RouteSpec::new(policy, BackendSpec::Replay(folder));
             serve_routes(vec![route], &listen)
         }
         Some(Command::Completions { shell }) => print_completions(shell),
         Some(Command::Manual { folder }) => manual(&folder),
         None => {
-            let Serve {
-                routes,
-                config: file,
-                listen,
-            } = arguments.serve;
+            let Serve { routes, config: file, listen } = arguments.serve;
             match file {
                 None => serve_routes(routes, &listen),
                 Some(file) => config::file::read(&file)
@@ -236,10 +208,7 @@ fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|error| {
-        terminal::complain(&format!(
-            "policy-gateway: failed to {}",
-            transport::chain(&*error)
-        ));
+        terminal::complain(&format!("policy-gateway: failed to {}", transport::chain(&*error)));
         ExitCode::FAILURE
     })
 }
@@ -288,9 +257,7 @@ fn record(route: RouteSpec, into: RecordInto, listen: &Listen) -> anyhow::Result
 /// Ends the program with a usage error.
 fn usage_error(error: &dyn std::error::Error) -> ! {
     let text = format!("failed to {error}");
-    Arguments::command()
-        .error(ErrorKind::ValueValidation, text)
-        .exit()
+    Arguments::command().error(ErrorKind::ValueValidation, text).exit()
 }
 
 /// Prints a verdict per point. The exit code is 1 if a point failed.
@@ -313,11 +280,7 @@ async fn check(
         front = Some(started);
     }
     let conforms = conformance::check(&target, &mut |finding| print_line(finding)).await?;
-    print_line(&if conforms {
-        "conforms"
-    } else {
-        "does not conform"
-    });
+    print_line(&if conforms { "conforms" } else { "does not conform" });
     if let Some(file) = latency {
         let measured = conformance::latency::measure(&target).await?;
         print_line(&measured.describe());
@@ -331,11 +294,7 @@ async fn check(
         ));
     }
     drop(front);
-    Ok(if conforms {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::FAILURE
-    })
+    Ok(if conforms { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// Runs a comparison or diagnosis. The exit code is 0 if nothing was found, else 1.
@@ -375,14 +334,8 @@ async fn serve(
     let listener = TcpListener::bind(listen)
         .await
         .with_context(|| format!("listen on {listen}: choose another --listen address"))?;
-    let address = listener
-        .local_addr()
-        .context("read the address listened on")?;
-    let tls_note = if security.is_encrypted() {
-        " over TLS"
-    } else {
-        ""
-    };
+    let address = listener.local_addr().context("read the address listened on")?;
+    let tls_note = if security.is_encrypted() { " over TLS" } else { "" };
     match terminal::print_line(&format!("listening on {address}{tls_note}")) {
         // Standard output may be a closed pipe.
         Err(error) if !reader_is_gone(&error) => {
@@ -440,9 +393,7 @@ mod tests {
     #[test]
     fn short_help_fits_a_screen() {
         let helps = helps::check(Arguments::command());
-        let check = helps
-            .iter()
-            .find(|help| help.words == "policy-gateway check");
+        let check = helps.iter().find(|help| help.words == "policy-gateway check");
         let check = check.expect("a command");
         assert!(check.short.len() < check.long.len(), "{}", check.short);
     }

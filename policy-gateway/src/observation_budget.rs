@@ -24,10 +24,7 @@ impl ObservationBudget {
     /// Reserves memory for a query's observation until the permit is dropped; `None` if the budget
     /// is exhausted.
     pub fn reserve(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
-        let frames = query
-            .observation
-            .iter()
-            .flat_map(|observation| &observation.images);
+        let frames = query.observation.iter().flat_map(|observation| &observation.images);
         let bytes = frames.map(|frame| frame.rgb.len()).sum::<usize>();
         // Messages are far smaller than 4 GiB.
         let bytes = u32::try_from(bytes.max(MIN_QUERY_BYTES)).ok()?;
@@ -42,15 +39,9 @@ mod tests {
     use super::*;
 
     fn query(frame_bytes: usize) -> InferRequest {
-        let frame = Image {
-            rgb: vec![0; frame_bytes].into(),
-            ..Image::default()
-        };
+        let frame = Image { rgb: vec![0; frame_bytes].into(), ..Image::default() };
         InferRequest {
-            observation: Some(Observation {
-                images: vec![frame],
-                ..Observation::default()
-            }),
+            observation: Some(Observation { images: vec![frame], ..Observation::default() }),
             ..InferRequest::default()
         }
     }
@@ -60,9 +51,7 @@ mod tests {
         let budget = ObservationBudget::default();
         let large = query(MAX_OBSERVATION_BYTES - MIN_QUERY_BYTES);
         let first = budget.reserve(&large).expect("memory");
-        let second = budget
-            .reserve(&query(0))
-            .expect("memory for a query without frames");
+        let second = budget.reserve(&query(0)).expect("memory for a query without frames");
         assert!(budget.reserve(&query(0)).is_none());
         drop(first);
         assert!(budget.reserve(&large).is_some());

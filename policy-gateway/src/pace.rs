@@ -166,11 +166,7 @@ mod tests {
         pace.sent(began);
         assert_eq!(pace.silent_at(began, LIMIT), began + LIMIT);
         pace.answered(1, began + millis(400));
-        assert_eq!(
-            pace.silent_at(began, LIMIT),
-            began + millis(400) + LIMIT,
-            "the server is busy"
-        );
+        assert_eq!(pace.silent_at(began, LIMIT), began + millis(400) + LIMIT, "the server is busy");
         let later = began + millis(500);
         assert_eq!(pace.silent_at(later, LIMIT), later + LIMIT);
     }

@@ -78,18 +78,11 @@ struct Answer {
 
 impl Session {
     fn new(pool: Arc<Pool>, reset: Option<ResetRequest>, state: SessionState) -> Arc<Self> {
-        Arc::new(Self {
-            pool,
-            reset,
-            last_call: Mutex::new(Instant::now()),
-            state: state.into(),
-        })
+        Arc::new(Self { pool, reset, last_call: Mutex::new(Instant::now()), state: state.into() })
     }
 
     fn last_call(&self) -> std::sync::MutexGuard<'_, Instant> {
-        self.last_call
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        self.last_call.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -132,10 +125,7 @@ impl Route {
     pub fn reload(&self, spec: &RouteSpec) -> Result<(), UnusableBackend> {
         let existing = self.checkpoints().replicas();
         let new = Arc::new(Checkpoints::new(spec, &existing)?);
-        *self
-            .checkpoints
-            .write()
-            .unwrap_or_else(PoisonError::into_inner) = new;
+        *self.checkpoints.write().unwrap_or_else(PoisonError::into_inner) = new;
         self.retired.store(false, Ordering::Relaxed);
         Ok(())
     }
@@ -180,11 +170,8 @@ impl Route {
         while let Some(replica) = pool.for_session(session, request.seed, &tried) {
             match open(&pool, &replica, &request).await {
                 Ok(described) => {
-                    let state = SessionState {
-                        described,
-                        open_on: vec![replica],
-                        last_answer: None,
-                    };
+                    let state =
+                        SessionState { described, open_on: vec![replica], last_answer: None };
                     let open = Session::new(Arc::clone(&pool), Some(request.clone()), state);
                     self.sessions().open(session, open);
                     return Ok(());
@@ -211,26 +198,18 @@ impl Route {
     /// (see [`policy_protocol::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
-        let _reserved = self
-            .budget
-            .reserve(&request)
-            .ok_or(RouteError::Overloaded)?;
+        let _reserved = self.budget.reserve(&request).ok_or(RouteError::Overloaded)?;
         let session = self.session(&request.session).await?;
         *session.last_call() = Instant::now();
         let mut state = session.state.lock().await;
         let query_index = request.query_index;
-        if let Some(answer) = state
-            .last_answer
-            .as_ref()
-            .filter(|answer| answer.query_index == query_index)
+        if let Some(answer) =
+            state.last_answer.as_ref().filter(|answer| answer.query_index == query_index)
         {
             return Ok(answer.response.clone());
         }
         let response = self.query_replicas(&session, &mut state, request).await?;
-        state.last_answer = Some(Answer {
-            query_index,
-            response: response.clone(),
-        });
+        state.last_answer = Some(Answer { query_index, response: response.clone() });
         Ok(response)
     }
 
@@ -303,11 +282,7 @@ impl Route {
             .describe(&replica, Call::InSession(name))
             .await
             .map_err(|error| self.failed(&replica, error))?;
-        let state = SessionState {
-            described,
-            open_on: vec![replica],
-            last_answer: None,
-        };
+        let state = SessionState { described, open_on: vec![replica], last_answer: None };
         let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
         // Another query of the session may have adopted the session meanwhile.
@@ -354,14 +329,11 @@ impl Route {
 
     fn pool(&self, suite: &str) -> Result<Arc<Pool>, RouteError> {
         let checkpoints = self.checkpoints();
-        checkpoints
-            .pool(suite)
-            .cloned()
-            .ok_or_else(|| RouteError::Suite {
-                route: self.name.clone(),
-                suite: suite.to_owned(),
-                known: checkpoints.suites(),
-            })
+        checkpoints.pool(suite).cloned().ok_or_else(|| RouteError::Suite {
+            route: self.name.clone(),
+            suite: suite.to_owned(),
+            known: checkpoints.suites(),
+        })
     }
 
     fn checkpoints(&self) -> Arc<Checkpoints> {
@@ -412,9 +384,7 @@ async fn open(
     replica: &Replica,
     request: &ResetRequest,
 ) -> Result<Arc<DescribeResponse>, BackendError> {
-    let described = pool
-        .describe(replica, Call::InSession(&request.session))
-        .await?;
+    let described = pool.describe(replica, Call::InSession(&request.session)).await?;
     replica.reset(request.clone()).await?;
     Ok(described)
 }
@@ -454,8 +424,6 @@ fn check_session(session: &str) -> Result<(), RouteError> {
     if (1..=MAX_SESSION_BYTES).contains(&session.len()) {
         Ok(())
     } else {
-        Err(RouteError::Session {
-            bytes: session.len(),
-        })
+        Err(RouteError::Session { bytes: session.len() })
     }
 }

@@ -39,15 +39,10 @@ impl Gateway {
     /// See [`UnusableBackend`].
     pub fn new(config: &Config) -> Result<Self, UnusableBackend> {
         let budget = Arc::<ObservationBudget>::default();
-        let routes = config
-            .routes()
-            .iter()
-            .map(|spec| Route::new(spec, Arc::clone(&budget)).map(Arc::new));
+        let routes =
+            config.routes().iter().map(|spec| Route::new(spec, Arc::clone(&budget)).map(Arc::new));
         let routes = routes.collect::<Result<Vec<_>, _>>()?;
-        Ok(Self {
-            routes: Arc::new(RwLock::new(routes)),
-            budget,
-        })
+        Ok(Self { routes: Arc::new(RwLock::new(routes)), budget })
     }
 
     /// Applies `config` to new sessions; open sessions keep their replicas.
@@ -122,11 +117,7 @@ impl Policy for Gateway {
         &self,
         request: Request<DescribeRequest>,
     ) -> Result<Response<DescribeResponse>, Status> {
-        let DescribeRequest {
-            protocol_version,
-            policy,
-            suite,
-        } = request.into_inner();
+        let DescribeRequest { protocol_version, policy, suite } = request.into_inner();
         if protocol_version != proto::PROTOCOL_VERSION {
             return Err(Status::failed_precondition(format!(
                 "the caller speaks policy protocol version {protocol_version}, this gateway \
@@ -158,9 +149,7 @@ impl Policy for Gateway {
         request: Request<InferRequest>,
     ) -> Result<Response<InferResponse>, Status> {
         let request = request.into_inner();
-        Ok(Response::new(
-            self.route(&request.policy)?.infer(request).await?,
-        ))
+        Ok(Response::new(self.route(&request.policy)?.infer(request).await?))
     }
 
     /// Queries are sent to their back-ends concurrently, each as if it had been sent alone. If a

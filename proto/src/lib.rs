@@ -16,9 +16,7 @@ impl policy::DescribeResponse {
     pub fn settings_problem(&self) -> Option<String> {
         let count = self.settings.len();
         if count > MAX_SETTINGS {
-            return Some(format!(
-                "names {count} settings: at most {MAX_SETTINGS} are recorded"
-            ));
+            return Some(format!("names {count} settings: at most {MAX_SETTINGS} are recorded"));
         }
         self.settings.iter().enumerate().find_map(|(index, setting)| {
             let name = &setting.name;

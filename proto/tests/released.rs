@@ -36,9 +36,7 @@ fn properties(pool: &DescriptorPool) -> Vec<String> {
         properties.push(format!("message {}", message.full_name()));
         properties.extend(message.fields().map(|field| {
             let (kind, name, number) = (field.kind(), field.full_name(), field.number());
-            let oneof = field
-                .containing_oneof()
-                .map(|oneof| oneof.name().to_owned());
+            let oneof = field.containing_oneof().map(|oneof| oneof.name().to_owned());
             let (cardinality, presence) = (field.cardinality(), field.supports_presence());
             let packed = field.is_packed();
             format!("{name} = {number}: {cardinality:?} {kind:?} {oneof:?} {presence} {packed}")
@@ -65,17 +63,12 @@ fn properties(pool: &DescriptorPool) -> Vec<String> {
 fn incompatible_changes(released: &DescriptorPool, current: &DescriptorPool) -> Vec<String> {
     let current_properties = properties(current);
     let released_properties = properties(released).into_iter();
-    released_properties
-        .filter(|property| !current_properties.contains(property))
-        .collect()
+    released_properties.filter(|property| !current_properties.contains(property)).collect()
 }
 
 #[test]
 fn the_protocol_is_compatible_with_the_released_file() {
-    assert_eq!(
-        incompatible_changes(&released(), &current_protocol()),
-        Vec::<String>::new()
-    );
+    assert_eq!(incompatible_changes(&released(), &current_protocol()), Vec::<String>::new());
 }
 
 #[test]
@@ -90,11 +83,7 @@ fn incompatible_changes_of_a_released_file_are_detected() {
         std::fs::write(folder.join("changed.proto"), changed).expect("written");
         let changed = compiled(&folder, "changed.proto");
         std::fs::remove_dir_all(folder).expect("its own folder");
-        assert_eq!(
-            !incompatible_changes(&released(), &changed).is_empty(),
-            breaks,
-            "{to}"
-        );
+        assert_eq!(!incompatible_changes(&released(), &changed).is_empty(), breaks, "{to}");
     };
     check("uint32 horizon = 8;", "uint32 horizon = 80;", true);
     check("uint32 horizon = 8;", "uint32 chunk = 8;", true);
@@ -147,10 +136,8 @@ fn message(pool: &DescriptorPool, name: &str) -> MessageDescriptor {
 /// Checks that today's types decode an older peer's message completely, and that an
 /// older peer decodes today's message despite its new fields.
 fn check<T: Message + Default>(name: &str) {
-    let (released, current_protocol) = (
-        message(&released(), name),
-        message(&current_protocol(), name),
-    );
+    let (released, current_protocol) =
+        (message(&released(), name), message(&current_protocol(), name));
     let older = filled(&released);
     let decoded = T::decode(older.encode_to_vec().as_slice()).expect("an older message");
     let back = DynamicMessage::decode(released.clone(), decoded.encode_to_vec().as_slice());
@@ -159,11 +146,7 @@ fn check<T: Message + Default>(name: &str) {
     let newer = T::decode(filled(&current_protocol).encode_to_vec().as_slice()).expect("a message");
     let read = DynamicMessage::decode(released, newer.encode_to_vec().as_slice());
     let read = read.expect("a newer message");
-    for field in older
-        .descriptor()
-        .fields()
-        .filter(|field| !is_message(field))
-    {
+    for field in older.descriptor().fields().filter(|field| !is_message(field)) {
         assert_eq!(read.get_field(&field), older.get_field(&field), "{name}");
     }
 }

@@ -141,10 +141,7 @@ impl Browser {
         while self.try_value(&format!("Boolean({expression})")) != Ok(true.into()) {
             if start.elapsed() > PATIENCE {
                 let page = self.value("document.body.innerText");
-                panic!(
-                    "timed out: {expression}\n{}",
-                    page.as_str().unwrap_or_default()
-                );
+                panic!("timed out: {expression}\n{}", page.as_str().unwrap_or_default());
             }
             thread::sleep(POLL_INTERVAL);
         }
@@ -185,10 +182,7 @@ impl Browser {
         self.command("Emulation.setDeviceMetricsOverride", &size);
         let scheme = if screen.is_dark { "dark" } else { "light" };
         let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
-        self.command(
-            "Emulation.setEmulatedMedia",
-            &json!({ "features": features }),
-        );
+        self.command("Emulation.setEmulatedMedia", &json!({ "features": features }));
     }
 
     /// Takes a screenshot, PNG.
@@ -238,8 +232,7 @@ impl Browser {
             command["sessionId"] = self.session.clone().into();
         }
         let sent = self.commands.write_all(format!("{command}\0").as_bytes());
-        sent.and_then(|()| self.commands.flush())
-            .expect("a command is sent");
+        sent.and_then(|()| self.commands.flush()).expect("a command is sent");
         loop {
             let mut message = match self.messages.recv_timeout(PATIENCE) {
                 Ok(message) => message,
@@ -259,9 +252,9 @@ impl Browser {
     fn record(&mut self, message: &Value) {
         let params = &message["params"];
         match message["method"].as_str().unwrap_or_default() {
-            "Runtime.exceptionThrown" => self
-                .console_errors
-                .push(params["exceptionDetails"].to_string()),
+            "Runtime.exceptionThrown" => {
+                self.console_errors.push(params["exceptionDetails"].to_string())
+            }
             "Runtime.consoleAPICalled" if params["type"] == "error" => {
                 self.console_errors.push(params["args"].to_string());
             }

@@ -58,18 +58,12 @@ fn differing_name(model: &Model, task: &ReferenceTask) -> Result<Option<String>>
     ];
     for (key, kind) in kinds {
         let expected = task.names(key)?;
-        let ours: Vec<_> = (0..model.count(kind))
-            .map(|id| model.name(kind, id))
-            .collect();
+        let ours: Vec<_> = (0..model.count(kind)).map(|id| model.name(kind, id)).collect();
         if let Some(id) =
             (0..ours.len().max(expected.len())).find(|id| ours.get(*id) != expected.get(*id))
         {
             let name_at = |names: &[Option<String>]| {
-                names
-                    .get(id)
-                    .cloned()
-                    .flatten()
-                    .unwrap_or_else(|| "nothing".to_owned())
+                names.get(id).cloned().flatten().unwrap_or_else(|| "nothing".to_owned())
             };
             return Ok(Some(format!(
                 "{key}[{id}]: {} instead of {}",
@@ -91,9 +85,7 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
             continue;
         }
         let array = ours.iter().find(|array| array.name == name);
-        let values = &array
-            .with_context(|| format!("no array `{name}` in our model"))?
-            .values;
+        let values = &array.with_context(|| format!("no array `{name}` in our model"))?.values;
         ensure!(
             values.len() == expected.values.len(),
             "array `{name}` has {} values instead of {}",
@@ -102,14 +94,8 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
         );
         for (index, (ours, theirs)) in values.iter().zip(&expected.values).enumerate() {
             let scale = ours.abs().max(theirs.abs()).max(1e-300);
-            let difference = if ours == theirs {
-                0.0
-            } else {
-                (ours - theirs).abs() / scale
-            };
-            worst.add(difference, || {
-                format!("{name}[{index}]: {ours} instead of {theirs}")
-            });
+            let difference = if ours == theirs { 0.0 } else { (ours - theirs).abs() / scale };
+            worst.add(difference, || format!("{name}[{index}]: {ours} instead of {theirs}"));
         }
     }
     Ok(worst)

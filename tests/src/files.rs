@@ -60,9 +60,7 @@ pub fn libero(sources: &Sources, test: &str) -> Option<AssetPack> {
 /// Returns a folder of the reference data beside this checkout. If it does not exist, prints
 /// that `test` is skipped and returns `None`.
 pub fn shared(folder: &str, test: &str) -> Option<PathBuf> {
-    let dir = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../shared")
-        .join(folder);
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared").join(folder);
     if dir.is_dir() {
         return Some(dir);
     }

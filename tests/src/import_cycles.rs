@@ -65,11 +65,9 @@ pub fn import_cycles(src: &Path) -> Result<Vec<ImportCycle>> {
     Ok(components(&imports)
         .into_iter()
         .map(|members| {
-            let edges = members.iter().flat_map(|from| {
-                imports[from]
-                    .iter()
-                    .map(move |(to, items)| (from, to, items))
-            });
+            let edges = members
+                .iter()
+                .flat_map(|from| imports[from].iter().map(move |(to, items)| (from, to, items)));
             ImportCycle {
                 imports: edges
                     .filter(|(_, to, _)| members.contains(*to))
@@ -126,11 +124,7 @@ impl PathUse {
         module: &Module,
         files: &BTreeMap<Module, PathBuf>,
     ) -> Option<(Module, String)> {
-        let supers = self
-            .segments
-            .iter()
-            .take_while(|segment| *segment == "super")
-            .count();
+        let supers = self.segments.iter().take_while(|segment| *segment == "super").count();
         let up = module.len().checked_sub(supers.saturating_sub(self.depth));
         let (base, rest) = match self.segments.first()?.as_str() {
             "crate" => (&[][..], &self.segments[1..]),
@@ -143,9 +137,8 @@ impl PathUse {
             }
         };
         let full_path = [base, rest].concat();
-        let length = (0..=full_path.len())
-            .rev()
-            .find(|length| files.contains_key(&full_path[..*length]))?;
+        let length =
+            (0..=full_path.len()).rev().find(|length| files.contains_key(&full_path[..*length]))?;
         let target = full_path[..length].to_vec();
         let reexports_child = self.is_reexport && target.starts_with(module);
         if target == *module || reexports_child {
@@ -179,16 +172,9 @@ fn collect(tokens: TokenStream, depth: usize, paths: &mut Vec<PathUse>) {
             }
             TokenTree::Ident(word) if word == "pub" => is_reexport = true,
             TokenTree::Ident(word) if word == "use" => {
-                let length = tokens[at..]
-                    .iter()
-                    .take_while(|token| !is_punct(token, ';'))
-                    .count();
+                let length = tokens[at..].iter().take_while(|token| !is_punct(token, ';')).count();
                 for segments in use_tree(&tokens[at..at + length]) {
-                    paths.push(PathUse {
-                        segments,
-                        is_reexport,
-                        depth,
-                    });
+                    paths.push(PathUse { segments, is_reexport, depth });
                 }
                 at += length;
                 is_reexport = false;
@@ -201,11 +187,7 @@ fn collect(tokens: TokenStream, depth: usize, paths: &mut Vec<PathUse>) {
                     at += 3;
                 }
                 if segments.len() > 1 {
-                    paths.push(PathUse {
-                        segments,
-                        is_reexport: false,
-                        depth,
-                    });
+                    paths.push(PathUse { segments, is_reexport: false, depth });
                 }
                 is_reexport = false;
             }
@@ -235,10 +217,7 @@ fn item_length(tokens: &[TokenTree]) -> usize {
             matches!(token, TokenTree::Group(group) if group.delimiter() == Delimiter::Brace);
         braces || is_punct(token, ';')
     };
-    tokens
-        .iter()
-        .position(ends)
-        .map_or(tokens.len(), |last| last + 1)
+    tokens.iter().position(ends).map_or(tokens.len(), |last| last + 1)
 }
 
 /// Expands the tokens between `use` and its semicolon to paths.
@@ -262,10 +241,9 @@ fn use_tree(tokens: &[TokenTree]) -> Vec<Vec<String>> {
             }
             match inner {
                 None => vec![prefix],
-                Some(inner) => inner
-                    .into_iter()
-                    .map(|rest| [&prefix[..], &rest].concat())
-                    .collect(),
+                Some(inner) => {
+                    inner.into_iter().map(|rest| [&prefix[..], &rest].concat()).collect()
+                }
             }
         })
         .collect()
@@ -290,18 +268,12 @@ fn components(imports: &Imports) -> Vec<BTreeSet<Module>> {
     let components: BTreeSet<BTreeSet<Module>> = reached
         .iter()
         .map(|(from, targets)| {
-            let reaches_back = |to: &&Module| {
-                reached
-                    .get(to)
-                    .is_some_and(|targets| targets.contains(*from))
-            };
+            let reaches_back =
+                |to: &&Module| reached.get(to).is_some_and(|targets| targets.contains(*from));
             targets.iter().filter(reaches_back).cloned().collect()
         })
         .collect();
-    components
-        .into_iter()
-        .filter(|members: &BTreeSet<Module>| members.len() > 1)
-        .collect()
+    components.into_iter().filter(|members: &BTreeSet<Module>| members.len() > 1).collect()
 }
 
 #[cfg(test)]
@@ -324,10 +296,7 @@ mod tests {
     fn an_import_cycle_is_found_with_its_files_and_items() {
         let cycles = cycles_among(&[
             ("lib.rs", "mod a; mod b; mod c;\npub use a::A;"),
-            (
-                "a.rs",
-                "use crate::b::{B, deep::{C as D, E}};\npub struct A;",
-            ),
+            ("a.rs", "use crate::b::{B, deep::{C as D, E}};\npub struct A;"),
             ("b.rs", "use super::c;"),
             ("b/deep.rs", "pub struct C; pub struct E;"),
             ("c.rs", "pub fn a() -> crate::a::A { crate::a::A }"),
@@ -362,10 +331,7 @@ mod tests {
     #[test]
     fn reexports_of_children_and_test_code_are_ignored() {
         let cycles = cycles_among(&[
-            (
-                "lib.rs",
-                "pub mod a; mod b;\npub use a::child::C;\npub(crate) use b::B;",
-            ),
+            ("lib.rs", "pub mod a; mod b;\npub use a::child::C;\npub(crate) use b::B;"),
             (
                 "a.rs",
                 "pub mod child; pub use child::{C, D};

@@ -70,11 +70,7 @@ impl Spread {
         values.sort_by(f64::total_cmp);
         let (least, most) = (*values.first()?, *values.last()?);
         let (below, above) = (values[(values.len() - 1) / 2], values[values.len() / 2]);
-        Some(Self {
-            median: (below + above) / 2.0,
-            least,
-            most,
-        })
+        Some(Self { median: (below + above) / 2.0, least, most })
     }
 }
 
@@ -86,10 +82,7 @@ mod tests {
     fn a_spread_has_the_median_the_least_and_the_most() {
         let spread = Spread::from_values(&[3.0, 1.0, 7.0]).unwrap();
         assert_eq!((spread.median, spread.least, spread.most), (3.0, 1.0, 7.0));
-        assert_eq!(
-            Spread::from_values(&[4.0, 1.0, 2.0, 9.0]).unwrap().median,
-            3.0
-        );
+        assert_eq!(Spread::from_values(&[4.0, 1.0, 2.0, 9.0]).unwrap().median, 3.0);
         assert_eq!(Spread::from_values(&[]), None);
     }
 

@@ -44,22 +44,14 @@ impl Process {
     /// # Panics
     /// If the server exits or prints a different line.
     pub fn serve(command: &mut Command) -> Self {
-        let mut child = command
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("the program starts");
+        let mut child = command.stdout(Stdio::piped()).spawn().expect("the program starts");
         let stdout = child.stdout.take().expect("a pipe");
         let mut line = String::new();
         BufReader::new(stdout).read_line(&mut line).expect("a line");
-        let address = line
-            .strip_prefix("listening on ")
-            .unwrap_or_else(|| panic!("{line:?}"));
+        let address = line.strip_prefix("listening on ").unwrap_or_else(|| panic!("{line:?}"));
         let address = address.split([',', ' ', '\n']).next().unwrap_or_default();
         let bare = address.strip_prefix("http://").unwrap_or(address);
-        Self {
-            child,
-            url: format!("http://{bare}"),
-        }
+        Self { child, url: format!("http://{bare}") }
     }
 
     /// Starts a worker.
@@ -77,14 +69,8 @@ impl Process {
     /// # Panics
     /// If it cannot be started.
     pub fn start(command: &mut Command) -> Self {
-        let child = command
-            .stdout(Stdio::null())
-            .spawn()
-            .expect("the program starts");
-        Self {
-            child,
-            url: String::new(),
-        }
+        let child = command.stdout(Stdio::null()).spawn().expect("the program starts");
+        Self { child, url: String::new() }
     }
 
     pub fn id(&self) -> u32 {
@@ -110,9 +96,7 @@ impl Process {
     /// # Panics
     /// If the signal cannot be sent.
     pub fn signal(&self, name: &str) {
-        let status = Command::new("kill")
-            .args([name, &self.child.id().to_string()])
-            .status();
+        let status = Command::new("kill").args([name, &self.child.id().to_string()]).status();
         assert!(status.expect("kill runs").success());
     }
 }
@@ -146,10 +130,7 @@ impl Campaigns {
             gateway.args(["--route", route]);
         }
         gateway.args(["--route", &format!("student={backend}")]);
-        Self {
-            coordinator: serve(data, "127.0.0.1:0"),
-            gateway: Process::serve(&mut gateway),
-        }
+        Self { coordinator: serve(data, "127.0.0.1:0"), gateway: Process::serve(&mut gateway) }
     }
 
     /// Kills the coordinator abruptly, like a power failure.
@@ -161,11 +142,7 @@ impl Campaigns {
 
     /// Restarts a killed coordinator on its data and address.
     pub fn restart_coordinator(&mut self, data: &Path) {
-        let address = self
-            .coordinator
-            .url
-            .trim_start_matches("http://")
-            .to_owned();
+        let address = self.coordinator.url.trim_start_matches("http://").to_owned();
         self.coordinator = serve(data, &address);
     }
 
@@ -218,10 +195,7 @@ impl Campaigns {
     pub fn wait_for_commits(&self, name: &str, count: Option<usize>) {
         let start = Instant::now();
         loop {
-            let lines = self
-                .succeed(&["export", name, "--format", "jsonl"])
-                .lines()
-                .count();
+            let lines = self.succeed(&["export", name, "--format", "jsonl"]).lines().count();
             let status = self.succeed(&["campaign", "status", name]);
             let is_finished = status.contains("finished");
             if is_finished || count.is_some_and(|count| lines >= count) {

@@ -13,16 +13,8 @@ pub const NODES: [&str; 2] = ["n1", "n2"];
 /// Partitions; jobs in the second preempt jobs in the first.
 pub const PARTITIONS: [&str; 2] = ["low", "high"];
 /// Required programs of Slurm and munge.
-const PROGRAMS: [&str; 8] = [
-    "munged",
-    "slurmctld",
-    "slurmd",
-    "sbatch",
-    "scancel",
-    "scontrol",
-    "sinfo",
-    "squeue",
-];
+const PROGRAMS: [&str; 8] =
+    ["munged", "slurmctld", "slurmd", "sbatch", "scancel", "scontrol", "sinfo", "squeue"];
 /// Debian's folder of daemons, which may be missing from `PATH`.
 const DAEMON_FOLDER: &str = "/usr/sbin";
 /// Timeout of the cluster's operations.
@@ -65,10 +57,8 @@ impl Cluster {
         if !is_resolvable {
             return Err(format!("this machine's name, {host}, has no address"));
         }
-        let mut cluster = Self {
-            folder: tempfile::tempdir().expect("a folder"),
-            daemons: Vec::new(),
-        };
+        let mut cluster =
+            Self { folder: tempfile::tempdir().expect("a folder"), daemons: Vec::new() };
         cluster.configure(&host);
         cluster.start_daemons();
         cluster.wait_for("both nodes are idle", |cluster| {
@@ -92,10 +82,7 @@ impl Cluster {
         self.write("munge.key", &key);
         set_mode(&self.path("munge.key"), 0o600);
         std::fs::create_dir(self.path("state")).expect("a folder");
-        self.write(
-            "gres.conf",
-            b"NodeName=n1 Name=gpu Count=1 File=/dev/null\n",
-        );
+        self.write("gres.conf", b"NodeName=n1 Name=gpu Count=1 File=/dev/null\n");
         let user = Command::new("id").arg("-un").output().expect("id runs");
         let user = String::from_utf8_lossy(&user.stdout).trim().to_owned();
         let folder = self.folder.path().display();
@@ -171,9 +158,7 @@ impl Cluster {
         let mut daemon = self.command(name);
         daemon.args(arguments).stdin(Stdio::null());
         daemon.stdout(Stdio::null()).stderr(Stdio::null());
-        let daemon = daemon
-            .spawn()
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        let daemon = daemon.spawn().unwrap_or_else(|error| panic!("{name}: {error}"));
         self.daemons.push(daemon);
     }
 
@@ -201,12 +186,7 @@ impl Cluster {
     /// # Panics
     /// If the command fails.
     pub fn command_output(&self, program: &str, arguments: &[&str]) -> String {
-        succeeded(
-            self.command(program)
-                .args(arguments)
-                .output()
-                .expect(program),
-        )
+        succeeded(self.command(program).args(arguments).output().expect(program))
     }
 
     /// Submits a shell command with options of sbatch and returns the job's id.
@@ -217,17 +197,12 @@ impl Cluster {
         let log = format!("--output={}", self.path("jobs.log").display());
         let wrapped = format!("--wrap={command}");
         let more = ["--parsable", "--open-mode=append", &log, &wrapped];
-        self.command_output("sbatch", &[options, &more].concat())
-            .trim()
-            .to_owned()
+        self.command_output("sbatch", &[options, &more].concat()).trim().to_owned()
     }
 
     /// Returns the state of a job, given by its id: `12` or `12_1`.
     pub fn job(&self, id: &str) -> Job {
-        let output = self
-            .command("scontrol")
-            .args(["show", "job", "-o", id])
-            .output();
+        let output = self.command("scontrol").args(["show", "job", "-o", id]).output();
         let output = output.expect("scontrol runs");
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         let line = text.lines().next().unwrap_or_default();

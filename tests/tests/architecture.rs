@@ -15,11 +15,7 @@ fn cargo(arguments: &[&str]) -> Vec<u8> {
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
         .output()
         .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     output.stdout
 }
 
@@ -32,16 +28,7 @@ fn metadata(arguments: &[&str]) -> Value {
 /// Dependencies of the packages that the cargo arguments `packages` select, each with the features
 /// that these packages enable.
 fn features(packages: &[&str], edges: &str) -> BTreeSet<String> {
-    let tree = [
-        "tree",
-        "--prefix",
-        "none",
-        "--no-dedupe",
-        "--format",
-        "{p} {f}",
-        "--edges",
-        edges,
-    ];
+    let tree = ["tree", "--prefix", "none", "--no-dedupe", "--format", "{p} {f}", "--edges", edges];
     let text = String::from_utf8(cargo(&[&tree, packages].concat())).unwrap();
     text.lines().map(str::to_owned).collect()
 }
@@ -102,9 +89,7 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
         let normal = all.iter().filter(|dependency| dependency["kind"].is_null());
         normal.map(|dependency| text(&dependency["name"])).collect()
     };
-    let named = packages
-        .iter()
-        .map(|package| (text(&package["name"]), normal(package)));
+    let named = packages.iter().map(|package| (text(&package["name"]), normal(package)));
     named.collect()
 }
 
@@ -114,10 +99,7 @@ fn layers() -> Vec<Vec<String>> {
     let page = std::fs::read_to_string(path).unwrap();
     let rule = "A crate uses only crates on the lines below its own.";
     let (before, _) = page.split_once(rule).expect("the page states the rule");
-    let diagram = before
-        .rsplit("```")
-        .nth(1)
-        .expect("a diagram before the rule");
+    let diagram = before.rsplit("```").nth(1).expect("a diagram before the rule");
     let line = |line: &str| line.split_whitespace().map(str::to_owned).collect();
     diagram.trim().lines().map(line).collect()
 }
@@ -161,23 +143,15 @@ fn violations(
 fn crates_use_only_crates_on_lower_lines_of_the_diagram() {
     let (layers, dependencies) = (layers(), dependencies());
     let unknown = layers.iter().flatten();
-    let unknown: Vec<_> = unknown
-        .filter(|name| !dependencies.contains_key(*name))
-        .collect();
-    assert!(
-        unknown.is_empty(),
-        "not crates of the workspace: {unknown:?}"
-    );
+    let unknown: Vec<_> = unknown.filter(|name| !dependencies.contains_key(*name)).collect();
+    assert!(unknown.is_empty(), "not crates of the workspace: {unknown:?}");
     let violations = violations(&layers, &dependencies);
     assert!(violations.is_empty(), "{violations:#?}");
 }
 
 #[test]
 fn an_upward_or_sideways_dependency_is_found() {
-    let layers = [
-        vec!["top".to_owned(), "side".to_owned()],
-        vec!["low".to_owned()],
-    ];
+    let layers = [vec!["top".to_owned(), "side".to_owned()], vec!["low".to_owned()]];
     let used = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
     let graph = [
         ("top", used(&["low", "side"])),
@@ -206,10 +180,7 @@ fn sources(folder: &Path, ending: &str) -> String {
         let path = entry.unwrap().path();
         if path.is_dir() {
             text.push_str(&sources(&path, ending));
-        } else if path
-            .extension()
-            .is_some_and(|extension| extension == ending)
-        {
+        } else if path.extension().is_some_and(|extension| extension == ending) {
             text.push_str(&std::fs::read_to_string(&path).unwrap());
         }
     }
@@ -236,9 +207,7 @@ fn root() -> &'static Path {
 fn names(page: &str) -> Vec<&str> {
     let outside = page.split("\n```").step_by(2);
     let quoted = outside.flat_map(|prose| prose.split('`').skip(1).step_by(2));
-    quoted
-        .filter(|word| !word.is_empty() && !word.contains(char::is_whitespace))
-        .collect()
+    quoted.filter(|word| !word.is_empty() && !word.contains(char::is_whitespace)).collect()
 }
 
 /// Returns true for a name in snake case of at least three words.
@@ -277,9 +246,7 @@ fn pages_name_only_files_and_tests_that_exist() {
         code.push_str(&sources(&root().join(folder), "py"));
     }
     let is_word_character = |character: char| character.is_ascii_alphanumeric() || character == '_';
-    let words: BTreeSet<&str> = code
-        .split(|character| !is_word_character(character))
-        .collect();
+    let words: BTreeSet<&str> = code.split(|character| !is_word_character(character)).collect();
     let exists = |name: &str| match name.split_once('/') {
         Some((folder, _)) if !folder.is_empty() && root().join(folder).join("").is_dir() => {
             root().join(name).exists()

@@ -53,10 +53,7 @@ fn check_export(rows: &[String]) {
     }
     assert_eq!(ids.len(), ROLLOUTS);
     assert_eq!(conditions.len(), 1 + CONDITIONS * Level::PERTURBED.len());
-    assert!(
-        conditions.values().all(|count| *count == TASKS.len()),
-        "{conditions:?}"
-    );
+    assert!(conditions.values().all(|count| *count == TASKS.len()), "{conditions:?}");
 }
 
 /// Asserts that the cells of all three levels are complete: each has the paired measures of the two
@@ -82,11 +79,7 @@ fn check_report(report: &str) {
             assert_eq!(alone["n"], TASKS.len(), "{axis}: {cell}");
         }
         for subset in SUBSETS.split(',') {
-            assert_eq!(
-                cell["subsets"][subset]["n"],
-                TASKS.len(),
-                "{subset}: {cell}"
-            );
+            assert_eq!(cell["subsets"][subset]["n"], TASKS.len(), "{subset}: {cell}");
         }
     }
 }
@@ -143,9 +136,8 @@ fn check_stored(stored: &BTreeMap<RolloutId, Stored>) {
 fn stored(data: &Path) -> BTreeMap<RolloutId, Stored> {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let rows: Vec<(String, String)> = runtime.block_on(async {
-        let options = SqliteConnectOptions::new()
-            .filename(data.join("coordinator.sqlite"))
-            .read_only(true);
+        let options =
+            SqliteConnectOptions::new().filename(data.join("coordinator.sqlite")).read_only(true);
         let mut database = SqliteConnection::connect_with(&options).await.unwrap();
         let rows = sqlx::query_as(
             "SELECT j.manifest_row, r.realised

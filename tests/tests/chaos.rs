@@ -49,10 +49,7 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let expected = Fleet::start(slots).outcome();
     // The smaller campaign, with MuJoCo, has seven rollouts.
     let results = expected.matches("\"success\":").count();
-    assert!(
-        results >= 7,
-        "the undisturbed campaign has {results} results"
-    );
+    assert!(results >= 7, "the undisturbed campaign has {results} results");
     let count = seeds.len();
     let (seeds, failed) = (Mutex::new(seeds), Mutex::new(Vec::new()));
     std::thread::scope(|threads| {
@@ -96,10 +93,7 @@ fn ends_as_expected(schedule: &Schedule, slots: SlotKind, expected: &str) -> boo
         let outcome = fleet.outcome();
         let charged = usize::try_from(count(&fleet, CHARGED)).expect("few");
         let most = schedule.charged_faults();
-        assert!(
-            charged <= most,
-            "{charged} attempts are charged, {most} at most"
-        );
+        assert!(charged <= most, "{charged} attempts are charged, {most} at most");
         outcome
     }));
     let is_same = played.as_deref().is_ok_and(|outcome| outcome == expected);
@@ -127,10 +121,7 @@ fn difference(expected: &str, outcome: &str) -> String {
 fn workers_suspended_beyond_their_leases_lose_no_result() {
     // With several workers, a rollout might be leased to another worker before the suspended worker
     // wakes.
-    let mut fleet = Fleet::start_with(Plan {
-        workers: 1,
-        ..Plan::small(SlotKind::Simulated)
-    });
+    let mut fleet = Fleet::start_with(Plan { workers: 1, ..Plan::small(SlotKind::Simulated) });
     fleet.wait_for_commits(3);
     for _ in 0..3 {
         fleet.stop_all_workers(LEASE + Duration::from_secs(2));
@@ -146,10 +137,7 @@ fn workers_suspended_beyond_their_leases_lose_no_result() {
 fn repeated_network_outages_charge_neither_rollouts_nor_workers() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..6 {
-        fleet.inject(Fault::Block(
-            Link::ToCoordinator,
-            LEASE + Duration::from_secs(1),
-        ));
+        fleet.inject(Fault::Block(Link::ToCoordinator, LEASE + Duration::from_secs(1)));
         std::thread::sleep(Duration::from_millis(300));
     }
     fleet.outcome();

@@ -17,9 +17,7 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
     let mut command = Command::new("timeout");
     command.args(["--signal=TERM", "60"]).arg(program(name));
     command.args(arguments);
-    command
-        .env_clear()
-        .env("PATH", std::env::var_os("PATH").expect("a path"));
+    command.env_clear().env("PATH", std::env::var_os("PATH").expect("a path"));
     // The programs need these to find the build's libraries.
     for variable in ["HOME", "LD_LIBRARY_PATH"] {
         command.envs(std::env::var_os(variable).map(|value| (variable, value)));
@@ -29,9 +27,7 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
 }
 
 fn run(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Output {
-    command(name, arguments, variables)
-        .output()
-        .expect("an output")
+    command(name, arguments, variables).output().expect("an output")
 }
 
 /// Runs a server until it listens, sends SIGTERM, and returns its output and exit code.
@@ -43,13 +39,7 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
     out.read_line(&mut output).expect("a line");
     // `timeout` forwards the signal.
     let id = child.id().to_string();
-    assert!(
-        Command::new("kill")
-            .args(["-TERM", &id])
-            .status()
-            .expect("kill")
-            .success()
-    );
+    assert!(Command::new("kill").args(["-TERM", &id]).status().expect("kill").success());
     out.read_to_string(&mut output).expect("the rest");
     let code = child.wait().expect("an exit status").code();
     (output, code.expect("no signal ended it"))
@@ -58,9 +48,7 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
 /// Returns the exit codes in the table of docs/OPERATING.md.
 fn documented_codes() -> Vec<i32> {
     let page = std::fs::read_to_string(checkout().join("docs/OPERATING.md")).expect("the page");
-    let section = page
-        .split("\n## ")
-        .find(|part| part.starts_with("Exit codes"));
+    let section = page.split("\n## ").find(|part| part.starts_with("Exit codes"));
     let rows = section.expect("the section").lines();
     let code = |row: &str| row.strip_prefix("| ")?.split(' ').next()?.parse().ok();
     rows.filter_map(code).collect()
@@ -74,23 +62,11 @@ fn exit_codes_equal_the_documented_table() {
     let manifest = path("manifest.jsonl");
     let url = format!("http://{UNUSED_ADDRESS}");
     let grpc = format!("grpc://{UNUSED_ADDRESS}");
-    let expand = [
-        "manifest",
-        "expand",
-        "--version",
-        "v0.1",
-        "--output",
-        &manifest,
-    ];
+    let expand = ["manifest", "expand", "--version", "v0.1", "--output", &manifest];
     let serves = ["serve", "--data", &data, "--listen", "127.0.0.1:0"];
     let (output, ended) = serve("coordinator", &serves, &[]);
     assert!(output.ends_with("stopped\n"), "{output}");
-    let gateway = [
-        "--listen",
-        "127.0.0.1:0",
-        "--route",
-        "expert=builtin:expert",
-    ];
+    let gateway = ["--listen", "127.0.0.1:0", "--route", "expert=builtin:expert"];
     let (_, gateway_ended) = serve("policy-gateway", &gateway, &[]);
     let mut found = vec![("coordinator serve".to_owned(), 0, ended)];
     found.push(("policy-gateway".to_owned(), 0, gateway_ended));
@@ -116,39 +92,23 @@ fn exit_codes_equal_the_documented_table() {
     let empty = path("empty.jsonl");
     std::fs::write(&empty, "{}\n").expect("written");
     check(1, "coordinator", &["manifest", "check", &empty]);
-    check(
-        1,
-        "coordinator",
-        &["campaign", "list", "--connect", &url, "--retry-secs", "0"],
-    );
+    check(1, "coordinator", &["campaign", "list", "--connect", &url, "--retry-secs", "0"]);
     check(2, "coordinator", &["report", "--from", &missing]);
     check(2, "coordinator", &["manifest", "check", &missing]);
     check(2, "coordinator", &["check", &missing]);
     check(2, "coordinator", &[]);
     check(2, "coordinator", &["serve"]);
-    check(
-        2,
-        "coordinator",
-        &["serve", "--data", &data, "--listen", "0.0.0.0:0"],
-    );
+    check(2, "coordinator", &["serve", "--data", &data, "--listen", "0.0.0.0:0"]);
     check(2, "coordinator", &["campaign", "create", "--name", "a b"]);
     check(1, "worker", &["--connect", &url, "--assets", &missing]);
     check(1, "worker", &["bench", "--assets", &missing]);
     check(2, "worker", &[]);
-    check(
-        2,
-        "worker",
-        &["--connect", UNUSED_ADDRESS, "--assets", "primitives"],
-    );
+    check(2, "worker", &["--connect", UNUSED_ADDRESS, "--assets", "primitives"]);
     check(1, "policy-gateway", &["compare", &grpc, &grpc]);
     check(1, "policy-gateway", &["--config", &missing]);
     check(2, "policy-gateway", &[]);
     check(2, "policy-gateway", &["--route", "nonsense"]);
-    check(
-        2,
-        "policy-gateway",
-        &[&gateway[2..], &["--listen", "0.0.0.0:0"]].concat(),
-    );
+    check(2, "policy-gateway", &[&gateway[2..], &["--listen", "0.0.0.0:0"]].concat());
     for (label, expected, code) in &found {
         assert_eq!(code, expected, "{label}");
     }
@@ -168,9 +128,7 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
     let mut described: Vec<(String, String)> = Vec::new();
     for line in help.lines() {
         let indent = line.len() - line.trim_start().len();
-        let mut words = line
-            .split_whitespace()
-            .skip_while(|word| word.ends_with(','));
+        let mut words = line.split_whitespace().skip_while(|word| word.ends_with(','));
         let flag = words.next().and_then(|word| word.strip_prefix("--"));
         if let Some(flag) = flag.filter(|_| indent <= 6) {
             described.push((flag.to_owned(), String::new()));
@@ -220,11 +178,8 @@ fn server_options_come_from_the_environment_unless_the_command_line_sets_them() 
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (data, other) = (path("data"), path("other"));
-    let variables = [
-        ("ROLLOUT_DATA", &*data),
-        ("ROLLOUT_LISTEN", "127.0.0.1:0"),
-        ("ROLLOUT_MIN_FREE_MIB", ""),
-    ];
+    let variables =
+        [("ROLLOUT_DATA", &*data), ("ROLLOUT_LISTEN", "127.0.0.1:0"), ("ROLLOUT_MIN_FREE_MIB", "")];
     let (output, code) = serve("coordinator", &["serve"], &variables);
     assert!(output.contains(&format!("data in {data}")), "{output}");
     assert_eq!(code, 0);
@@ -252,52 +207,22 @@ fn server_options_come_from_the_environment_unless_the_command_line_sets_them() 
 #[test]
 fn an_invalid_variable_is_refused_by_servers_and_ignored_by_other_commands() {
     for (name, arguments, variable, value) in [
-        (
-            "coordinator",
-            &["serve", "--data", "d"][..],
-            "ROLLOUT_LISTEN",
-            "here",
-        ),
-        (
-            "coordinator",
-            &["serve", "--data", "d"],
-            "ROLLOUT_INSECURE",
-            "perhaps",
-        ),
-        (
-            "worker",
-            &["--connect", "http://h:1"],
-            "ROLLOUT_SLOTS",
-            "many",
-        ),
-        (
-            "policy-gateway",
-            &["--listen", "127.0.0.1:0"],
-            "ROLLOUT_ROUTE",
-            "nonsense",
-        ),
+        ("coordinator", &["serve", "--data", "d"][..], "ROLLOUT_LISTEN", "here"),
+        ("coordinator", &["serve", "--data", "d"], "ROLLOUT_INSECURE", "perhaps"),
+        ("worker", &["--connect", "http://h:1"], "ROLLOUT_SLOTS", "many"),
+        ("policy-gateway", &["--listen", "127.0.0.1:0"], "ROLLOUT_ROUTE", "nonsense"),
     ] {
         let output = run(name, arguments, &[(variable, value)]);
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{stderr}");
         let named = format!("the value comes from the environment variable {variable}");
-        assert!(
-            stderr.contains(&named) && stderr.contains(value),
-            "{stderr}"
-        );
+        assert!(stderr.contains(&named) && stderr.contains(value), "{stderr}");
     }
     // An error about a value on the command line does not name a variable.
     let arguments = ["serve", "--data", "d", "--listen", "there"];
-    let output = run(
-        "coordinator",
-        &arguments,
-        &[("ROLLOUT_LISTEN", "127.0.0.1:0")],
-    );
+    let output = run("coordinator", &arguments, &[("ROLLOUT_LISTEN", "127.0.0.1:0")]);
     let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        stderr.contains("there") && !stderr.contains("the environment"),
-        "{stderr}"
-    );
+    assert!(stderr.contains("there") && !stderr.contains("the environment"), "{stderr}");
     // Commands that lack these options ignore the variables, which a systemd unit may set.
     for (name, arguments) in [
         ("worker", &["assets", "list", "primitives"][..]),
@@ -307,9 +232,7 @@ fn an_invalid_variable_is_refused_by_servers_and_ignored_by_other_commands() {
     ] {
         let variables = ["LISTEN", "SLOTS", "ROUTE", "RENDERER", "INSECURE"];
         let variables = variables.map(|name| (format!("ROLLOUT_{name}"), "nonsense"));
-        let variables = variables
-            .each_ref()
-            .map(|(name, value)| (name.as_str(), *value));
+        let variables = variables.each_ref().map(|(name, value)| (name.as_str(), *value));
         let output = run(name, arguments, &variables);
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{name} {arguments:?}: {stderr}");

@@ -84,10 +84,7 @@ policy-gateway --config gateway.toml
     let failures = failures("page.md", page);
     let expected: [(&str, &str); 3] = [
         ("page.md:3: the command ended with status 1", "spoken"),
-        (
-            "page.md:6: the server ended at once",
-            "choose another address",
-        ),
+        ("page.md:6: the server ended at once", "choose another address"),
         ("page.md:15: the server ended at once", "gateway.toml"),
     ];
     assert_eq!(failures.len(), expected.len(), "{failures:?}");

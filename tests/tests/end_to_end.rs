@@ -21,29 +21,13 @@ fn the_same_campaign_twice_gives_the_same_outcomes_and_step_counts() {
     let first = campaigns.outcomes("first");
     assert_eq!(first.len(), 2 * 2 * CONDITIONS);
     assert_eq!(first, campaigns.outcomes("second"));
-    assert!(
-        first.iter().any(|row| row.contains("\"success\":true")),
-        "the expert never succeeds"
-    );
+    assert!(first.iter().any(|row| row.contains("\"success\":true")), "the expert never succeeds");
 
     let report = campaigns.succeed(&["report", "first", "--full"]);
-    for word in [
-        "camera",
-        "actuation",
-        "R_e",
-        "R_c",
-        "primitives",
-        "privileged",
-    ] {
-        assert!(
-            report.contains(word),
-            "no `{word}` in the report:\n{report}"
-        );
+    for word in ["camera", "actuation", "R_e", "R_c", "primitives", "privileged"] {
+        assert!(report.contains(word), "no `{word}` in the report:\n{report}");
     }
-    assert!(
-        report.lines().all(|line| line.chars().count() <= 80),
-        "{report}"
-    );
+    assert!(report.lines().all(|line| line.chars().count() <= 80), "{report}");
 }
 
 #[test]
@@ -62,10 +46,7 @@ fn killing_a_worker_changes_no_outcome() {
     let _successor = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("disturbed", None);
     assert_eq!(campaigns.outcomes("disturbed").len(), 2 * CONDITIONS);
-    assert_eq!(
-        campaigns.outcomes("disturbed"),
-        campaigns.outcomes("undisturbed")
-    );
+    assert_eq!(campaigns.outcomes("disturbed"), campaigns.outcomes("undisturbed"));
 }
 
 #[test]
@@ -110,30 +91,12 @@ fn grpc_url(policy: &Process) -> String {
 /// Runs one rollout with a policy server behind a gateway.
 fn roll_out(name: &str, policy: &Process) {
     let mut gateway = Command::new(program("policy-gateway"));
-    gateway.args([
-        "--listen",
-        "127.0.0.1:0",
-        "--route",
-        &format!("{name}={}", grpc_url(policy)),
-    ]);
+    gateway.args(["--listen", "127.0.0.1:0", "--route", &format!("{name}={}", grpc_url(policy))]);
     let gateway = Process::serve(&mut gateway);
     let output = tempfile::tempdir().unwrap();
     let status = Command::new(program("worker"))
-        .args([
-            "rollout",
-            "--id",
-            "spatial/t0/sensor/L1/c00",
-            "--assets",
-            "primitives",
-        ])
-        .args([
-            "--policy",
-            name,
-            "--endpoint",
-            &gateway.url,
-            "--no-video",
-            "--output",
-        ])
+        .args(["rollout", "--id", "spatial/t0/sensor/L1/c00", "--assets", "primitives"])
+        .args(["--policy", name, "--endpoint", &gateway.url, "--no-video", "--output"])
         .arg(output.path())
         .status()
         .unwrap();
@@ -144,14 +107,8 @@ fn roll_out(name: &str, policy: &Process) {
 
 /// Runs a program with invalid input; returns its exit code and error output.
 fn refusal(name: &str, arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(program(name))
-        .args(arguments)
-        .output()
-        .unwrap();
-    (
-        output.status.code(),
-        String::from_utf8_lossy(&output.stderr).into_owned(),
-    )
+    let output = Command::new(program(name)).args(arguments).output().unwrap();
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
 #[test]
@@ -176,18 +133,8 @@ fn invalid_input_is_refused_with_its_place_and_the_remedy() {
         2,
         &["libero_sptial", "libero_spatial"],
     );
-    check(
-        "coordinator",
-        &create("libero_goal/10", "camera"),
-        2,
-        &["libero_goal/10"],
-    );
-    check(
-        "coordinator",
-        &create("libero_goal/1", "colour"),
-        2,
-        &["colour", "lighting"],
-    );
+    check("coordinator", &create("libero_goal/10", "camera"), 2, &["libero_goal/10"]);
+    check("coordinator", &create("libero_goal/1", "colour"), 2, &["colour", "lighting"]);
     check(
         "coordinator",
         &create("libero_goal/1", "camera"),
@@ -201,17 +148,7 @@ fn invalid_input_is_refused_with_its_place_and_the_remedy() {
             "--output", "/dev/null/x", "--assets", assets,
         ]
     };
-    check(
-        "worker",
-        &rollout("/no/such/folder"),
-        1,
-        &["/no/such/folder", "--assets"],
-    );
+    check("worker", &rollout("/no/such/folder"), 1, &["/no/such/folder", "--assets"]);
     check("worker", &["--slots", "2"], 2, &["--connect"]);
-    check(
-        "policy-gateway",
-        &["--route", "x=builtin:exprt"],
-        2,
-        &["exprt", "expert"],
-    );
+    check("policy-gateway", &["--route", "x=builtin:exprt"], 2, &["exprt", "expert"]);
 }

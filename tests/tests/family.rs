@@ -59,10 +59,7 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
         let files = TaskFiles::of_variant(&sources, &variant);
         if !(files.bddl.is_file() && files.init.is_file()) {
             let folder = Sources::family(sources.dir(), Benchmark::Plus);
-            println!(
-                "skipped {test}: {variant}: no task files at {}",
-                folder.display()
-            );
+            println!("skipped {test}: {variant}: no task files at {}", folder.display());
             continue;
         }
         pack.provide_with_bar(std::slice::from_ref(&files)).unwrap();
@@ -94,15 +91,10 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
         check("reset", &environment.state());
         let model = environment.model();
         let camera = model.id(ObjectKind::Camera, "agentview").unwrap();
-        let pose = [
-            &model.cam_pos()[camera * 3..][..3],
-            &model.cam_quat()[camera * 4..][..4],
-        ];
+        let pose = [&model.cam_pos()[camera * 3..][..3], &model.cam_quat()[camera * 4..][..4]];
         check("camera", &pose.concat());
         let mut rng = LegacyRng::seed(SEED);
-        environment
-            .reset(&mut rng, Reset::Hard, MODEL_LOADS)
-            .unwrap();
+        environment.reset(&mut rng, Reset::Hard, MODEL_LOADS).unwrap();
         check("draw", &[rng.random_sample()]);
         begin(&mut environment, Start::Reset, 15);
         check("reset-only", &environment.state());
@@ -110,10 +102,7 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
         check("official", &environment.state());
     }
     for (kind, (difference, variant)) in largest {
-        assert!(
-            difference <= TOLERANCE,
-            "{kind} of {variant} differs by {difference:e}"
-        );
+        assert!(difference <= TOLERANCE, "{kind} of {variant} differs by {difference:e}");
     }
 }
 
@@ -136,9 +125,7 @@ fn corruption_draws_as_many_random_numbers_as_the_original() {
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
-        environment
-            .reset(&mut rng, Reset::Hard, MODEL_LOADS)
-            .unwrap();
+        environment.reset(&mut rng, Reset::Hard, MODEL_LOADS).unwrap();
         // One picture of the reset, and one of each of the ten waits.
         for _ in 0..11 {
             corruption.skip(256, 256, &mut rng);
@@ -168,21 +155,14 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
         let name = fields.next().unwrap();
         let trial: u16 = fields.next().unwrap().parse().unwrap();
         let expected: Vec<f64> = fields.map(|field| field.parse().unwrap()).collect();
-        let task = suite
-            .suite
-            .tasks()
-            .find(|task| task.name() == name)
-            .unwrap();
+        let task = suite.suite.tasks().find(|task| task.name() == name).unwrap();
         let files = TaskFiles::of_pro_task(&sources, suite, task);
         if !(files.bddl.is_file() && files.init.is_file()) {
             let folder = Sources::family(sources.dir(), Benchmark::Pro);
             println!("skipped {test}: no task files at {}", folder.display());
             return;
         }
-        let pack = match (
-            AssetPack::files_of_tasks(std::slice::from_ref(&files)),
-            &pro_pack,
-        ) {
+        let pack = match (AssetPack::files_of_tasks(std::slice::from_ref(&files)), &pro_pack) {
             (Ok(_), _) => {
                 pack.provide_with_bar(std::slice::from_ref(&files)).unwrap();
                 &pack
@@ -263,11 +243,7 @@ fn held_out_variants_of_libero_plus_equal_the_originals() {
 fn tasks_of_every_suite_of_libero_pro_equal_the_originals() {
     let test = "tasks_of_every_suite_of_libero_pro_equal_the_originals";
     let suite = |recording: &Recording| recording.name.split_once('/').unwrap().0.to_owned();
-    let all: BTreeSet<_> = recordings(Benchmark::Pro)
-        .unwrap()
-        .iter()
-        .map(suite)
-        .collect();
+    let all: BTreeSet<_> = recordings(Benchmark::Pro).unwrap().iter().map(suite).collect();
     assert!(ProSuite::all().all(|suite| all.contains(&suite.to_string())));
     compare_chosen(Benchmark::Pro, test, |_| true);
 }
@@ -314,21 +290,11 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
         .filter(|entry| entry.variant.task == task && entry.assets() == Assets::NewObjects);
     let mut variants: Vec<Variant> = of_task.map(|entry| entry.variant).collect();
     variants.sort_by_key(|variant| {
-        TaskFiles::of_variant(&sources, variant)
-            .problem()
-            .unwrap()
-            .objects
-            .len()
+        TaskFiles::of_variant(&sources, variant).problem().unwrap().objects.len()
     });
     let list = |variant: &Variant| {
         let mut command = Command::new(program("worker"));
-        command.args([
-            "variants",
-            "--list",
-            "--variant",
-            &variant.to_string(),
-            "--assets",
-        ]);
+        command.args(["variants", "--list", "--variant", &variant.to_string(), "--assets"]);
         let run = command.arg(folder.path()).output().unwrap();
         String::from_utf8(run.stdout).unwrap()
     };
@@ -351,18 +317,12 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
             std::fs::write(path, ADDED_MODEL).unwrap();
             std::fs::write(meshes.join("shape.obj"), ADDED_SHAPE).unwrap();
         }
-        assert!(
-            list(&variant).trim_end().ends_with("\truns"),
-            "{}",
-            list(&variant)
-        );
+        assert!(list(&variant).trim_end().ends_with("\truns"), "{}", list(&variant));
         // Compiling compares the width of the variant's initial state with the model's.
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
-        environment
-            .reset(&mut rng, Reset::Hard, MODEL_LOADS)
-            .unwrap();
+        environment.reset(&mut rng, Reset::Hard, MODEL_LOADS).unwrap();
         let state = environment.state();
         for object in &added {
             let model = environment.model();
@@ -371,11 +331,7 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
             let at = 1 + model.jnt_qposadr()[joint] as usize + 3;
             let turned = [0.5_f64.sqrt(), 0.0, 0.0, 0.5_f64.sqrt()];
             let difference = difference(&state[at..at + 4], &turned);
-            assert!(
-                difference < 1e-6,
-                "{variant} {}: {difference:e}",
-                object.name
-            );
+            assert!(difference < 1e-6, "{variant} {}: {difference:e}", object.name);
         }
         counts.push(added.len());
     }

@@ -62,12 +62,8 @@ fn creation<'a>(campaigns: &'a Campaigns, policy: &'a str, more: &[&'a str]) -> 
 /// Reads the outcomes that a coordinator has stored.
 async fn stored(data: &Path) -> Outcomes {
     let path = data.join("coordinator.sqlite");
-    let options = sqlx::sqlite::SqliteConnectOptions::new()
-        .filename(path)
-        .read_only(true);
-    let mut database = sqlx::SqliteConnection::connect_with(&options)
-        .await
-        .expect("a database");
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path).read_only(true);
+    let mut database = sqlx::SqliteConnection::connect_with(&options).await.expect("a database");
     let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
         "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
              r.first_frame_digest, r.prompt
@@ -76,20 +72,10 @@ async fn stored(data: &Path) -> Outcomes {
     .fetch_all(&mut database)
     .await
     .expect("results");
-    let rows = rows
-        .into_iter()
-        .map(|(id, success, steps, scene, state, frame, prompt)| {
-            let digests = [scene, state, frame];
-            (
-                id,
-                Outcome {
-                    success,
-                    steps,
-                    digests,
-                    prompt,
-                },
-            )
-        });
+    let rows = rows.into_iter().map(|(id, success, steps, scene, state, frame, prompt)| {
+        let digests = [scene, state, frame];
+        (id, Outcome { success, steps, digests, prompt })
+    });
     rows.collect()
 }
 
@@ -118,9 +104,7 @@ fn run_variants(campaigns: &Campaigns, more: &[&str], output: &Path) -> Outcomes
     let errors = String::from_utf8_lossy(&run.stderr);
     assert!(run.status.success(), "{errors}");
     let text = std::fs::read_to_string(output.join("results.jsonl")).expect("results");
-    let rows = text
-        .lines()
-        .map(|line| serde_json::from_str(line).expect("JSON"));
+    let rows = text.lines().map(|line| serde_json::from_str(line).expect("JSON"));
     let id = |row: &Value| {
         let name = row["variant"].as_str().expect("a name").to_owned();
         let path = output.join(&name).join("result.json");
@@ -147,10 +131,7 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
     let (names, ids) = variants("a_campaign_of_variants_has_the_outcomes_of_worker_variants");
     let joined = names.join(",");
     let created = campaigns.succeed(&creation(&campaigns, "student", &["--variant", &joined]));
-    assert!(
-        created.contains(&format!("{} rollouts", ids.len())),
-        "{created}"
-    );
+    assert!(created.contains(&format!("{} rollouts", ids.len())), "{created}");
     let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("plus", None);
     let export = campaigns.succeed(&["export", "plus", "--format", "jsonl"]);
@@ -175,38 +156,22 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
     // The changes reached the simulator: no two variants have the same first frames. Variants of
     // the language are left out, because another instruction changes no picture.
     let visual = outcomes.iter().filter(|(id, _)| !id.contains("language"));
-    let frames: BTreeSet<&String> = visual
-        .clone()
-        .map(|(_, outcome)| &outcome.digests[2])
-        .collect();
+    let frames: BTreeSet<&String> =
+        visual.clone().map(|(_, outcome)| &outcome.digests[2]).collect();
     assert_eq!(frames.len(), visual.count(), "{outcomes:?}");
 
     let report = campaigns.succeed(&["report", "plus"]);
-    for word in [
-        "under protocol plus-official",
-        "unperturbed",
-        "camera",
-        "robot",
-        "noise",
-    ] {
-        assert!(
-            report.contains(word),
-            "no `{word}` in the report:\n{report}"
-        );
+    for word in ["under protocol plus-official", "unperturbed", "camera", "robot", "noise"] {
+        assert!(report.contains(word), "no `{word}` in the report:\n{report}");
     }
-    assert!(
-        report.lines().all(|line| line.chars().count() <= 80),
-        "{report}"
-    );
+    assert!(report.lines().all(|line| line.chars().count() <= 80), "{report}");
     assert!(!report.contains("R_e"), "{report}");
     let json = campaigns.succeed(&["report", "plus", "--json"]);
     let json: Value = serde_json::from_str(&json).expect("JSON");
     let all = &json["family"]["all"];
     let count = Value::from(names.len());
     assert_eq!((&all["rollouts"], &all["pairs"]), (&count, &count));
-    let perturbed = outcomes
-        .iter()
-        .filter(|(id, _)| !id.contains("unperturbed"));
+    let perturbed = outcomes.iter().filter(|(id, _)| !id.contains("unperturbed"));
     let successes = perturbed.filter(|(_, outcome)| outcome.success).count();
     assert_eq!(all["successes"], successes);
     let groups = json["family"]["groups"].as_array().map(Vec::len);
@@ -247,31 +212,20 @@ fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() 
     sources_without(Benchmark::Plus, &sources);
     let mut command = Command::new(program("worker"));
     command.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
-    command
-        .args(["--assets", "primitives", "--sources"])
-        .arg(&sources);
+    command.args(["--assets", "primitives", "--sources"]).arg(&sources);
     let log_file = std::fs::File::create(&log).expect("a file");
     let _worker = Process::start(command.stderr(log_file));
     // The unperturbed rollout and that of the camera need LIBERO's files only.
     campaigns.wait_for_commits("plus", Some(2));
     let remedy = "worker assets fetch --suite libero-plus";
     let start = Instant::now();
-    while !std::fs::read_to_string(&log)
-        .expect("the log")
-        .contains(remedy)
-    {
-        assert!(
-            start.elapsed() < Duration::from_secs(120),
-            "no remedy in the log"
-        );
+    while !std::fs::read_to_string(&log).expect("the log").contains(remedy) {
+        assert!(start.elapsed() < Duration::from_secs(120), "no remedy in the log");
         std::thread::sleep(Duration::from_millis(200));
     }
     let shown = ["jobs", "show", "plus", "goal/t8/plus:level1_sample1/i00"];
     let layout = campaigns.succeed(&shown);
-    assert!(
-        layout.contains("attempts       0,"),
-        "never leased: {layout}"
-    );
+    assert!(layout.contains("attempts       0,"), "never leased: {layout}");
     let report = campaigns.succeed(&["report", "plus", "--json"]);
     let report: Value = serde_json::from_str(&report).expect("JSON");
     let counts = ["missing", "quarantined"].map(|name| report["family"][name].clone());
@@ -301,18 +255,9 @@ fn invalid_campaigns_and_commands_for_variants_are_refused_with_the_remedy() {
         (&["--dimension", "sound"], "valid are background"),
         (&["--dimension", "noise", "--trials", "3"], "leave it out"),
         (&["--dimension", "noise", "--replicates", "2"], "write 1"),
-        (
-            &["--dimension", "noise", "--execution", "hold:2"],
-            "leave it out",
-        ),
-        (
-            &["--dimension", "noise", "--record", "transitions"],
-            "write none, failures or all",
-        ),
-        (
-            &["--dimension", "noise", "--stop", "I excludes 0"],
-            "leave it out",
-        ),
+        (&["--dimension", "noise", "--execution", "hold:2"], "leave it out"),
+        (&["--dimension", "noise", "--record", "transitions"], "write none, failures or all"),
+        (&["--dimension", "noise", "--stop", "I excludes 0"], "leave it out"),
     ] {
         let refused = campaigns.call(&creation(&campaigns, "noop", more));
         let errors = String::from_utf8_lossy(&refused.stderr);
@@ -321,10 +266,9 @@ fn invalid_campaigns_and_commands_for_variants_are_refused_with_the_remedy() {
     }
     let noise = ["--dimension", "noise", "--suites", "libero_goal"];
     campaigns.succeed(&creation(&campaigns, "noop", &noise));
-    for arguments in [
-        &["explain", "plus", "--create"][..],
-        &["report", "plus", "--table", "table.csv"],
-    ] {
+    for arguments in
+        [&["explain", "plus", "--create"][..], &["report", "plus", "--table", "table.csv"]]
+    {
         let refused = campaigns.call(arguments);
         let errors = String::from_utf8_lossy(&refused.stderr);
         assert!(!refused.status.success(), "{arguments:?}");
@@ -358,14 +302,8 @@ fn the_sentences_of_libero_para_come_from_a_checkout_only() {
     sources_without(Benchmark::Para, &sources);
     let empty = folder.path().to_str().expect("UTF-8");
     for (more, expected) in [
-        (
-            &["libero-para"][..],
-            "no package index has them; run `git clone",
-        ),
-        (
-            &["libero-para", "--checkout", empty],
-            "4093 of 4093 files are missing",
-        ),
+        (&["libero-para"][..], "no package index has them; run `git clone"),
+        (&["libero-para", "--checkout", empty], "4093 of 4093 files are missing"),
         (&["libero-pro", "--checkout", empty], "leave --checkout out"),
     ] {
         let refused = fetch(&sources, more);
@@ -377,11 +315,7 @@ fn the_sentences_of_libero_para_come_from_a_checkout_only() {
     listed.args(["variants", "--para", "hint", "--sources"]);
     let listed = listed.arg(&sources).output().expect("the worker runs");
     let listed = String::from_utf8_lossy(&listed.stdout);
-    for words in [
-        "act pragmatical",
-        "Missing:",
-        "git -C LIBERO-Para checkout dec2d93",
-    ] {
+    for words in ["act pragmatical", "Missing:", "git -C LIBERO-Para checkout dec2d93"] {
         assert!(listed.contains(words), "{listed}");
     }
 }
@@ -395,11 +329,7 @@ async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
     let folder = tempfile::tempdir().unwrap();
     let (data, sources) = (folder.path().join("data"), folder.path().join("sources"));
     sources_without(Benchmark::Para, &sources);
-    let from = [
-        "libero-para",
-        "--checkout",
-        checkout.to_str().expect("UTF-8"),
-    ];
+    let from = ["libero-para", "--checkout", checkout.to_str().expect("UTF-8")];
     let fetched = fetch(&sources, &from);
     let errors = String::from_utf8_lossy(&fetched.stderr);
     assert!(fetched.status.success(), "{errors}");
@@ -414,28 +344,20 @@ async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
     assert!(created.contains("3 rollouts"), "{created}");
     let mut worker = Command::new(program("worker"));
     worker.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
-    worker
-        .args(["--assets", "primitives", "--sources"])
-        .arg(&sources);
+    worker.args(["--assets", "primitives", "--sources"]).arg(&sources);
     let _worker = Process::start(&mut worker);
     campaigns.wait_for_commits("para", None);
     let outcomes = stored(&data).await;
-    let prompts = outcomes
-        .iter()
-        .map(|(id, outcome)| (id.as_str(), outcome.prompt.as_str()));
+    let prompts = outcomes.iter().map(|(id, outcome)| (id.as_str(), outcome.prompt.as_str()));
     let metadata = checkout.join("metrics/libero_para_metadata.csv");
     let metadata = std::fs::read_to_string(metadata).expect("the metadata");
     let sentence = |start: &str| {
         let line = metadata.lines().find(|line| line.starts_with(start));
-        line.and_then(|line| line.split(',').nth(5))
-            .expect("a sentence")
+        line.and_then(|line| line.split(',').nth(5)).expect("a sentence")
     };
     // The sentence of the type `hint` has a capital letter, which the prompt keeps.
     let expected = [
-        (
-            "goal/t8/para:act_hint_1/i00",
-            sentence("act,pragmatical,hint,3,1,"),
-        ),
+        ("goal/t8/para:act_hint_1/i00", sentence("act,pragmatical,hint,3,1,")),
         (
             "goal/t8/para:obj_contextual_2/i00",
             sentence("obj,lexical,same_polarity_contextual,3,2,"),
@@ -452,13 +374,7 @@ async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
     let alone = run_variants(&campaigns, &["--para", types, "--sources", sources], &alone);
     assert_eq!(outcomes, alone);
     let report = campaigns.succeed(&["report", "para"]);
-    for words in [
-        "para-official",
-        "obj lexical",
-        "act pragmatical",
-        "PRIDE",
-        "α 0.5",
-    ] {
+    for words in ["para-official", "obj lexical", "act pragmatical", "PRIDE", "α 0.5"] {
         assert!(report.contains(words), "{report}");
     }
 }

@@ -164,12 +164,7 @@ fn depths_and_segments_equal_those_of_opengl() {
     ];
     let sources = sources();
     let pack = primitives(&sources);
-    for task in [
-        "libero_spatial/0",
-        "libero_object/0",
-        "libero_goal/0",
-        "libero_10/0",
-    ] {
+    for task in ["libero_spatial/0", "libero_object/0", "libero_goal/0", "libero_10/0"] {
         let task: TaskRef = task.parse().unwrap();
         let files = TaskFiles::of_task(&sources, task);
         let scene = compose(&files.problem().unwrap(), &pack, &sources, ENV_SEED).unwrap();
@@ -180,18 +175,14 @@ fn depths_and_segments_equal_those_of_opengl() {
             let [ours, theirs] = drawers
                 .each_ref()
                 .map(|drawer| environment.segmentation(drawer, camera, SIZE).unwrap());
-            let kinds: BTreeSet<_> = ours
-                .iter()
-                .flatten()
-                .map(|segment| (segment.kind, segment.id))
-                .collect();
+            let kinds: BTreeSet<_> =
+                ours.iter().flatten().map(|segment| (segment.kind, segment.id)).collect();
             assert!(kinds.len() > 5, "{task} {camera} shows {kinds:?}");
             let differ = ours.iter().zip(&theirs).filter(|(a, b)| a != b).count();
             println!("{task} {camera}: {differ} segments differ");
             assert!(differ <= LIMIT, "{task} {camera}: {differ} segments differ");
-            let [ours, theirs] = drawers
-                .each_ref()
-                .map(|drawer| environment.depth(drawer, camera, SIZE).unwrap());
+            let [ours, theirs] =
+                drawers.each_ref().map(|drawer| environment.depth(drawer, camera, SIZE).unwrap());
             assert!(ours.iter().all(|depth| (0.0..=1.0).contains(depth)));
             let differ = ours.iter().zip(&theirs);
             let differ = differ.filter(|(a, b)| (*a - *b).abs() > 1e-6).count();
@@ -239,18 +230,11 @@ fn fixtures_are_placed_where_the_original_places_them() {
         let scene = compose(&problem, &pack, &sources, ENV_SEED).unwrap();
         assert_eq!(scene.fixture_poses.len(), poses.len(), "{task}");
         for expected in poses {
-            let ours = scene
-                .fixture_poses
-                .iter()
-                .find(|pose| pose.root_body == expected.root_body);
+            let ours = scene.fixture_poses.iter().find(|pose| pose.root_body == expected.root_body);
             let ours = ours.unwrap_or_else(|| panic!("{task}: no {}", expected.root_body));
             let pairs = ours.pos.iter().chain(&ours.quat);
             for (ours, theirs) in pairs.zip(expected.pos.iter().chain(&expected.quat)) {
-                assert!(
-                    (ours - theirs).abs() < 1e-12,
-                    "{task} {}: {ours}",
-                    expected.root_body
-                );
+                assert!((ours - theirs).abs() < 1e-12, "{task} {}: {ours}", expected.root_body);
             }
         }
     }
@@ -268,14 +252,10 @@ fn the_arm_moves_as_in_the_original_with_any_asset_pack() {
     });
     for (task, motion) in figures().arm {
         let task: TaskRef = task.parse().unwrap();
-        let id: RolloutId = format!(
-            "{}/t{}/clean/i{:02}",
-            task.suite().short_name(),
-            task.index(),
-            motion.init_id
-        )
-        .parse()
-        .unwrap();
+        let id: RolloutId =
+            format!("{}/t{}/clean/i{:02}", task.suite().short_name(), task.index(), motion.init_id)
+                .parse()
+                .unwrap();
         let row = ManifestRow::new(id, motion.init_id, motion.init_id, Perturbation::default());
         let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
         episode.settle().unwrap();

@@ -95,9 +95,7 @@ fn planted_outcomes() -> String {
             })
         });
         for (id, success) in nominal.chain(perturbed) {
-            rows.push_str(&format!(
-                "{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"
-            ));
+            rows.push_str(&format!("{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"));
         }
     }
     rows
@@ -153,9 +151,8 @@ fn outcomes_by_radius() -> String {
             for config in 0..2 {
                 let from = failure_radius(index, config, condition);
                 let recovers = condition == conditions[0] && index == 2;
-                for radius in (1..)
-                    .map(|k| step * f64::from(k))
-                    .take_while(|radius| *radius <= most)
+                for radius in
+                    (1..).map(|k| step * f64::from(k)).take_while(|radius| *radius <= most)
                 {
                     let level = Level::of_radius(radius).unwrap();
                     let id = RolloutId::perturbed(task, condition, level, config).unwrap();
@@ -164,9 +161,7 @@ fn outcomes_by_radius() -> String {
             }
         }
         for (id, success) in all {
-            rows.push_str(&format!(
-                "{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"
-            ));
+            rows.push_str(&format!("{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"));
         }
     }
     rows
@@ -229,11 +224,7 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
         std::fs::create_dir_all(folder).unwrap();
     }
     // Colours do not change the layout, so they matter only to screenshots.
-    let themes = if pictures.is_some() {
-        &[false, true][..]
-    } else {
-        &[false]
-    };
+    let themes = if pictures.is_some() { &[false, true][..] } else { &[false] };
     let campaigns = Campaigns::start(&folder.path().join("data"));
     create(&campaigns, "one-level", "L2");
     create(&campaigns, "three-levels", "L1,L2,L3");
@@ -250,10 +241,7 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
         ("no-result", "/campaigns/no-result"),
         ("one-level", "/campaigns/one-level"),
         ("three-levels", "/campaigns/three-levels"),
-        (
-            "configuration",
-            "/campaigns/one-level/configurations/object/t0/combination/L2/c00",
-        ),
+        ("configuration", "/campaigns/one-level/configurations/object/t0/combination/L2/c00"),
         ("explanation", "/campaigns/planted-explained"),
         (
             "explained-configuration",
@@ -275,11 +263,7 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
         for (width, is_dark) in
             screens.flat_map(|width| themes.iter().map(move |theme| (width, *theme)))
         {
-            let screen = Screen {
-                width,
-                height: 1_000,
-                is_dark,
-            };
+            let screen = Screen { width, height: 1_000, is_dark };
             browser.set_screen(screen);
             // A loaded page adapts to a new width by its style sheets alone, except for lattices,
             // which a script scrolls to their middle only once after loading.

@@ -64,10 +64,7 @@ fn compose_all<'a>(
     let mut missing = BTreeSet::new();
     for task in tasks {
         match compose(&task.problem, pack, sources, ENV_SEED) {
-            Ok(scene) => scenes
-                .entry(scene.digest())
-                .or_default()
-                .push((task, scene)),
+            Ok(scene) => scenes.entry(scene.digest()).or_default().push((task, scene)),
             Err(error) => {
                 missing.insert(missing_category(task, &error, pack.dir()));
             }
@@ -85,18 +82,13 @@ fn missing_category(task: &Task, error: &SceneError, pack: &Path) -> String {
     };
     assert!(path.starts_with(pack) && !path.exists(), "{name}: {error}");
     let message = error.to_string();
-    assert!(
-        message.contains(path.to_str().unwrap()),
-        "{name}: {message}"
-    );
+    assert!(message.contains(path.to_str().unwrap()), "{name}: {message}");
     let problem = &task.problem;
     let categories = problem.objects.iter().chain(&problem.fixtures);
     let named = categories
         .map(|declaration| &declaration.category)
         .find(|category| message.contains(&format!("category `{category}`")));
-    named
-        .unwrap_or_else(|| panic!("{name}: no category named in: {message}"))
-        .clone()
+    named.unwrap_or_else(|| panic!("{name}: no category named in: {message}")).clone()
 }
 
 /// Compiles each scene once. For every task in it, resolves the goal, loads a released initial

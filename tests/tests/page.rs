@@ -5,11 +5,7 @@ use tempfile::TempDir;
 use tests::browser::{self, Browser, Screen};
 use tests::programs::{Campaigns, Process};
 
-const DESK: Screen = Screen {
-    width: 1440,
-    height: 1000,
-    is_dark: false,
-};
+const DESK: Screen = Screen { width: 1440, height: 1000, is_dark: false };
 /// JavaScript for the number of finished rollouts on the start page or a campaign's page.
 const DONE: &str = "Number(document.querySelector('.pace')?.innerText.match(/(\\d+) of/)?.[1])";
 
@@ -25,11 +21,7 @@ impl Bench {
         let campaigns = Campaigns::start(&folder.path().join("data"));
         let mut browser = Browser::start(&folder.path().join("profile"));
         browser.set_screen(DESK);
-        Self {
-            folder,
-            campaigns,
-            browser,
-        }
+        Self { folder, campaigns, browser }
     }
 
     fn url(&self, path: &str) -> String {
@@ -63,32 +55,20 @@ fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
     assert_eq!(bench.browser.value(DONE), 0);
     let _worker = bench.campaigns.simulated_worker(2, &[]);
     bench.browser.wait_for(&format!("{DONE} > 10"));
-    bench
-        .browser
-        .wait_for("document.getElementById('connection').innerText === 'Live'");
+    bench.browser.wait_for("document.getElementById('connection').innerText === 'Live'");
     assert_eq!(bench.browser.value("window.since"), "the beginning");
 
     bench.browser.click("section.campaign h2 a");
     // The matrix has a row for each of the twelve tasks, with ten configurations.
-    bench
-        .browser
-        .wait_for("document.querySelectorAll('svg.panel[role=group] a').length === 120");
+    bench.browser.wait_for("document.querySelectorAll('svg.panel[role=group] a').length === 120");
     let square = "document.querySelectorAll('svg.panel[role=group] a')";
-    bench
-        .browser
-        .value(&format!("window.since = 'the click', {square}[0].focus()"));
+    bench.browser.value(&format!("window.since = 'the click', {square}[0].focus()"));
     bench.browser.press("ArrowRight");
     bench.browser.press("ArrowDown");
     let is_focused = format!("document.activeElement === {square}[11]");
-    assert_eq!(
-        bench.browser.value(&is_focused),
-        true,
-        "arrow keys move the focus in the matrix"
-    );
+    assert_eq!(bench.browser.value(&is_focused), true, "arrow keys move the focus in the matrix");
     let focus_top = "document.activeElement.getBoundingClientRect().top";
-    bench
-        .browser
-        .value(&format!("window.scrollBy(0, {focus_top} - 200)"));
+    bench.browser.value(&format!("window.scrollBy(0, {focus_top} - 200)"));
     let before = bench.browser.value(focus_top).as_f64().unwrap();
     let done = bench.browser.value(DONE).as_i64().unwrap();
     bench.browser.wait_for(&format!("{DONE} > {done} + 10"));
@@ -118,9 +98,7 @@ fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
     );
     bench.browser.value("document.activeElement.blur()");
     assert_eq!(
-        bench
-            .browser
-            .value(&inserted.replace(&is_focused, "scrollY > 0")),
+        bench.browser.value(&inserted.replace(&is_focused, "scrollY > 0")),
         true,
         "the position stays without a focused element"
     );
@@ -135,22 +113,15 @@ fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
     let data = bench.folder.path().join("data");
     bench.campaigns.restart_coordinator(&data);
     bench.browser.wait_for(&format!("{DONE} > {done} + 10"));
-    bench
-        .browser
-        .wait_for("document.getElementById('connection').innerText === 'Live'");
+    bench.browser.wait_for("document.getElementById('connection').innerText === 'Live'");
     assert_eq!(bench.browser.value("window.since"), "the click");
 
     bench.browser.click("svg.panel[role=group] a");
     // The rollouts of a configuration: nominal, simultaneous and five single axes.
-    bench
-        .browser
-        .wait_for("document.querySelectorAll('article.rollout').length === 7");
+    bench.browser.wait_for("document.querySelectorAll('article.rollout').length === 7");
     let paper = "getComputedStyle(document.body).backgroundColor";
     assert_eq!(bench.browser.value(paper), "rgb(255, 255, 255)");
-    bench.browser.set_screen(Screen {
-        is_dark: true,
-        ..DESK
-    });
+    bench.browser.set_screen(Screen { is_dark: true, ..DESK });
     assert_eq!(bench.browser.value(paper), "rgb(20, 24, 28)");
 }
 
@@ -172,16 +143,12 @@ fn the_videos_of_a_configuration_play_together() {
     let configuration = "/campaigns/filmed/configurations/object/t0/combination/L1/c00";
     bench.browser.go(&bench.url(configuration));
     // A video may arrive a moment after its result.
-    bench
-        .browser
-        .wait_for("document.querySelectorAll('video').length === 4");
+    bench.browser.wait_for("document.querySelectorAll('video').length === 4");
     drop(worker);
     let every = |condition: &str| {
         format!("[...document.querySelectorAll('video')].every(v => {condition})")
     };
-    bench.browser.wait_for(&every(
-        "v.readyState >= 3 && v.videoWidth > 0 && !v.controls",
-    ));
+    bench.browser.wait_for(&every("v.readyState >= 3 && v.videoWidth > 0 && !v.controls"));
     bench.browser.click("#play");
     bench.browser.wait_for(&every("v.currentTime > 0.2"));
     bench.browser.click("#play");
@@ -190,9 +157,7 @@ fn the_videos_of_a_configuration_play_together() {
         "document.getElementById('scrub').value = 500, \
          document.getElementById('scrub').dispatchEvent(new Event('input'))",
     );
-    bench
-        .browser
-        .wait_for(&every("!v.seeking && v.currentTime > 1"));
+    bench.browser.wait_for(&every("!v.seeking && v.currentTime > 1"));
     let difference = "(t => Math.max(...t) - Math.min(...t))(\
         [...document.querySelectorAll('video')].map(v => Math.min(v.currentTime, v.duration)))";
     let shortest = "Math.min(...[...document.querySelectorAll('video')].map(v => v.duration))";
@@ -200,9 +165,6 @@ fn the_videos_of_a_configuration_play_together() {
     let shortest = bench.browser.value(shortest).as_f64().unwrap();
     // The slider is in the middle of the longest video, which lasts 14 s at most. A video of less
     // than 8 s may have ended there.
-    assert!(
-        difference < 0.1 || shortest < 8.0,
-        "the videos are {difference} s apart"
-    );
+    assert!(difference < 0.1 || shortest < 8.0, "the videos are {difference} s apart");
     bench.check();
 }

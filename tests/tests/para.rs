@@ -21,10 +21,7 @@ fn checkout(test: &str) -> Option<PathBuf> {
 fn released(checkout: &Path, paraphrase: &Paraphrase) -> TaskFiles {
     let package = checkout.join(para::PACKAGE);
     let states = format!("init_files/libero_para/eval{}.pruned_init", paraphrase.eval);
-    TaskFiles {
-        bddl: package.join(paraphrase.bddl_file()),
-        init: package.join(states),
-    }
+    TaskFiles { bddl: package.join(paraphrase.bddl_file()), init: package.join(states) }
 }
 
 fn read(path: &Path) -> Vec<u8> {
@@ -48,15 +45,9 @@ fn files_of_all_sentences_equal_those_of_the_task_except_for_the_sentence() {
     };
     let mut count = 0;
     for paraphrase in para::inventory() {
-        let (found, task) = (
-            released(&checkout, paraphrase),
-            TaskFiles::of_task(&sources, paraphrase.task),
-        );
-        assert_eq!(
-            without_sentence(&found.bddl),
-            without_sentence(&task.bddl),
-            "{paraphrase}"
-        );
+        let (found, task) =
+            (released(&checkout, paraphrase), TaskFiles::of_task(&sources, paraphrase.task));
+        assert_eq!(without_sentence(&found.bddl), without_sentence(&task.bddl), "{paraphrase}");
         assert_eq!(read(&found.init), read(&task.init), "{paraphrase}");
         count += 1;
     }
@@ -101,11 +92,7 @@ fn sentences_and_similarities_of_all_paraphrases_equal_the_metadata() {
             field.parse().expect("a number")
         };
         let (keywords, structure) = (number(), number());
-        (
-            fields.next().expect("a field").to_owned(),
-            structure,
-            keywords,
-        )
+        (fields.next().expect("a field").to_owned(), structure, keywords)
     });
     let mut found: Vec<(String, f64, f64)> = found.collect();
     for all in [&mut expected, &mut found] {

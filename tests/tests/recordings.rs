@@ -26,10 +26,7 @@ fn roll_out(id: &str, endpoint: &str) -> (Output, Option<serde_json::Value>) {
     let outcome = result.map(|result| {
         let result: serde_json::Value = serde_json::from_str(&result).unwrap();
         let field = |name: &str| result.pointer(name).cloned().expect(name);
-        serde_json::json!([
-            field("/finished/outcome/success"),
-            field("/finished/outcome/steps")
-        ])
+        serde_json::json!([field("/finished/outcome/success"), field("/finished/outcome/steps")])
     });
     (output, outcome)
 }
@@ -60,9 +57,6 @@ fn a_recorded_rollout_replays_identically_without_its_server() {
 
     let (unrecorded, outcome) = roll_out("object/t0/camera/L1/c01", &replay.url);
     let errors = String::from_utf8_lossy(&unrecorded.stderr);
-    assert!(
-        !unrecorded.status.success() && outcome.is_none(),
-        "{errors}"
-    );
+    assert!(!unrecorded.status.success() && outcome.is_none(), "{errors}");
     assert!(errors.contains("record that rollout first"), "{errors}");
 }

@@ -139,15 +139,10 @@ fn altered_files_of_libero_are_refused_in_scenes() {
         let known = AssetPack::open_known(&path, &sources, pack.digest()).unwrap();
         for pack in [&before, &known] {
             let composed = compose(&problem, pack, &sources, ENV_SEED);
-            let error = composed
-                .and_then(|scene| scene.verify_files(pack))
-                .unwrap_err();
+            let error = composed.and_then(|scene| scene.verify_files(pack)).unwrap_err();
             assert!(matches!(error, SceneError::NotLiberos { .. }), "{error}");
             let error = error.to_string();
-            assert!(
-                error.contains(file) && error.contains("worker assets"),
-                "{error}"
-            );
+            assert!(error.contains(file) && error.contains("worker assets"), "{error}");
         }
         std::fs::remove_file(&altered).unwrap();
         std::os::unix::fs::symlink(pack.dir().join(file), altered).unwrap();
@@ -164,16 +159,12 @@ fn check_task(task: TaskRef, sources: &Sources, pack: &AssetPack) {
     let model = environment.model();
     assert_eq!(states.width(), 1 + model.nq() + model.nv(), "{task}");
     let geoms = model.count(ObjectKind::Geom);
-    let named: Vec<_> = (0..geoms)
-        .filter_map(|id| model.name(ObjectKind::Geom, id))
-        .collect();
+    let named: Vec<_> = (0..geoms).filter_map(|id| model.name(ObjectKind::Geom, id)).collect();
     let names: HashSet<_> = named.iter().collect();
     assert_eq!(names.len(), named.len(), "{task}: geoms share names");
     environment.load(states.get(0).unwrap());
     for _ in 0..10 {
-        let succeeded = environment
-            .step(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0])
-            .unwrap();
+        let succeeded = environment.step(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]).unwrap();
         assert!(!succeeded, "{task} succeeds by itself");
     }
 }
@@ -185,20 +176,12 @@ fn a_missing_category_is_named_with_its_file() {
     let task: TaskRef = "libero_object/0".parse().unwrap();
     let mut problem = TaskFiles::of_task(&sources, task).problem().unwrap();
     problem.objects[0].category = "corn".to_owned();
-    let error = compose(&problem, &pack, &sources, ENV_SEED)
-        .unwrap_err()
-        .to_string();
+    let error = compose(&problem, &pack, &sources, ENV_SEED).unwrap_err().to_string();
     assert!(error.contains("category `corn`"), "{error}");
-    assert!(
-        error.contains("stable_hope_objects/corn/corn.xml"),
-        "{error}"
-    );
+    assert!(error.contains("stable_hope_objects/corn/corn.xml"), "{error}");
     problem.objects[0].category = "unicorn".to_owned();
     let error = compose(&problem, &pack, &sources, ENV_SEED).unwrap_err();
-    assert!(
-        matches!(error, SceneError::UnknownCategory { .. }),
-        "{error}"
-    );
+    assert!(matches!(error, SceneError::UnknownCategory { .. }), "{error}");
 }
 
 #[test]
@@ -218,8 +201,5 @@ fn truncated_files_are_refused_by_name() {
     assert!(error.contains("cut.pruned_init"), "{error}");
     let bddl = truncate(&files.bddl, "cut.bddl");
     let error = TaskFiles { bddl, init }.problem().unwrap_err().to_string();
-    assert!(
-        error.contains("cut.bddl") && error.contains("line "),
-        "{error}"
-    );
+    assert!(error.contains("cut.bddl") && error.contains("line "), "{error}");
 }

@@ -93,10 +93,7 @@ fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> 
     std::fs::write(scenes.join(file), changed(&base, case)).unwrap();
     let files = TaskFiles::of_task(sources, case.task);
     let mut problem = files.problem().unwrap();
-    problem.name = format!(
-        "{}_{}_light_sync_modified_{number}",
-        problem.name, case.scene
-    );
+    problem.name = format!("{}_{}_light_sync_modified_{number}", problem.name, case.scene);
     // `lights` is given as the pack's digest, which only appears in results; this test stores none.
     let pack = AssetPack::open_known(folder.to_str().unwrap(), sources, "lights").unwrap();
     let scene = compose(&problem, &pack, sources, ENV_SEED).unwrap();
@@ -155,10 +152,7 @@ fn held_out_pictures_with_shadows_equal_the_originals() {
     let cases = cases();
     let (_, held_out) = cases.split_at(DEVELOPMENT_CASES);
     assert!(held_out.len() >= DEVELOPMENT_CASES);
-    check(
-        held_out,
-        "held_out_pictures_with_shadows_equal_the_originals",
-    );
+    check(held_out, "held_out_pictures_with_shadows_equal_the_originals");
 }
 
 /// Runs `worker variants` and returns its output.
@@ -199,10 +193,7 @@ fn light_variants_run_from_a_folder_with_their_scene_files() {
     let outputs = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::start(&outputs.path().join("data"));
     let url = campaigns.gateway.url.as_str();
-    let same_lights = Case {
-        lights: BTreeMap::new(),
-        ..cases().remove(0)
-    };
+    let same_lights = Case { lights: BTreeMap::new(), ..cases().remove(0) };
     let [unaltered_lights, altered_lights] = [&same_lights, case].map(|case| {
         std::fs::write(folder.path().join(file), changed(&base, case)).unwrap();
         let listed = variants(&name, folder.path(), &["--list"]);
@@ -218,10 +209,7 @@ fn light_variants_run_from_a_folder_with_their_scene_files() {
     let (unperturbed, variant) = (0, 1);
     assert_eq!(unaltered_lights.len(), 2);
     let name_of = |row: &serde_json::Value| row["variant"].as_str().unwrap().to_owned();
-    assert!(
-        name_of(&altered_lights[variant]).contains(&name),
-        "{altered_lights:?}"
-    );
+    assert!(name_of(&altered_lights[variant]).contains(&name), "{altered_lights:?}");
     assert_eq!(
         unaltered_lights[unperturbed]["first_frame_digest"],
         altered_lights[unperturbed]["first_frame_digest"]

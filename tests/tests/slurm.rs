@@ -13,12 +13,8 @@ use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
 const NAME: &str = "a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt";
 const CAMPAIGN: &str = "cluster";
 /// Reasons for which attempts may end without an outcome here; none of them is charged.
-const UNCHARGED: [&str; 4] = [
-    "draining",
-    "policy_unavailable",
-    "policy_lost",
-    "never_acknowledged",
-];
+const UNCHARGED: [&str; 4] =
+    ["draining", "policy_unavailable", "policy_lost", "never_acknowledged"];
 
 #[test]
 fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
@@ -43,16 +39,11 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
         }
     };
     assert_eq!([node(&on_first), node(&on_second)], NODES);
-    campaign.wait_until("some rollouts are committed", |campaign| {
-        campaign.count("committed") >= 4
-    });
+    campaign.wait_until("some rollouts are committed", |campaign| campaign.count("committed") >= 4);
 
     // A worker that is asked to stop while it waits for its next rollout returns no attempt.
     while campaign.returned_attempts() == 0 {
-        assert!(
-            !campaign.is_finished(),
-            "no worker was asked to stop during a rollout"
-        );
+        assert!(!campaign.is_finished(), "no worker was asked to stop during a rollout");
         campaign.wait_until("both workers have rollouts", |campaign| {
             campaign.count("leased") == 2 || campaign.is_finished()
         });
@@ -146,13 +137,8 @@ impl ClusterCampaign {
         let url_file = scripts.join("gateway.url");
         cluster.wait_for("the gateway writes its URL", |_| url_file.exists());
         let endpoint = std::fs::read_to_string(url_file).expect("a line");
-        let campaign = Self {
-            cluster,
-            coordinator,
-            scripts,
-            url,
-            endpoint: endpoint.trim().to_owned(),
-        };
+        let campaign =
+            Self { cluster, coordinator, scripts, url, endpoint: endpoint.trim().to_owned() };
         campaign.command_output(&create(&campaign.endpoint));
         campaign
     }
@@ -194,10 +180,7 @@ impl ClusterCampaign {
         // Longer than a requeued job waits until it may start.
         sleep(Duration::from_secs(8));
         let current = self.cluster.job(task);
-        assert!(
-            current.state != "RUNNING" || current.node != before.node,
-            "{current:?}"
-        );
+        assert!(current.state != "RUNNING" || current.node != before.node, "{current:?}");
         scontrol(&["update", &name, "State=RESUME"]);
         self.wait_until("the worker is back", |campaign| {
             campaign.is_back(task, before.restarts + 1)
@@ -259,27 +242,17 @@ impl ClusterCampaign {
         self.coordinator.signal("-TERM");
         self.coordinator.wait();
         let mut check = Command::new(program("coordinator"));
-        succeeded(
-            check
-                .arg("check")
-                .arg(data)
-                .output()
-                .expect("the command runs"),
-        );
+        succeeded(check.arg("check").arg(data).output().expect("the command runs"));
     }
 
     fn job_named(&self, name: &str) -> String {
         let name = format!("--name={name}");
-        let jobs = self
-            .cluster
-            .command_output("squeue", &["--noheader", "--format=%F", &name]);
+        let jobs = self.cluster.command_output("squeue", &["--noheader", "--format=%F", &name]);
         jobs.lines().next().expect("a job").trim().to_owned()
     }
 
     fn live_workers(&self) -> usize {
-        self.json(&["workers"])["workers"]
-            .as_array()
-            .map_or(0, Vec::len)
+        self.json(&["workers"])["workers"].as_array().map_or(0, Vec::len)
     }
 
     fn is_finished(&self) -> bool {

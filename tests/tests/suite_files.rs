@@ -159,10 +159,7 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
         assert!(table.contains(words), "no `{words}`: {table}");
     }
     let results_by_name = results(&output);
-    assert_eq!(
-        results_by_name.keys().collect::<Vec<_>>(),
-        ["tables/t0/e00", "tables/t1/e00"]
-    );
+    assert_eq!(results_by_name.keys().collect::<Vec<_>>(), ["tables/t0/e00", "tables/t1/e00"]);
     let (row, outcome) = &results_by_name["tables/t0/e00"];
     assert_eq!(row["benchmark"], "kitchen");
     assert_eq!(row["task"], "own/0");
@@ -211,16 +208,13 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     suite.write(&file);
     let run = suite.run(&campaigns, "noop", output_text);
 
-    let states = suite
-        .sources()
-        .join("suites/kitchen/states/stove.pruned_init");
+    let states = suite.sources().join("suites/kitchen/states/stove.pruned_init");
     let moved = states.with_extension("away");
     fs::rename(&states, &moved).expect("moves");
     let counted = succeed(suite.call(&[]));
-    for words in [
-        "tables                                  2        1",
-        "stove.pruned_init; put it there",
-    ] {
+    for words in
+        ["tables                                  2        1", "stove.pruned_init; put it there"]
+    {
         assert!(counted.contains(words), "no `{words}`: {counted}");
     }
     let expected = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
@@ -236,10 +230,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     let mut altered = file.clone();
     altered["seed"] = 7.into();
     suite.write(&altered);
-    assert_refused(
-        &suite.call(&run),
-        &["protocol `kitchen@", "give another --output"],
-    );
+    assert_refused(&suite.call(&run), &["protocol `kitchen@", "give another --output"]);
 
     let check = |suite_file: &Value, expected: &[&str]| {
         suite.write(suite_file);
@@ -250,19 +241,13 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     };
     let mut digest = file.clone();
     digest["suites"][0]["tasks"][1] = json!({"name": "stove", "sha256": "0".repeat(64)});
-    check(
-        &digest,
-        &["the suite file's version of ", "their SHA-256 is "],
-    );
+    check(&digest, &["the suite file's version of ", "their SHA-256 is "]);
     let mut folder = file.clone();
     folder["folder"] = "suites/elsewhere".into();
     check(&folder, &["folder ", "correct its `folder`"]);
     let mut many = file.clone();
     many["trials"] = 50.into();
-    check(
-        &many,
-        &["tables                                100      100"],
-    );
+    check(&many, &["tables                                100      100"]);
     let unknown = suite.sources().join("suites/kitchen/stove.bddl");
     let text = fs::read_to_string(&unknown).expect("a file");
     fs::write(&unknown, text.replace("- flat_stove", "- steep_stove")).expect("writes");
@@ -271,18 +256,9 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     check(&file, &["stove.bddl"]);
 
     suite.write(&json!({"name": "kitchen"}));
-    assert_refused(
-        &suite.call(&[]),
-        &["kitchen.json", "`start`", "docs/FAMILY.md"],
-    );
-    assert_refused(
-        &suite.call(&["--protocol", "pro-bddl"]),
-        &["cannot be used with"],
-    );
-    assert_refused(
-        &suite.call(&["--pro", "libero_goal_swap"]),
-        &["cannot be used with"],
-    );
+    assert_refused(&suite.call(&[]), &["kitchen.json", "`start`", "docs/FAMILY.md"]);
+    assert_refused(&suite.call(&["--protocol", "pro-bddl"]), &["cannot be used with"]);
+    assert_refused(&suite.call(&["--pro", "libero_goal_swap"]), &["cannot be used with"]);
 }
 
 /// Returns the shipped LIBERO-90, cut down to the first ten tasks whose objects the built-in pack
@@ -335,14 +311,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
 
     let output = folder.path().join("alone");
     let output_text = output.to_str().expect("UTF-8");
-    let run = [
-        "--policy",
-        "noop",
-        "--endpoint",
-        url,
-        "--output",
-        output_text,
-    ];
+    let run = ["--policy", "noop", "--endpoint", url, "--output", output_text];
     let sources = tests::files::sources();
     succeed(variants(&path, sources.dir(), &run));
     let alone = results(&output).into_iter();
@@ -353,10 +322,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
 
     let report = campaigns.succeed(&["report", "ninety"]);
     let protocol = file.protocol();
-    assert!(
-        report.contains(&format!("suite file {protocol}\n")),
-        "{report}"
-    );
+    assert!(report.contains(&format!("suite file {protocol}\n")), "{report}");
     for words in ["libero_90  ", "all  "] {
         assert!(report.contains(words), "no `{words}`: {report}");
     }
@@ -369,26 +335,16 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let export = campaigns.succeed(&["export", "ninety", "--format", "jsonl"]);
     let row: Value = serde_json::from_str(export.lines().next().expect("a row")).expect("JSON");
     assert_eq!(row["protocol"], protocol);
-    assert_eq!(
-        (&row["suite"], &row["axis"]),
-        (&json!("own"), &json!("variant"))
-    );
+    assert_eq!((&row["suite"], &row["axis"]), (&json!("own"), &json!("variant")));
     let shown = campaigns.succeed(&["jobs", "show", "ninety", "own/t0/own:libero_90/i00"]);
-    assert!(
-        shown.contains("close the top drawer of the cabinet"),
-        "{shown}"
-    );
+    assert!(shown.contains("close the top drawer of the cabinet"), "{shown}");
 
     // Another coordinator imports the archive with its films.
     let films = data.join("artifacts/ninety");
     let count = || fs::read_dir(&films).map_or(0, Iterator::count);
     let start = Instant::now();
     while count() < 10 {
-        assert!(
-            start.elapsed() < Duration::from_secs(120),
-            "{} films",
-            count()
-        );
+        assert!(start.elapsed() < Duration::from_secs(120), "{} films", count());
         std::thread::sleep(Duration::from_millis(200));
     }
     let archive = folder.path().join("ninety.tar");
@@ -409,10 +365,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let conflicting = [&create[..], &["--protocol", "pro-bddl"]].concat();
     assert!(!campaigns.call(&conflicting).status.success());
     fs::write(&path, "{}").expect("writes");
-    assert_refused(
-        &campaigns.call(&create),
-        &["ten.json", "`name`", "docs/FAMILY.md"],
-    );
+    assert_refused(&campaigns.call(&create), &["ten.json", "`name`", "docs/FAMILY.md"]);
 }
 
 #[test]
@@ -429,9 +382,7 @@ fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
         "--endpoint", &campaigns.gateway.url,
         "--suite-file", path.to_str().expect("UTF-8"), "--trials", "3",
     ]);
-    let states = suite
-        .sources()
-        .join("suites/kitchen/states/stove.pruned_init");
+    let states = suite.sources().join("suites/kitchen/states/stove.pruned_init");
     let moved = states.with_extension("away");
     fs::rename(&states, &moved).expect("moves");
     let log = suite.folder.path().join("log");
@@ -457,9 +408,7 @@ fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
         let line = shown.lines().find(|line| line.contains("attempts"));
         line.expect("a line").trim().to_owned()
     };
-    let leased = (0..3)
-        .filter(|trial| !attempts(*trial).contains(" 0,"))
-        .count();
+    let leased = (0..3).filter(|trial| !attempts(*trial).contains(" 0,")).count();
     assert!(leased <= 1, "{:?}", [0, 1, 2].map(attempts));
     fs::rename(&moved, &states).expect("moves back");
     campaigns.wait_for_commits("own", None);

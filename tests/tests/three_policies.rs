@@ -53,10 +53,7 @@ fn a_restarted_policy_delays_only_its_own_campaign() {
     campaigns.wait_for_commits("one", None);
     campaigns.wait_for_commits("two", None);
     let status = campaigns.succeed(&["campaign", "status", "killed"]);
-    assert!(
-        !status.contains("finished"),
-        "finished without its policy: {status}"
-    );
+    assert!(!status.contains("finished"), "finished without its policy: {status}");
     assert!(status.contains("killed"), "{status}");
 
     killed = server("killed", &address);
@@ -64,10 +61,7 @@ fn a_restarted_policy_delays_only_its_own_campaign() {
     for name in names {
         assert_eq!(campaigns.outcomes(name).len(), ROLLOUTS, "{name}");
         for row in campaigns.succeed(&["jobs", "list", name]).lines() {
-            assert!(
-                !row.contains("charged") && !row.contains("quarantined"),
-                "{row}"
-            );
+            assert!(!row.contains("charged") && !row.contains("quarantined"), "{row}");
         }
     }
     drop((worker, killed));

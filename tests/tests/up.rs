@@ -21,14 +21,7 @@ struct Up {
 impl Up {
     fn start(data: &Path, arguments: &[&str]) -> Self {
         let mut child = Command::new(program("coordinator"))
-            .args([
-                "up",
-                "--listen",
-                "127.0.0.1:0",
-                "--gateway-listen",
-                "127.0.0.1:0",
-                "--data",
-            ])
+            .args(["up", "--listen", "127.0.0.1:0", "--gateway-listen", "127.0.0.1:0", "--data"])
             .arg(data)
             .args(arguments)
             .env_remove("RUST_LOG")
@@ -44,13 +37,7 @@ impl Up {
                 let _ = sender.send(line);
             }
         });
-        Self {
-            child,
-            lines,
-            log: Vec::new(),
-            coordinator: String::new(),
-            gateway: String::new(),
-        }
+        Self { child, lines, log: Vec::new(), coordinator: String::new(), gateway: String::new() }
     }
 
     /// Reads the log up to a line that contains these words, and returns that line.
@@ -80,9 +67,7 @@ impl Up {
 
     fn call(&self, arguments: &[&str]) -> Output {
         let mut command = Command::new(program("coordinator"));
-        command
-            .args(arguments)
-            .args(["--connect", &self.coordinator]);
+        command.args(arguments).args(["--connect", &self.coordinator]);
         command.output().expect("the command runs")
     }
 
@@ -109,9 +94,7 @@ impl Up {
         let children = tasks.flat_map(|task| {
             let path = task.expect("a task").path().join("children");
             let children = std::fs::read_to_string(path).unwrap_or_default();
-            let pids = children
-                .split_whitespace()
-                .map(|id| id.parse().expect("a number"));
+            let pids = children.split_whitespace().map(|id| id.parse().expect("a number"));
             pids.collect::<Vec<u32>>()
         });
         let name = |pid: u32| {
@@ -167,10 +150,7 @@ fn one_command_runs_coordinator_gateway_and_worker_and_ctrl_c_stops_all() {
         assert!(output.contains(words), "{words}: {output}");
     }
     for (name, pid) in children {
-        assert!(
-            !Path::new(&format!("/proc/{pid}")).exists(),
-            "{name} is still running"
-        );
+        assert!(!Path::new(&format!("/proc/{pid}")).exists(), "{name} is still running");
     }
 }
 
@@ -191,10 +171,7 @@ fn no_program_outlives_a_killed_coordinator_up() {
             state.is_ok_and(|state| !state.contains(") Z "))
         };
         while alive() {
-            assert!(
-                start.elapsed() < Duration::from_secs(30),
-                "{name} is still running"
-            );
+            assert!(start.elapsed() < Duration::from_secs(30), "{name} is still running");
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -209,24 +186,15 @@ fn a_program_that_exits_is_named_and_stops_the_others() {
     up.signal("-KILL", gateway.expect("a gateway").1);
     let (code, output) = up.end();
     assert_eq!(code, Some(1), "{output}");
-    assert!(
-        output.contains("failed to keep `policy-gateway` running"),
-        "{output}"
-    );
+    assert!(output.contains("failed to keep `policy-gateway` running"), "{output}");
     for (name, pid) in children {
-        assert!(
-            !Path::new(&format!("/proc/{pid}")).exists(),
-            "{name} is still running"
-        );
+        assert!(!Path::new(&format!("/proc/{pid}")).exists(), "{name} is still running");
     }
     // A program that cannot start is reported, and no process is left running.
     let bad = Up::start(&data.path().join("data"), &["--assets", "/nowhere"]);
     let (code, output) = bad.end();
     assert_eq!(code, Some(1), "{output}");
-    assert!(
-        output.contains("failed to keep `worker` running"),
-        "{output}"
-    );
+    assert!(output.contains("failed to keep `worker` running"), "{output}");
 }
 
 #[test]
@@ -244,9 +212,5 @@ fn why_examines_the_policy_of_a_campaign_that_scores_nothing() {
     );
     let expected = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
     assert!(explanation.contains(&expected), "{explanation}");
-    assert_eq!(
-        why.status.code(),
-        Some(1),
-        "a policy that never moves: {explanation}"
-    );
+    assert_eq!(why.status.code(), Some(1), "a policy that never moves: {explanation}");
 }

@@ -47,9 +47,7 @@ fn commands(name: &str, words: &[&str], folder: &Path) -> Vec<CommandFlags> {
             is_list = line == "Commands:";
         }
         let indent = line.len() - line.trim_start().len();
-        let mut parts = line
-            .split_whitespace()
-            .skip_while(|part| part.ends_with(','));
+        let mut parts = line.split_whitespace().skip_while(|part| part.ends_with(','));
         let Some(first) = parts.next() else { continue };
         if is_list && indent == 2 && first != "help" {
             found.extend(commands(name, &[words, &[first]].concat(), folder));
@@ -59,10 +57,7 @@ fn commands(name: &str, words: &[&str], folder: &Path) -> Vec<CommandFlags> {
             flags.push(first.to_owned());
         }
     }
-    found.push(CommandFlags {
-        words: words.iter().map(ToString::to_string).collect(),
-        flags,
-    });
+    found.push(CommandFlags { words: words.iter().map(ToString::to_string).collect(), flags });
     found
 }
 
@@ -117,58 +112,22 @@ fn the_gateway_refuses_wrong_values_in_its_own_words() {
 fn a_range_is_named_with_its_ends_and_its_unit() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let cases: [(&str, &[&str], &str); 10] = [
-        (
-            "coordinator",
-            &["serve", "--lease-secs", "0"],
-            "seconds, 1 to 3600",
-        ),
-        (
-            "coordinator",
-            &["serve", "--min-free-mib", "x"],
-            "whole number of MiB",
-        ),
-        (
-            "coordinator",
-            &["jobs", "list", "c", "--limit", "0"],
-            "rollouts, 1 or more",
-        ),
-        (
-            "coordinator",
-            &["campaign", "list", "--retry-secs=-1"],
-            "seconds, 0 to",
-        ),
-        (
-            "worker",
-            &["preview", "--task", "10"],
-            "a whole number, 0 to 9",
-        ),
-        (
-            "worker",
-            &["preview", "--config", "10"],
-            "a whole number, 0 to 9",
-        ),
-        (
-            "worker",
-            &["bench", "--execute", "0"],
-            "control steps, 1 to 1000",
-        ),
+        ("coordinator", &["serve", "--lease-secs", "0"], "seconds, 1 to 3600"),
+        ("coordinator", &["serve", "--min-free-mib", "x"], "whole number of MiB"),
+        ("coordinator", &["jobs", "list", "c", "--limit", "0"], "rollouts, 1 or more"),
+        ("coordinator", &["campaign", "list", "--retry-secs=-1"], "seconds, 0 to"),
+        ("worker", &["preview", "--task", "10"], "a whole number, 0 to 9"),
+        ("worker", &["preview", "--config", "10"], "a whole number, 0 to 9"),
+        ("worker", &["bench", "--execute", "0"], "control steps, 1 to 1000"),
         ("worker", &["--slots", "0"], "slots, 1 or more"),
         ("policy-gateway", &["record", "--max-mib", "0"], "MiB, 1 to"),
-        (
-            "policy-gateway",
-            &["--listen", "localhost"],
-            "127.0.0.1:7411",
-        ),
+        ("policy-gateway", &["--listen", "localhost"], "127.0.0.1:7411"),
     ];
     for (name, arguments, expected) in cases {
         let output = run(name, arguments, folder.path());
         let stderr = String::from_utf8_lossy(&output.stderr);
         let flat = stderr.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert_eq!(
-            output.status.code(),
-            Some(2),
-            "{name} {arguments:?}: {stderr}"
-        );
+        assert_eq!(output.status.code(), Some(2), "{name} {arguments:?}: {stderr}");
         assert!(flat.contains(expected), "{name} {arguments:?}: {stderr}");
     }
 }

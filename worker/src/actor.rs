@@ -37,11 +37,7 @@ pub enum PolicyError {
         answered: Option<u32>,
     },
     #[error("{} at {endpoint} cannot be used: {fault}", label(policy))]
-    Description {
-        policy: String,
-        endpoint: String,
-        fault: DescriptionFault,
-    },
+    Description { policy: String, endpoint: String, fault: DescriptionFault },
     #[error("{} cannot be run this way: {problem}", label(policy))]
     TooLate {
         policy: String,
@@ -188,9 +184,6 @@ mod tests {
             format!("the policy at http://gpu-1:5000 failed at query 0: {raised}")
         );
         let by_gateway = "route bad (grpc://gpu-1:5000): the policy failed";
-        assert_eq!(
-            failed("bad", by_gateway).to_string(),
-            format!("query 0 failed: {by_gateway}")
-        );
+        assert_eq!(failed("bad", by_gateway).to_string(), format!("query 0 failed: {by_gateway}"));
     }
 }

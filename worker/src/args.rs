@@ -290,12 +290,7 @@ pub struct SimulatorArguments {
     /// Renderer: `software` (the same pictures on every machine), or `gl`
     /// (MuJoCo's own renderer, through OpenGL, on the first graphics device
     /// that works; `gl:N` on the N-th, from 0)
-    #[arg(
-        long,
-        value_name = "software|gl|gl:N",
-        default_value_t,
-        hide_short_help = true
-    )]
+    #[arg(long, value_name = "software|gl|gl:N", default_value_t, hide_short_help = true)]
     pub renderer: Renderer,
 }
 
@@ -573,8 +568,7 @@ fn machine_name(text: &str) -> Result<String, &'static str> {
 }
 
 fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {
-    text.parse()
-        .map_err(|_| "write whole numbers of slots, 1 or more, with commas between them")
+    text.parse().map_err(|_| "write whole numbers of slots, 1 or more, with commas between them")
 }
 
 #[cfg(test)]

@@ -67,9 +67,7 @@ pub fn provide(
     tasks: impl IntoIterator<Item = TaskRef>,
 ) -> Result<(), PackError> {
     let tasks = tasks.into_iter();
-    let tasks: Vec<TaskFiles> = tasks
-        .map(|task| TaskFiles::of_task(sources, task))
-        .collect();
+    let tasks: Vec<TaskFiles> = tasks.map(|task| TaskFiles::of_task(sources, task)).collect();
     pack.provide_with_bar(&tasks)?;
     Ok(())
 }
@@ -100,11 +98,7 @@ pub struct Provider {
 impl Provider {
     /// Creates the provider of a pack.
     pub fn new(pack: &AssetPack, sources: &Sources) -> Self {
-        Self {
-            pack: pack.clone(),
-            sources: sources.clone(),
-            is_cancelled: Arc::default(),
-        }
+        Self { pack: pack.clone(), sources: sources.clone(), is_cancelled: Arc::default() }
     }
 
     /// Returns the benchmarks whose task files were not fetched.
@@ -237,10 +231,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
         if digest_of_folder(&folder)? != pack.digest() {
             return Err(PackError::Primitives { folder });
         }
-        return print(&format!(
-            "{}: all files have the expected digest\n",
-            folder.display()
-        ));
+        return print(&format!("{}: all files have the expected digest\n", folder.display()));
     }
     let (differences, present) = match pack.verified() {
         None => (pack.differences().to_vec(), 0),
@@ -260,10 +251,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
     }
     let description = describe(pack, sources)?;
     if !pack.is_managed() && !Coverage::check(pack, sources)?.is_complete() {
-        return Err(PackError::Incomplete {
-            folder,
-            description,
-        });
+        return Err(PackError::Incomplete { folder, description });
     }
     print(&format!(
         "{}: {} LIBERO's, and none differs\n{description}",
@@ -362,10 +350,7 @@ fn tasks(arguments: &FetchArguments, sources: &Sources) -> Vec<TaskFiles> {
         tasks.extend(files.map(|task| TaskFiles::of_task(sources, task)));
     }
     let further = arguments.bddl.iter();
-    tasks.extend(further.map(|bddl| TaskFiles {
-        bddl: bddl.clone(),
-        init: Default::default(),
-    }));
+    tasks.extend(further.map(|bddl| TaskFiles { bddl: bddl.clone(), init: Default::default() }));
     tasks
 }
 
@@ -420,11 +405,9 @@ pub fn describe_differences(pack: &AssetPack, given: &Path) -> Option<String> {
     let differences = pack.differences().to_vec();
     let summary = match differences.len() {
         0 => "it has none of LIBERO's files".to_owned(),
-        count => format!(
-            "{} differ: {}",
-            counted(count as u64, "file"),
-            name_some(differences, ", ")
-        ),
+        count => {
+            format!("{} differ: {}", counted(count as u64, "file"), name_some(differences, ", "))
+        }
     };
     Some(format!(
         "the asset pack {} is not LIBERO's, and its results go by the name `custom`: {summary}",

@@ -53,10 +53,7 @@ pub enum FilmError {
     Folder(#[source] io::Error),
     #[error(transparent)]
     Link(#[from] SuperviseError),
-    #[error(
-        "request a rollout to film from the coordinator at {url}: {}",
-        status_text(status)
-    )]
+    #[error("request a rollout to film from the coordinator at {url}: {}", status_text(status))]
     Refused { url: String, status: Box<Status> },
 }
 
@@ -89,12 +86,7 @@ pub fn run(
     let runtime_context = runtime.enter();
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;
     drop(runtime_context);
-    let filming = Filming {
-        config,
-        handle: runtime.handle(),
-        link: &link,
-        provide,
-    };
+    let filming = Filming { config, handle: runtime.handle(), link: &link, provide };
     let filmed = std::thread::scope(|scope| {
         let threads = (0..config.at_a_time.get()).map(|number| {
             let file = scratch.path().join(format!("video-{number}.mp4"));
@@ -104,19 +96,15 @@ pub fn run(
         // The handles are collected first, so that all threads are started before the first thread
         // is joined.
         let threads: Vec<_> = threads.collect();
-        let ended = threads.into_iter().map(|thread| {
-            thread
-                .join()
-                .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        });
+        let ended = threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
         ended.collect::<Result<Vec<FilmCounts>, FilmError>>()
     })?;
-    Ok(filmed
-        .into_iter()
-        .fold(FilmCounts::default(), |sum, filmed| FilmCounts {
-            stored: sum.stored + filmed.stored,
-            failed: sum.failed + filmed.failed,
-        }))
+    Ok(filmed.into_iter().fold(FilmCounts::default(), |sum, filmed| FilmCounts {
+        stored: sum.stored + filmed.stored,
+        failed: sum.failed + filmed.failed,
+    }))
 }
 
 /// State that the threads share.
@@ -193,10 +181,7 @@ fn parse_film(film: Film) -> Result<Filmable, String> {
         .map_err(|error| libero_ctrl::JsonError::from(error).to_string())?;
     let attempt = film.attempt_id.parse();
     let realisation = film.realisation.parse();
-    let motion = Motion {
-        actions: film.actions,
-        ..Motion::default()
-    };
+    let motion = Motion { actions: film.actions, ..Motion::default() };
     let actions = motion.actions().into_iter();
     Ok(Filmable {
         attempt: attempt.map_err(|error: rollout_types::AttemptIdError| error.to_string())?,

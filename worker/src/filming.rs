@@ -94,10 +94,8 @@ pub(crate) fn film_again(
             ControlFlow::Break(()) => Err(FilmingError::Abandoned),
         }
     })?;
-    fs::write(file, encoder.finish()?).map_err(|source| FilmingError::Write {
-        path: file.to_owned(),
-        source,
-    })
+    fs::write(file, encoder.finish()?)
+        .map_err(|source| FilmingError::Write { path: file.to_owned(), source })
 }
 
 /// Simulates a rollout from its actions, and passes the frames of [`observe_both`] to `show`, at
@@ -133,12 +131,7 @@ pub(crate) fn observe_both(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimE
         width: PANE_SIDE as u32,
         height: PANE_SIDE as u32,
     };
-    let request = ObservationRequest {
-        cameras: CAMERAS.map(camera).to_vec(),
-        privileged: false,
-    };
+    let request = ObservationRequest { cameras: CAMERAS.map(camera).to_vec(), privileged: false };
     let frames = episode.observe(&request)?.frames;
-    Ok(frames
-        .try_into()
-        .expect("one frame for each requested camera"))
+    Ok(frames.try_into().expect("one frame for each requested camera"))
 }

@@ -18,13 +18,7 @@ impl WorkerId {
     pub fn new(host: &str, random: u64) -> Self {
         let host: String = host
             .chars()
-            .map(|letter| {
-                if letter.is_ascii_alphanumeric() {
-                    letter
-                } else {
-                    '-'
-                }
-            })
+            .map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' })
             .take(MAX_HOST_CHARS)
             .collect();
         Self(format!("{host}-{}-{:08x}", process::id(), random as u32))

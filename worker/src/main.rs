@@ -86,12 +86,7 @@ fn print_line(line: &str) -> anyhow::Result<()> {
 
 fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(
-        shell,
-        &mut Arguments::parser(VERSION),
-        "worker",
-        &mut script,
-    );
+    clap_complete::generate(shell, &mut Arguments::parser(VERSION), "worker", &mut script);
     terminal::print(&String::from_utf8_lossy(&script)).context("print to standard output")
 }
 
@@ -130,11 +125,7 @@ fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
 }
 
 fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
-    let LoadArguments {
-        task,
-        execute,
-        policy_secs,
-    } = arguments.load;
+    let LoadArguments { task, execute, policy_secs } = arguments.load;
     let answer_after = Duration::from_secs_f64(policy_secs);
     let simulator = open_simulator(&arguments.simulator)?;
     Ok(measure::count(simulator, task, execute, answer_after)?)
@@ -144,19 +135,10 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
     // The parent opens the simulator too, so that missing files are reported once, before any slot
     // starts.
     let simulator = open_simulator(&arguments.simulator)?;
-    let LoadArguments {
-        task,
-        execute,
-        policy_secs,
-    } = arguments.load;
+    let LoadArguments { task, execute, policy_secs } = arguments.load;
     assets::provide(&simulator.pack, &simulator.sources, [task])?;
     let pack = simulator.pack.name();
-    let mut slot = program_of(
-        "bench-slot",
-        this_program()?,
-        &arguments.simulator,
-        &simulator,
-    );
+    let mut slot = program_of("bench-slot", this_program()?, &arguments.simulator, &simulator);
     for (flag, value) in [
         ("--task", task.to_string()),
         ("--execute", execute.to_string()),
@@ -201,10 +183,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
         // All rollouts share one graphics device.
         (None, _) => NonZeroUsize::MIN,
     };
-    tracing::info!(
-        "filming {} at a time",
-        counted(at_a_time.get() as u64, "rollout")
-    );
+    tracing::info!("filming {} at a time", counted(at_a_time.get() as u64, "rollout"));
     let config = film::Config {
         coordinator: arguments.connect,
         at_a_time,
@@ -265,10 +244,9 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, None) => unreachable!("clap requires --endpoint or --actions"),
     };
     let simulator = open_simulator(&arguments.simulator)?;
-    let files = own_task.as_ref().map_or_else(
-        || TaskFiles::of_task(&simulator.sources, row.id.task()),
-        OwnTask::files,
-    );
+    let files = own_task
+        .as_ref()
+        .map_or_else(|| TaskFiles::of_task(&simulator.sources, row.id.task()), OwnTask::files);
     simulator.pack.provide_with_bar(&[files])?;
     let mut simulator = Simulator::new(simulator);
     let assignment = Assignment {
@@ -294,10 +272,8 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;
     print_line(&format!(
         "{}: {} after {} in {:.1} s; see {}",
-        own_task.map_or_else(
-            || assignment.row.id.to_string(),
-            |task| task.bddl.display().to_string()
-        ),
+        own_task
+            .map_or_else(|| assignment.row.id.to_string(), |task| task.bddl.display().to_string()),
         if result.success { "success" } else { "failure" },
         counted(result.steps.into(), "step"),
         result.wall_secs,
@@ -307,9 +283,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
 }
 
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
-    let VariantsArguments {
-        choice, options, ..
-    } = &arguments;
+    let VariantsArguments { choice, options, .. } = &arguments;
     let (rules, cases) = choice.rollouts(options)?;
     let mut simulator = open_simulator(&arguments.simulator)?;
     let is_users_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
@@ -339,10 +313,9 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let assign = |row: ManifestRow, folder: &Path| Assignment {
         policy: arguments.policy.clone().unwrap_or_default(),
         policy_endpoint: endpoint.clone(),
-        video: options.video.then(|| VideoRequest {
-            file: folder.join("video.mp4"),
-            of: VideoOf::Everything,
-        }),
+        video: options
+            .video
+            .then(|| VideoRequest { file: folder.join("video.mp4"), of: VideoOf::Everything }),
         ..standalone_assignment(row, 0, Realisation::Matched)
     };
     let mut cases = match &rules {
@@ -351,13 +324,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     };
     cases.extend(audit.runnable);
     let name = rules.name();
-    let run = variants::Run {
-        rules,
-        cases,
-        output,
-        video: options.video,
-        assign: &assign,
-    };
+    let run = variants::Run { rules, cases, output, video: options.video, assign: &assign };
     let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;
     print(&format!("{name}\n{tally}"))
 }
@@ -516,10 +483,8 @@ fn run_worker(
         let (requests, shutdown) = mpsc::channel(SHUTDOWN_QUEUE);
         let signals = [SignalKind::terminate(), SignalKind::interrupt()].map(signal);
         let [terminate, interrupt] = signals;
-        let (terminate, interrupt) = (
-            terminate.context("listen for SIGTERM")?,
-            interrupt.context("listen for SIGINT")?,
-        );
+        let (terminate, interrupt) =
+            (terminate.context("listen for SIGTERM")?, interrupt.context("listen for SIGINT")?);
         tokio::select! {
             ended = supervise::run(config, shutdown) => Ok(ended?),
             never = forward(terminate, interrupt, requests) => match never {},

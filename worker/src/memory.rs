@@ -47,10 +47,7 @@ impl OomKills {
     /// Returns the cause of a SIGKILL that was sent between an earlier reading and this one.
     pub(crate) fn since(self, earlier: Self) -> Verdict {
         let rose = |now: Option<u64>, before: Option<u64>| Some(now? > before?);
-        match (
-            rose(self.group, earlier.group),
-            rose(self.machine, earlier.machine),
-        ) {
+        match (rose(self.group, earlier.group), rose(self.machine, earlier.machine)) {
             (Some(true), _) => Verdict::GroupLimit,
             (_, Some(true)) => Verdict::Machine,
             (None, None) => Verdict::Unknown,
@@ -93,10 +90,7 @@ pub(crate) fn group_folders(root: &Path, groups: &str) -> Vec<PathBuf> {
         let base = root.join("sys/fs/cgroup");
         if controllers.is_empty() {
             Some(base.join(path))
-        } else if controllers
-            .split(',')
-            .any(|controller| controller == "memory")
-        {
+        } else if controllers.split(',').any(|controller| controller == "memory") {
             Some(base.join("memory").join(path))
         } else {
             None
@@ -127,28 +121,16 @@ mod tests {
         let cgroup_v2 = tempfile::tempdir().expect("a folder");
         write(cgroup_v2.path(), "proc/self/cgroup", "0::/batch/job-7\n");
         let events = "low 0\noom 3\noom_kill 2\noom_group_kill 0\n";
-        write(
-            cgroup_v2.path(),
-            "sys/fs/cgroup/batch/job-7/memory.events",
-            events,
-        );
+        write(cgroup_v2.path(), "sys/fs/cgroup/batch/job-7/memory.events", events);
         write(cgroup_v2.path(), "proc/vmstat", "pgfault 9\noom_kill 5\n");
         let (group, machine) = (Some(2), Some(5));
         let read = OomKills::read_below(cgroup_v2.path());
         assert_eq!(read, OomKills { group, machine });
 
         let cgroup_v1 = tempfile::tempdir().expect("a folder");
-        write(
-            cgroup_v1.path(),
-            "proc/self/cgroup",
-            "4:memory:/job\n1:cpu,cpuacct:/job\n0::/\n",
-        );
+        write(cgroup_v1.path(), "proc/self/cgroup", "4:memory:/job\n1:cpu,cpuacct:/job\n0::/\n");
         let control = "oom_kill_disable 0\nunder_oom 0\noom_kill 4\n";
-        write(
-            cgroup_v1.path(),
-            "sys/fs/cgroup/memory/job/memory.oom_control",
-            control,
-        );
+        write(cgroup_v1.path(), "sys/fs/cgroup/memory/job/memory.oom_control", control);
         let read = OomKills::read_below(cgroup_v1.path());
         let (group, machine) = (Some(4), None);
         assert_eq!(read, OomKills { group, machine });

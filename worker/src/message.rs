@@ -254,10 +254,9 @@ impl From<&PolicyError> for FailureKind {
             PolicyError::InvalidAnswer { .. }
             | PolicyError::Failed { .. }
             | PolicyError::RecordingEnded { .. } => Self::PolicyMisbehaved,
-            PolicyError::Unavailable {
-                answered: Some(answered),
-                ..
-            } => Self::PolicyLost { answered },
+            PolicyError::Unavailable { answered: Some(answered), .. } => {
+                Self::PolicyLost { answered }
+            }
             _ => Self::PolicyUnavailable,
         }
     }
@@ -307,10 +306,7 @@ mod tests {
             policy_endpoint: "grpc://localhost:7000".to_owned(),
             policy_seed: 5,
             policy_deadline: Duration::from_secs(60),
-            video: Some(VideoRequest {
-                file: "videos/1.mp4".into(),
-                of: VideoOf::Failures,
-            }),
+            video: Some(VideoRequest { file: "videos/1.mp4".into(), of: VideoOf::Failures }),
             keep_actions: true,
         }));
         let line = serde_json::to_string(&command).expect("JSON");
@@ -337,10 +333,6 @@ mod tests {
         let steps = proto::MAX_MOTION_STEPS;
         let motion = Motion::pack(&vec![[-1; 3]; steps + 1], &vec![[-0.3; 7]; steps]);
         let line = serde_json::to_string(&motion).expect("JSON");
-        assert!(
-            (line.len() as u64) < MAX_LINE_BYTES * 9 / 10,
-            "{}",
-            line.len()
-        );
+        assert!((line.len() as u64) < MAX_LINE_BYTES * 9 / 10, "{}", line.len());
     }
 }

@@ -96,18 +96,11 @@ mod tests {
             gripper_pos: [0.04, -0.04],
             gripper_vel: [0.0; 2],
         };
-        let observation = Observation {
-            frames: Vec::new(),
-            robot,
-            privileged: None,
-        };
+        let observation = Observation { frames: Vec::new(), robot, privileged: None };
         let wanted = [StateField::GripperPos, StateField::EefPos];
         let converted = to_wire(observation, &wanted);
-        let values: Vec<&[f64]> = converted
-            .state
-            .iter()
-            .map(|reading| reading.values.as_slice())
-            .collect();
+        let values: Vec<&[f64]> =
+            converted.state.iter().map(|reading| reading.values.as_slice()).collect();
         assert_eq!(values, [&[0.04, -0.04][..], &[1.0, 2.0, 3.0]]);
         assert_eq!(converted.state[0].field, StateField::GripperPos as i32);
     }

@@ -49,10 +49,7 @@ impl Parent {
     /// # Errors
     /// If this process has too many open files.
     pub fn listen<T: DeserializeOwned>(&self) -> io::Result<FromParent<T>> {
-        Ok(FromParent {
-            stream: BufReader::new(self.0.try_clone()?),
-            _message: PhantomData,
-        })
+        Ok(FromParent { stream: BufReader::new(self.0.try_clone()?), _message: PhantomData })
     }
 }
 

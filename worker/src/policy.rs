@@ -50,11 +50,8 @@ pub const CAMPAIGN_SETTINGS: Settings = Settings {
     encrypted: "https://",
 };
 /// Names, in messages, of the settings with which the user of `worker rollout` addresses a policy.
-pub const ROLLOUT_SETTINGS: Settings = Settings {
-    address: "--endpoint",
-    authority: "--ca",
-    ..CAMPAIGN_SETTINGS
-};
+pub const ROLLOUT_SETTINGS: Settings =
+    Settings { address: "--endpoint", authority: "--ca", ..CAMPAIGN_SETTINGS };
 
 impl PolicyClient {
     /// Creates a client of `grpc://HOST:PORT` or `http://HOST:PORT`, or with TLS `grpcs://` or
@@ -79,12 +76,7 @@ impl PolicyClient {
         let grpc = GrpcClient::new(connection.map_err(PolicyError::Access)?)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
-        Ok(Self {
-            endpoint: endpoint.to_owned(),
-            runtime,
-            grpc,
-            peer,
-        })
+        Ok(Self { endpoint: endpoint.to_owned(), runtime, grpc, peer })
     }
 
     pub fn endpoint(&self) -> &str {
@@ -178,10 +170,8 @@ impl Actor for PolicyClient {
     }
 
     fn end(&mut self, session: PolicySession<'_>) {
-        let request = EndRequest {
-            policy: session.policy.to_owned(),
-            session: session.session.to_owned(),
-        };
+        let request =
+            EndRequest { policy: session.policy.to_owned(), session: session.session.to_owned() };
         let mut grpc = self.grpc.clone();
         if let Err(status) = self.call(END_DEADLINE.min(session.deadline), grpc.end(request)) {
             tracing::debug!("end of session {:?}: {status}", session.session);
@@ -199,12 +189,7 @@ impl Actor for PolicyClient {
         let mut request = infer_request(session, query_index, observation);
         request.under_way = under_way.map(|query| UnderWay {
             // Policies answer with 32-bit floats, so the conversion is exact.
-            actions: query
-                .under_way
-                .iter()
-                .flatten()
-                .map(|value| *value as f32)
-                .collect(),
+            actions: query.under_way.iter().flatten().map(|value| *value as f32).collect(),
             action_width: ACTION_WIDTH as u32,
             delay: query.delay,
         });
@@ -253,9 +238,7 @@ fn read_description(about: DescribeResponse) -> Result<Description, DescriptionF
     policy_protocol::description(&about)?;
     let fields = about.state.iter();
     Ok(Description {
-        state: fields
-            .filter_map(|&field| StateField::try_from(field).ok())
-            .collect(),
+        state: fields.filter_map(|&field| StateField::try_from(field).ok()).collect(),
         horizon: about.horizon as usize,
         execute: about.execute as usize,
         about,
@@ -274,11 +257,7 @@ mod tests {
             name: "pi05".to_owned(),
             horizon: 10,
             execute: 5,
-            cameras: vec![CameraRequest {
-                name: "agentview".to_owned(),
-                width: 256,
-                height: 256,
-            }],
+            cameras: vec![CameraRequest { name: "agentview".to_owned(), width: 256, height: 256 }],
             state: vec![StateField::EefPos as i32, StateField::GripperPos as i32],
             ..DescribeResponse::default()
         }

@@ -41,18 +41,13 @@ pub fn write(
     let mut written = Vec::new();
     let mut save = |name: String, picture: &RgbImage| {
         let path = folder.join(name);
-        picture
-            .save(&path)
-            .map_err(|error| write_error(&path, &error))?;
+        picture.save(&path).map_err(|error| write_error(&path, &error))?;
         written.push(path);
         Ok::<(), PreviewError>(())
     };
     save("grid.png".to_owned(), &grid(simulator, request)?)?;
     for axis in Axis::METRIC {
-        save(
-            format!("presets_{axis}.png"),
-            &presets_sheet(simulator, request, axis)?,
-        )?;
+        save(format!("presets_{axis}.png"), &presets_sheet(simulator, request, axis)?)?;
     }
     let path = folder.join("actuation_paths.svg");
     let svg = paths::svg(simulator, request)?;
@@ -62,19 +57,13 @@ pub fn write(
 }
 
 fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
-    PreviewError::Write {
-        path: path.to_owned(),
-        problem: problem.to_string(),
-    }
+    PreviewError::Write { path: path.to_owned(), problem: problem.to_string() }
 }
 
 /// Renders the grid: one row for each axis alone and one for the combination, with a column for
 /// the nominal scene and for each severity. The language axis is shown as text.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, PreviewError> {
-    let rows = Axis::ALL
-        .map(Condition::Single)
-        .into_iter()
-        .chain([Condition::Combination]);
+    let rows = Axis::ALL.map(Condition::Single).into_iter().chain([Condition::Combination]);
     let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME);
     for condition in rows {
         if condition == Condition::Single(Axis::Language) {
@@ -92,10 +81,8 @@ fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, Previe
         );
         for level in LEVELS {
             let row = row(request.task, condition, Some(level), request.config);
-            sheet.add(
-                &format!("{} {level}", condition.label()),
-                picture(simulator, request, &row)?,
-            );
+            sheet
+                .add(&format!("{} {level}", condition.label()), picture(simulator, request, &row)?);
         }
     }
     Ok(sheet.finish())
@@ -108,12 +95,7 @@ fn presets_sheet(
 ) -> Result<RgbImage, PreviewError> {
     let mut sheet = Sheet::new(PRESETS_PER_ROW, FRAME);
     for config in 0..PRESETS {
-        let row = row(
-            request.task,
-            Condition::Single(axis),
-            Some(request.level),
-            config,
-        );
+        let row = row(request.task, Condition::Single(axis), Some(request.level), config);
         let label = format!("{axis} {} c{config:02}", request.level);
         sheet.add(&label, picture(simulator, request, &row)?);
     }
@@ -130,10 +112,8 @@ fn picture(
 ) -> Result<RgbImage, PreviewError> {
     let mut episode = simulator.begin(row, request.realisation)?;
     episode.settle()?;
-    let has_motion = matches!(
-        row.id.condition(),
-        Condition::Single(Axis::Actuation) | Condition::Combination
-    );
+    let has_motion =
+        matches!(row.id.condition(), Condition::Single(Axis::Actuation) | Condition::Combination);
     if has_motion {
         for step in 0..MOTION_STEPS {
             episode.step(&motion(step))?;
@@ -143,15 +123,8 @@ fn picture(
 }
 
 fn upright_view(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
-    let camera = CameraRequest {
-        name: "agentview".to_owned(),
-        width: FRAME,
-        height: FRAME,
-    };
-    let request = ObservationRequest {
-        cameras: vec![camera],
-        privileged: false,
-    };
+    let camera = CameraRequest { name: "agentview".to_owned(), width: FRAME, height: FRAME };
+    let request = ObservationRequest { cameras: vec![camera], privileged: false };
     let frame = episode.observe(&request)?.frames.remove(0);
     let mut picture =
         RgbImage::from_raw(FRAME, FRAME, frame.rgb).expect("a frame of the requested size");

@@ -115,10 +115,7 @@ pub fn run(
     if matches!(id.condition(), Condition::Clean | Condition::Latency) {
         return Err(RescueError::NotPerturbed(id));
     }
-    let write = |path: &Path, source| RescueError::Write {
-        path: path.to_owned(),
-        source,
-    };
+    let write = |path: &Path, source| RescueError::Write { path: path.to_owned(), source };
     fs::create_dir_all(output).map_err(|source| write(output, source))?;
     let mut stage = Stage::of_the_protocol(simulator);
     let mut query_steps = QuerySteps::default();
@@ -139,24 +136,15 @@ pub fn run(
     let mut saved: Option<(usize, Simulated)> = None;
     while let Some(query) = search.next() {
         let step = query_steps[query] as usize;
-        tracing::info!(
-            "try {}: lifting the perturbations at step {step}",
-            tried.len() + 1
-        );
+        tracing::info!("try {}: lifting the perturbations at step {step}", tried.len() + 1);
         let mut resume = |change| {
-            let resumed = Resumed {
-                commands: &failed.actions[..step],
-                change,
-            };
+            let resumed = Resumed { commands: &failed.actions[..step], change };
             let mut watcher = QuerySteps::default();
             rollout::run_resumed(Some(resumed), &mut stage, actor, assignment, &mut watcher)
         };
         let simulated = resume(Change::Lift)?;
         let result = &simulated.finished.result;
-        tracing::info!(
-            "{id} lifted at step {step}: {}",
-            outcome_word(result.success)
-        );
+        tracing::info!("{id} lifted at step {step}: {}", outcome_word(result.success));
         let mut placebo_success = None;
         if result.success {
             let success = resume(Change::Nudge)?.finished.result.success;

@@ -146,12 +146,10 @@ pub(crate) fn run_resumed(
     // latency axis it is an outcome: the policy cannot cope with that delay, and its arm holds
     // still.
     if row.id.condition() != Condition::Latency {
-        row.execution
-            .check(description.horizon)
-            .map_err(|problem| PolicyError::TooLate {
-                policy: assignment.policy.clone(),
-                problem,
-            })?;
+        row.execution.check(description.horizon).map_err(|problem| PolicyError::TooLate {
+            policy: assignment.policy.clone(),
+            problem,
+        })?;
     }
     let mut run = Run {
         assignment,
@@ -198,10 +196,7 @@ pub(crate) fn run_resumed(
         evidence,
         motion: run.motion(),
     };
-    Ok(Simulated {
-        finished,
-        actions: run.executed,
-    })
+    Ok(Simulated { finished, actions: run.executed })
 }
 
 /// State of a running rollout.
@@ -233,9 +228,7 @@ impl Run<'_> {
         &mut self,
         stage: &mut Stage<'_>,
     ) -> Result<(RolloutResult, Digests, Realised), RolloutError> {
-        let Assignment {
-            row, realisation, ..
-        } = self.assignment;
+        let Assignment { row, realisation, .. } = self.assignment;
         let started = Instant::now();
         let change = self.resumed.map(|resumed| resumed.change);
         let instruction = match change {
@@ -263,8 +256,7 @@ impl Run<'_> {
         let session = self.assignment.policy_session();
         add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
-            self.actor
-                .reset(session, row.id.suite_name(), &instruction, seed)
+            self.actor.reset(session, row.id.suite_name(), &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));
@@ -285,11 +277,7 @@ impl Run<'_> {
             goal: Some(self.goal),
             prompt: Some(instruction.into_owned()).filter(|prompt| !prompt.is_empty()),
         };
-        Ok((
-            result,
-            episode.digests().clone(),
-            episode.realised().clone(),
-        ))
+        Ok((result, episode.digests().clone(), episode.realised().clone()))
     }
 
     /// Alternates queries and steps until the goal holds or the step budget is spent.
@@ -348,8 +336,7 @@ impl Run<'_> {
             let session = self.assignment.policy_session();
             let horizon = self.description.horizon;
             let under_way = self.assignment.row.execution.is_rtc().then_some(query);
-            self.actor
-                .infer(session, self.queries, observation, horizon, under_way)
+            self.actor.infer(session, self.queries, observation, horizon, under_way)
         })?;
         self.queries += 1;
         Ok(actions)
@@ -366,10 +353,8 @@ impl Run<'_> {
             false => &[],
         };
         // Policies answer with 32-bit floats, so the conversion is exact.
-        let actions: Vec<_> = recorded
-            .iter()
-            .map(|action| action.map(|value| value as f32))
-            .collect();
+        let actions: Vec<_> =
+            recorded.iter().map(|action| action.map(|value| value as f32)).collect();
         Motion::pack(&self.path, &actions)
     }
 
@@ -380,10 +365,7 @@ impl Run<'_> {
     }
 
     fn simulator_failed(&self, source: SimError) -> RolloutError {
-        RolloutError::Simulator {
-            title: self.title.clone(),
-            source,
-        }
+        RolloutError::Simulator { title: self.title.clone(), source }
     }
 }
 

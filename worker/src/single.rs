@@ -104,9 +104,7 @@ pub fn run(
     let simulated = rollout::run(&mut stage, actor, assignment, &mut capture);
     capture.write(output)?;
     let simulated = simulated?;
-    let video = film(&mut stage, assignment, &simulated, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let video = film(&mut stage, assignment, &simulated, &mut |_| ControlFlow::Continue(()));
     let video = video.unwrap_or_else(|error| {
         let session = &assignment.session;
         tracing::warn!("no video of {session}: failed to {}", chain(&error));
@@ -116,10 +114,10 @@ pub fn run(
     let actions = finished.motion.actions().into_iter();
     let path = output.join("result.json");
     let text = serde_json::to_vec_pretty(&ResultFile {
-        own_task: request.files.as_ref().map(|files| OwnFiles {
-            bddl: &files.bddl,
-            init: &files.init,
-        }),
+        own_task: request
+            .files
+            .as_ref()
+            .map(|files| OwnFiles { bddl: &files.bddl, init: &files.init }),
         assignment,
         finished: FinishedFile {
             outcome: &finished.result,

@@ -69,12 +69,7 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
             abandoned: &abandoned,
             connection_error: None,
         };
-        run_assignment(
-            &mut simulator,
-            (&mut policy, access),
-            &assignment,
-            &mut reporter,
-        );
+        run_assignment(&mut simulator, (&mut policy, access), &assignment, &mut reporter);
         if let Some(error) = reporter.connection_error {
             return Err(SlotError::Parent(error));
         }
@@ -95,9 +90,7 @@ pub fn warn_of_scene_files() {
 /// parent decides whether the current rollout is finished. Tokio's signal handlers stay installed
 /// after their listener and runtime are dropped.
 fn leave_signals_to_the_parent() -> io::Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_io()
-        .build()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     let _runtime_context = runtime.enter();
     drop(signal(SignalKind::terminate())?);
     drop(signal(SignalKind::interrupt())?);
@@ -165,10 +158,7 @@ fn prepare(
         return Ok(None);
     }
     let prepared = Prepared::new(&assignment.row, simulator.sources())?;
-    let completed = Assignment {
-        row: prepared.row.clone(),
-        ..assignment.clone()
-    };
+    let completed = Assignment { row: prepared.row.clone(), ..assignment.clone() };
     Ok(Some((prepared, completed)))
 }
 

@@ -24,22 +24,12 @@ pub struct Stage<'a> {
 impl<'a> Stage<'a> {
     /// Creates a stage for the protocol's tasks, which each row names.
     pub fn of_the_protocol(simulator: &'a mut Simulator) -> Self {
-        Self {
-            simulator,
-            files: None,
-            variant: None,
-            always_names_renderer: true,
-        }
+        Self { simulator, files: None, variant: None, always_names_renderer: true }
     }
 
     /// Creates a stage for task files that replace those of the row's task.
     pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
-        Self {
-            simulator,
-            files: Some(files),
-            variant: None,
-            always_names_renderer: true,
-        }
+        Self { simulator, files: Some(files), variant: None, always_names_renderer: true }
     }
 
     /// Starts episodes from a variant's initial conditions, if one is given.
@@ -50,10 +40,7 @@ impl<'a> Stage<'a> {
     /// Leaves the renderer closed, and unnamed in the evidence, if a rollout renders nothing. Not
     /// for campaigns, which are pinned to a renderer.
     pub fn with_a_renderer_only_if_needed(self) -> Self {
-        Self {
-            always_names_renderer: false,
-            ..self
-        }
+        Self { always_names_renderer: false, ..self }
     }
 
     /// Returns the renderer's own name and the fingerprint, which covers rendering too. Both are

@@ -67,10 +67,7 @@ impl Run<'_> {
             }
             let row = self.run_case(case, &sources, &pack, &mut simulator, actor)?;
             let outcome = if row.success { "success" } else { "failure" };
-            report(&format!(
-                "{}: {outcome} after {} steps",
-                row.variant, row.steps
-            ));
+            report(&format!("{}: {outcome} after {} steps", row.variant, row.steps));
             results.add(row)?;
         }
         Ok(results.tally())

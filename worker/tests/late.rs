@@ -95,14 +95,7 @@ impl CompletedRollout {
         let Finished { result, motion, .. } = &self.simulated.finished;
         let counts = (result.steps, result.policy_queries, result.clipped_actions);
         let actions = &self.simulated.actions;
-        (
-            result.success,
-            counts.0,
-            counts.1,
-            counts.2,
-            motion,
-            actions,
-        )
+        (result.success, counts.0, counts.1, counts.2, motion, actions)
     }
 }
 
@@ -139,20 +132,13 @@ fn run_under(simulator: &mut Simulator, model: &str, answers_slowly: bool) -> Co
 }
 
 fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) -> CompletedRollout {
-    let mut actor = SensitivePolicy {
-        answers_slowly,
-        rtc_queries: Vec::new(),
-    };
+    let mut actor = SensitivePolicy { answers_slowly, rtc_queries: Vec::new() };
     let mut assignment = assignment(row);
     assignment.keep_actions = true;
     let mut sent = SentActions::default();
     let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
     let simulated = run(&mut stage, &mut actor, &assignment, &mut sent).expect("a result");
-    CompletedRollout {
-        simulated,
-        sent: sent.0,
-        rtc_queries: actor.rtc_queries,
-    }
+    CompletedRollout { simulated, sent: sent.0, rtc_queries: actor.rtc_queries }
 }
 
 #[test]
@@ -203,11 +189,8 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
     let nominal = short_row(&format!("spatial/t0/clean/i{:02}", late.init_id));
     // A row of the latency axis keeps its own model, whatever the campaign's.
     let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
-    let delayed_nominal = run_row(
-        &mut simulator,
-        nominal.clone().under(&parse_model("overlap:4")),
-        false,
-    );
+    let delayed_nominal =
+        run_row(&mut simulator, nominal.clone().under(&parse_model("overlap:4")), false);
     assert_eq!(ran.bits(), delayed_nominal.bits());
     assert_ne!(ran.bits(), run_row(&mut simulator, nominal, false).bits());
     let settings = &ran.simulated.finished.evidence.policy_settings;
@@ -232,10 +215,7 @@ fn only_real_time_chunking_sends_the_actions_under_way() {
     assert_eq!(ran.sent[..3], [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]; 3]);
     let without_rtc = run_under(&mut simulator, "overlap:3", false);
     assert!(without_rtc.rtc_queries.is_empty());
-    assert_eq!(
-        without_rtc.sent, ran.sent,
-        "this policy ignores the actions under way"
-    );
+    assert_eq!(without_rtc.sent, ran.sent, "this policy ignores the actions under way");
 }
 
 #[test]
@@ -263,24 +243,12 @@ fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
     };
     let mut assignment = assignment(row().under(&parse_model("overlap:10")));
     assignment.policy = "nervous".to_owned();
-    let mut actor = SensitivePolicy {
-        answers_slowly: false,
-        rtc_queries: Vec::new(),
-    };
+    let mut actor = SensitivePolicy { answers_slowly: false, rtc_queries: Vec::new() };
     let mut stage = Stage::of_the_protocol(&mut simulator).with_a_renderer_only_if_needed();
-    let refused = run(
-        &mut stage,
-        &mut actor,
-        &assignment,
-        &mut SentActions::default(),
-    );
+    let refused = run(&mut stage, &mut actor, &assignment, &mut SentActions::default());
     let failure = refused.expect_err("too late").failure().expect("a fault");
     assert_eq!(failure.kind, FailureKind::PolicyUnavailable);
-    for words in [
-        "policy `nervous`",
-        "`overlap:10` drops at least 10",
-        "`hold:10`",
-    ] {
+    for words in ["policy `nervous`", "`overlap:10` drops at least 10", "`hold:10`"] {
         assert!(failure.error.contains(words), "{}", failure.error);
     }
 }

@@ -61,10 +61,7 @@ struct Parts {
 pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let cache = setup::run(root)?;
     let shared_folder = |folder: &str| root.join("../shared").join(folder);
-    let oracle = options
-        .oracle
-        .clone()
-        .unwrap_or_else(|| shared_folder("oracle"));
+    let oracle = options.oracle.clone().unwrap_or_else(|| shared_folder("oracle"));
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
@@ -121,11 +118,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
             fewer_frames_runs.push(step(&title, || theirs(options.execute).map(RolloutTime))?.0);
         }
     }
-    print_ratios(
-        "as released, both cameras drawn at every step",
-        &our_runs,
-        &released_runs,
-    );
+    print_ratios("as released, both cameras drawn at every step", &our_runs, &released_runs);
     if options.execute > 1 {
         let title = format!(
             "drawing only every {}th step, which the released version cannot do",
@@ -182,10 +175,7 @@ type Part = fn(&Parts) -> f64;
 /// round.
 fn print_ratios(title: &str, ours: &[Parts], theirs: &[Parts]) {
     println!("the original {title}:");
-    println!(
-        "  {:<8} {:>12} {:>14} {:>8}  spread",
-        "", "here, ms", "original, ms", "ratio"
-    );
+    println!("  {:<8} {:>12} {:>14} {:>8}  spread", "", "here, ms", "original, ms", "ratio");
     let parts: [(&str, Part); 4] = [
         ("reset", |parts| parts.reset),
         ("settle", |parts| parts.settle),
@@ -252,9 +242,7 @@ pub(crate) fn machine() -> Result<String> {
     let model = cpuinfo
         .lines()
         .find_map(|line| line.strip_prefix("model name"))
-        .map_or("an unnamed processor", |rest| {
-            rest.trim_start_matches([' ', '\t', ':'])
-        });
+        .map_or("an unnamed processor", |rest| rest.trim_start_matches([' ', '\t', ':']));
     Ok(format!("{} cores of {model}", cores()?))
 }
 

@@ -87,16 +87,8 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
                 queue_tests(&clone)?
             }
         };
-        let met = if seconds <= wait.target() {
-            "met"
-        } else {
-            "missed"
-        };
-        println!(
-            "{}: {seconds} s, target {} s, {met}",
-            wait.name(),
-            wait.target()
-        );
+        let met = if seconds <= wait.target() { "met" } else { "missed" };
+        println!("{}: {seconds} s, target {} s, {met}", wait.name(), wait.target());
     }
     Ok(())
 }
@@ -137,8 +129,5 @@ fn timed(command: &mut Command) -> Result<(u64, String)> {
             tail(&output.stderr)
         );
     }
-    Ok((
-        seconds,
-        String::from_utf8_lossy(&output.stdout).into_owned(),
-    ))
+    Ok((seconds, String::from_utf8_lossy(&output.stdout).into_owned()))
 }

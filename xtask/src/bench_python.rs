@@ -117,9 +117,7 @@ const ROWS: [Row; 6] = [
             Ok([
                 median(round, |pair| rate(&pair.threads))?,
                 median(round, |pair| rate(&pair.without_python))?,
-                median(round, |pair| {
-                    Ok(rate(&pair.threads)? / rate(&pair.without_python)?)
-                })?,
+                median(round, |pair| Ok(rate(&pair.threads)? / rate(&pair.without_python)?))?,
             ])
         },
     },
@@ -137,11 +135,7 @@ fn rate(run: &Value) -> Result<f64> {
 }
 
 fn median(round: &Round, value_of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
-    let values = round
-        .pairs
-        .iter()
-        .map(value_of)
-        .collect::<Result<Vec<_>>>()?;
+    let values = round.pairs.iter().map(value_of).collect::<Result<Vec<_>>>()?;
     Ok(spread(&values).0)
 }
 
@@ -149,10 +143,7 @@ fn median(round: &Round, value_of: impl Fn(&Pair) -> Result<f64>) -> Result<f64>
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     let shared_folder = |folder: &str| root.join("../shared").join(folder);
-    let oracle = options
-        .oracle
-        .clone()
-        .unwrap_or_else(|| shared_folder("oracle"));
+    let oracle = options.oracle.clone().unwrap_or_else(|| shared_folder("oracle"));
     let assets = setup::assets_or(root, options.assets.as_deref(), &options.task)?;
     let original = match Original::provide(&cache, &oracle, &assets) {
         Ok(original) => original,
@@ -166,14 +157,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let script = root.join("python/bench/speed.py");
     let [count, steps] = [options.environments, options.steps].map(|number| number.to_string());
     let run_mode = |mut command: Command, mode: &str| {
-        command.args([
-            mode,
-            &options.task,
-            "--environments",
-            &count,
-            "--steps",
-            &steps,
-        ]);
+        command.args([mode, &options.task, "--environments", &count, "--steps", &steps]);
         command.env("ROLLOUT_ASSETS", &assets);
         // A single thread renders a frame of the original, as in this project.
         command.env("LP_NUM_THREADS", "1");
@@ -201,10 +185,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             command.args(["--task", &options.task, "--environments", &count]);
             command.args(["--steps", &steps, "--assets"]).arg(&assets);
             let without_python = last_json(&mut command)?;
-            Ok(Pair {
-                threads,
-                without_python,
-            })
+            Ok(Pair { threads, without_python })
         };
         rounds.push(Round {
             pairs: (0..PAIRS).map(pair).collect::<Result<_>>()?,
@@ -226,10 +207,7 @@ fn print(rounds: &[Round]) -> Result<()> {
         "", "here", "original", "", "ratio", "  spread"
     );
     for row in &ROWS {
-        let all = rounds
-            .iter()
-            .map(row.values_of)
-            .collect::<Result<Vec<_>>>()?;
+        let all = rounds.iter().map(row.values_of).collect::<Result<Vec<_>>>()?;
         let column = |at: usize| all.iter().map(|values| values[at]).collect::<Vec<_>>();
         let (ratio, least, most) = spread(&column(2));
         println!(

@@ -73,8 +73,6 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     if clients.is_none() {
         command.args(["--frameworks", "simplevla"]);
     }
-    command
-        .args(&options.arguments)
-        .env("ROLLOUT_ASSETS", &assets);
+    command.args(&options.arguments).env("ROLLOUT_ASSETS", &assets);
     run_command(&mut command)
 }

@@ -63,12 +63,8 @@ pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<Pat
 }
 
 fn build(root: &Path, arguments: &[&str]) -> Result<PathBuf> {
-    run(cargo(root)
-        .args(["build", "--workspace", "--exclude", "xtask"])
-        .args(arguments))?;
+    run(cargo(root).args(["build", "--workspace", "--exclude", "xtask"]).args(arguments))?;
     // The same cargo built this program into the same folder.
     let this_program = std::env::current_exe()?;
-    Ok(this_program
-        .parent()
-        .map_or_else(|| root.join("target/debug"), Path::to_owned))
+    Ok(this_program.parent().map_or_else(|| root.join("target/debug"), Path::to_owned))
 }

@@ -30,11 +30,7 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     step("unit tests", || {
         // The profile `check` of .config/nextest.toml selects the tests.
         let tests = ["nextest", "run", "--workspace", "--profile", "check"];
-        let lines = capture(
-            cargo(root)
-                .args(tests)
-                .args(["--final-status-level", "none"]),
-        )?;
+        let lines = capture(cargo(root).args(tests).args(["--final-status-level", "none"]))?;
         Ok(lines.lines().last().unwrap_or("passed").trim().to_owned())
     })?;
     Ok(())
@@ -46,12 +42,6 @@ pub(crate) fn run(root: &Path) -> Result<()> {
 /// If rustdoc warns.
 pub(crate) fn documentation(root: &Path) -> Result<&'static str> {
     let mut doc = cargo(root);
-    doc.args([
-        "doc",
-        "--workspace",
-        "--no-deps",
-        "--quiet",
-        "--document-private-items",
-    ]);
+    doc.args(["doc", "--workspace", "--no-deps", "--quiet", "--document-private-items"]);
     capture(doc.env("RUSTDOCFLAGS", "--deny warnings")).map(|_| "no warnings")
 }

@@ -33,9 +33,8 @@ fn install(root: &Path, dir: &Path) -> Result<String> {
     let list = root.join("python/tests/shim/clients.txt");
     let dependencies =
         std::fs::read_to_string(&list).with_context(|| format!("read {}", list.display()))?;
-    let requirements = [&TORCH.join("\n"), &CLIENTS.join("\n"), &dependencies]
-        .map(String::as_str)
-        .join("\n");
+    let requirements =
+        [&TORCH.join("\n"), &CLIENTS.join("\n"), &dependencies].map(String::as_str).join("\n");
     let stamp = dir.join(STAMP);
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there".to_owned());
@@ -44,14 +43,7 @@ fn install(root: &Path, dir: &Path) -> Result<String> {
     let _ = std::fs::remove_file(&stamp);
     new_environment(dir)?;
     let mut torch = pip(dir);
-    torch.args([
-        "--retries",
-        "0",
-        "--timeout",
-        "10",
-        "--index-url",
-        TORCH_INDEX,
-    ]);
+    torch.args(["--retries", "0", "--timeout", "10", "--index-url", TORCH_INDEX]);
     capture(torch.args(TORCH)).context("install PyTorch (is its index reachable?)")?;
     capture(pip(dir).arg("--requirement").arg(&list))?;
     capture(pip(dir).arg("--no-deps").args(CLIENTS))?;

@@ -89,38 +89,24 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     };
     let data = dir.join("coordinator");
     let data_arg = data.to_string_lossy();
-    let coordinator = start_one(
-        "coordinator",
-        &["serve", "--data", &data_arg, "--listen", "127.0.0.1:0"],
-    )?;
+    let coordinator =
+        start_one("coordinator", &["serve", "--data", &data_arg, "--listen", "127.0.0.1:0"])?;
     // Each student was trained on one asset pack.
     let builtin = match options.assets.as_str() {
         "primitives" => "builtin:student-boxes",
         _ => "builtin:student",
     };
     let route = format!("{POLICY}={builtin}");
-    let gateway = start_one(
-        "policy-gateway",
-        &["--listen", "127.0.0.1:0", "--route", &route],
-    )?;
+    let gateway = start_one("policy-gateway", &["--listen", "127.0.0.1:0", "--route", &route])?;
     let call = |arguments: &[&str]| {
         let mut command = Command::new(programs.join("coordinator"));
-        command
-            .args(arguments)
-            .args(["--connect", &coordinator.url]);
+        command.args(arguments).args(["--connect", &coordinator.url]);
         command
     };
     let slots = options.slots.to_string();
     let mut worker = start_one(
         "worker",
-        &[
-            "--connect",
-            &coordinator.url,
-            "--slots",
-            &slots,
-            "--assets",
-            &options.assets,
-        ],
+        &["--connect", &coordinator.url, "--slots", &slots, "--assets", &options.assets],
     )?;
     #[rustfmt::skip]
     run_command(&mut call(&[
@@ -138,18 +124,9 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     let results = dir.join("results.jsonl");
     let results_arg = results.to_string_lossy();
     println!();
-    run_command(&mut call(&[
-        "export",
-        CAMPAIGN,
-        "--format",
-        "jsonl",
-        "--output",
-        &results_arg,
-    ]))?;
+    run_command(&mut call(&["export", CAMPAIGN, "--format", "jsonl", "--output", &results_arg]))?;
     let transitions = transitions(&results)?;
-    step("videos of transitions", || {
-        film(programs, &coordinator, options).map(|()| "made")
-    })?;
+    step("videos of transitions", || film(programs, &coordinator, options).map(|()| "made"))?;
     println!();
     println!("report    {}", page.display());
     println!("page      http://{PAGE_ADDRESS}/ while this command runs:");
@@ -167,11 +144,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
 /// Returns the shell command that serves a demo's data again.
 fn serve_again(programs: &Path, data: &Path) -> String {
     let program = programs.join("coordinator");
-    format!(
-        "'{}' serve --data '{}' --listen {PAGE_ADDRESS}",
-        program.display(),
-        data.display()
-    )
+    format!("'{}' serve --data '{}' --listen {PAGE_ADDRESS}", program.display(), data.display())
 }
 
 /// Creates a new numbered folder, so that the results of earlier demos are kept.

@@ -10,12 +10,7 @@ use crate::step::step;
 use crate::venv::environment;
 
 /// The tools, and the packages whose annotations mypy reads.
-const PACKAGES: [&str; 4] = [
-    "gymnasium==1.4.0",
-    "mypy==2.4.1",
-    "numpy==2.4.6",
-    "ruff==0.17.6",
-];
+const PACKAGES: [&str; 4] = ["gymnasium==1.4.0", "mypy==2.4.1", "numpy==2.4.6", "ruff==0.17.6"];
 
 /// Lints the Python sources and checks their types; prints a message if the tools cannot be
 /// installed.
@@ -29,11 +24,7 @@ pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
         return step("Python", || Ok(format!("not checked: {error:#}"))).map(drop);
     }
     for (title, tool, arguments) in [
-        (
-            "Python lints",
-            "ruff",
-            &["check", "--output-format=concise", "."][..],
-        ),
+        ("Python lints", "ruff", &["check", "--output-format=concise", "."][..]),
         ("Python types", "mypy", &[]),
     ] {
         let mut command = Command::new(dir.join("bin").join(tool));
@@ -45,9 +36,7 @@ pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
 
 /// Runs a tool; if it reports faults, the error includes its output.
 fn run_tool(command: &mut Command) -> Result<&'static str> {
-    let output = command
-        .output()
-        .with_context(|| format!("start `{}`", command_line(command)))?;
+    let output = command.output().with_context(|| format!("start `{}`", command_line(command)))?;
     if output.status.success() {
         return Ok("in order");
     }

@@ -254,10 +254,7 @@ fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
 fn root() -> PathBuf {
     let package = std::env::var_os("CARGO_MANIFEST_DIR");
     let package = package.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
-    Path::new(&package)
-        .parent()
-        .expect("xtask is in the workspace")
-        .to_owned()
+    Path::new(&package).parent().expect("xtask is in the workspace").to_owned()
 }
 
 #[cfg(test)]
@@ -322,17 +319,13 @@ mod tests {
 
     #[test]
     fn test_filters_need_no_dashes_before_them() {
-        for words in [
-            &["xtask", "test", "undisturbed"][..],
-            &["xtask", "test", "--", "undisturbed"],
-        ] {
+        for words in
+            [&["xtask", "test", "undisturbed"][..], &["xtask", "test", "--", "undisturbed"]]
+        {
             let Command::Test { suite, filters } = Arguments::parse_from(words).command else {
                 panic!("{words:?}");
             };
-            assert_eq!(
-                (&suite[..], &filters[..]),
-                (&[][..], &["undisturbed".to_owned()][..])
-            );
+            assert_eq!((&suite[..], &filters[..]), (&[][..], &["undisturbed".to_owned()][..]));
         }
     }
 }

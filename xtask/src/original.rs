@@ -55,15 +55,9 @@ impl Original {
             tools.display()
         );
         let assets = assets.canonicalize().with_context(|| {
-            format!(
-                "find LIBERO's assets at {}: give their folder with --assets",
-                assets.display()
-            )
+            format!("find LIBERO's assets at {}: give their folder with --assets", assets.display())
         })?;
-        step(
-            "the original's rendering libraries",
-            setup::original_packages,
-        )?;
+        step("the original's rendering libraries", setup::original_packages)?;
         let dir = cache.join("original");
         let python = dir.join("bin/python");
         step("the original's Python packages", || install(&dir, &python))?;
@@ -111,12 +105,8 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there");
     }
-    capture(
-        Command::new("python3")
-            .args(["-m", "venv", "--clear"])
-            .arg(dir),
-    )
-    .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    capture(Command::new("python3").args(["-m", "venv", "--clear"]).arg(dir))
+        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
     let pip = |arguments: &[&str]| {
         let mut pip = Command::new(python);
         pip.args(["-m", "pip", "install", "--quiet"]);

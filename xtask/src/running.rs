@@ -38,12 +38,7 @@ impl Running {
             .stderr(file)
             .spawn()
             .with_context(|| format!("start {name}"))?;
-        let mut running = Self {
-            name: name.to_owned(),
-            child,
-            log,
-            url: String::new(),
-        };
+        let mut running = Self { name: name.to_owned(), child, log, url: String::new() };
         let start = Instant::now();
         loop {
             if let Some(url) = announced_url(&running.log, name)? {
@@ -65,16 +60,11 @@ impl Running {
     /// If the command's exit status is not 0, or if this background program ends before the
     /// command.
     pub(crate) fn run_while_alive(&mut self, command: &mut Command) -> Result<()> {
-        let mut running_command = command
-            .spawn()
-            .with_context(|| format!("start `{}`", command_line(command)))?;
+        let mut running_command =
+            command.spawn().with_context(|| format!("start `{}`", command_line(command)))?;
         loop {
             if let Some(status) = running_command.try_wait()? {
-                ensure!(
-                    status.success(),
-                    "run `{}`: {status}",
-                    command_line(command)
-                );
+                ensure!(status.success(), "run `{}`: {status}", command_line(command));
                 return Ok(());
             }
             if let Err(error) = self.check() {
@@ -90,11 +80,7 @@ impl Running {
     fn check(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
             let log_text = std::fs::read_to_string(&self.log).unwrap_or_default();
-            bail!(
-                "keep {} running: {status}\n{}",
-                self.name,
-                log_text.trim_end()
-            );
+            bail!("keep {} running: {status}\n{}", self.name, log_text.trim_end());
         }
         Ok(())
     }
@@ -102,11 +88,7 @@ impl Running {
 
 impl std::fmt::Display for Running {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(if self.url.is_empty() {
-            "started"
-        } else {
-            &self.url
-        })
+        f.write_str(if self.url.is_empty() { "started" } else { &self.url })
     }
 }
 
@@ -133,9 +115,7 @@ impl Drop for Running {
         if matches!(self.child.try_wait(), Ok(Some(_))) {
             return;
         }
-        let _ = Command::new("kill")
-            .arg(self.child.id().to_string())
-            .status();
+        let _ = Command::new("kill").arg(self.child.id().to_string()).status();
         let start = Instant::now();
         while start.elapsed() < END_LIMIT {
             if matches!(self.child.try_wait(), Ok(Some(_)) | Err(_)) {

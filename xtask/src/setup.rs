@@ -13,13 +13,8 @@ use crate::step::step;
 
 /// Debian packages for off-screen OpenGL rendering, and the libraries whose presence shows that the
 /// packages are installed.
-const GL_PACKAGES: [&str; 5] = [
-    "libegl1",
-    "libegl-mesa0",
-    "libgl1-mesa-dri",
-    "libgl1",
-    "libopengl0",
-];
+const GL_PACKAGES: [&str; 5] =
+    ["libegl1", "libegl-mesa0", "libgl1-mesa-dri", "libgl1", "libopengl0"];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
 /// Additional package for the original LIBERO, which renders through PyOpenGL, and its library.
@@ -124,9 +119,7 @@ fn cache_dir() -> Result<PathBuf> {
     let cache = std::env::var_os("XDG_CACHE_HOME")
         .map(PathBuf::from)
         .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
-    let cache = cache
-        .context("find a cache folder: set HOME or XDG_CACHE_HOME")?
-        .join("rollout");
+    let cache = cache.context("find a cache folder: set HOME or XDG_CACHE_HOME")?.join("rollout");
     std::fs::create_dir_all(&cache).with_context(|| format!("make {}", cache.display()))?;
     Ok(cache)
 }

@@ -69,20 +69,16 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
 /// Returns the tests' lines that begin with `mark`, each with the test's name, sorted.
 fn marked_lines(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let document = roxmltree::Document::parse(report)?;
-    let tests = document
-        .descendants()
-        .filter(|n| n.has_tag_name("testcase"));
+    let tests = document.descendants().filter(|n| n.has_tag_name("testcase"));
     let mut skipped: Vec<(String, String)> = tests
         .flat_map(|test| {
             let name = test.attribute("name").unwrap_or_default();
             let outputs = test.children().filter_map(|output| output.text());
             let lines = outputs.flat_map(str::lines).map(str::trim);
-            lines
-                .filter(|line| begins_with(line, mark))
-                .map(move |line| {
-                    let reason = line.split_once(": ").map_or(line, |(_, reason)| reason);
-                    (name.to_owned(), reason.to_owned())
-                })
+            lines.filter(|line| begins_with(line, mark)).map(move |line| {
+                let reason = line.split_once(": ").map_or(line, |(_, reason)| reason);
+                (name.to_owned(), reason.to_owned())
+            })
         })
         .collect();
     skipped.sort();
@@ -135,10 +131,7 @@ mod tests {
         ] {
             write(reason);
             let error = check(&report, existing).expect_err(reason).to_string();
-            assert!(
-                error.ends_with("did not find their part of it: a"),
-                "{error}"
-            );
+            assert!(error.ends_with("did not find their part of it: a"), "{error}");
             check(&report, &absent).expect(reason);
         }
         write(" a: no chromium");

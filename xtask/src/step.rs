@@ -23,11 +23,7 @@ pub(crate) fn step<T: Display>(title: &str, work: impl FnOnce() -> Result<T>) ->
     match &outcome {
         Ok(result) => {
             let secs = start.elapsed().as_secs();
-            let time = if secs > 0 {
-                format!(" ({secs} s)")
-            } else {
-                String::new()
-            };
+            let time = if secs > 0 { format!(" ({secs} s)") } else { String::new() };
             println!("{begin}  {title:<WIDTH$} {result}{time}");
         }
         Err(_) => println!("{begin}  {title:<WIDTH$} failed"),

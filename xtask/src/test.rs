@@ -100,9 +100,7 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
 
 /// Removes the suites of a lane from `suites`, and returns the removed suites.
 fn take(suites: &mut Vec<Suite>, lane: &[Suite]) -> Vec<Suite> {
-    suites
-        .extract_if(.., |suite| lane.contains(suite))
-        .collect()
+    suites.extract_if(.., |suite| lane.contains(suite)).collect()
 }
 
 /// Inputs of the suites: folders, the built programs, and options.
@@ -138,12 +136,7 @@ impl Tests<'_> {
     }
 
     fn suite(&self, suite: Suite) -> Result<()> {
-        let Self {
-            root,
-            cache,
-            programs,
-            ..
-        } = *self;
+        let Self { root, cache, programs, .. } = *self;
         match suite {
             Suite::Rust => self.crates()?,
             Suite::Lints => run_command(&mut lints(root))?,
@@ -181,16 +174,8 @@ impl Tests<'_> {
     /// Runs the tests of all crates, after installing their optional requirements. Lints run beside
     /// them, because many tests wait for single processes.
     fn crates(&self) -> Result<()> {
-        let Self {
-            root,
-            cache,
-            programs,
-            filters,
-            with_lints,
-        } = *self;
-        let python = step("Python environment for policies/", || {
-            python::environment(root, cache)
-        })?;
+        let Self { root, cache, programs, filters, with_lints } = *self;
+        let python = step("Python environment for policies/", || python::environment(root, cache))?;
         let packages = python::packages(root, cache)?;
         let typescript = typescript::build(root)?;
         step("browser for the live page's tests", || {
@@ -205,12 +190,8 @@ impl Tests<'_> {
         })?;
         step("built-in pack as generated", || {
             let mut generator = Command::new("python3");
-            capture(
-                generator
-                    .arg(root.join("assets/primitives_source"))
-                    .arg("--check"),
-            )
-            .map(|_| "yes")
+            capture(generator.arg(root.join("assets/primitives_source")).arg("--check"))
+                .map(|_| "yes")
         })?;
         step("dependencies against deny.toml", || deny(root))?;
         let schemas = deploy::schemas(cache);
@@ -242,9 +223,7 @@ impl Tests<'_> {
             let lints = with_lints.then(|| threads.spawn(|| run_command(&mut lints(root))));
             run_command(&mut tests)?;
             match lints {
-                Some(lints) => lints
-                    .join()
-                    .expect("the thread of the lints does not panic"),
+                Some(lints) => lints.join().expect("the thread of the lints does not panic"),
                 None => Ok(()),
             }
         })?;
@@ -275,17 +254,13 @@ fn build_tests(root: &Path) -> Result<Vec<PathBuf>> {
     fs::create_dir_all(&folder).with_context(|| format!("make {}", folder.display()))?;
     let list = ["--list-type", "binaries-only", "--message-format", "json"];
     let mut binaries = cargo(root);
-    binaries
-        .args(["nextest", "list"])
-        .args(ALL_TESTS)
-        .args(list);
+    binaries.args(["nextest", "list"]).args(ALL_TESTS).args(list);
     let mut metadata = cargo(root);
     metadata.args(["metadata", "--format-version", "1"]);
     let mut arguments = Vec::new();
-    for (option, command) in [
-        ("--binaries-metadata", &mut binaries),
-        ("--cargo-metadata", &mut metadata),
-    ] {
+    for (option, command) in
+        [("--binaries-metadata", &mut binaries), ("--cargo-metadata", &mut metadata)]
+    {
         let file = folder.join(format!("{}.json", option.trim_start_matches('-')));
         let text = capture(command.stderr(Stdio::inherit()))?;
         fs::write(&file, text).with_context(|| format!("write {}", file.display()))?;
@@ -299,9 +274,7 @@ fn lints(root: &Path) -> Command {
     let mut lints = Command::new("nice");
     lints.args(["-n", "19"]).arg(cargo(root).get_program());
     remove_package_variables(&mut lints);
-    lints
-        .current_dir(root)
-        .args(["clippy", "--workspace", "--all-targets", "--quiet"]);
+    lints.current_dir(root).args(["clippy", "--workspace", "--all-targets", "--quiet"]);
     lints.args(["--", "--deny", "warnings"]);
     lints
 }
@@ -309,9 +282,7 @@ fn lints(root: &Path) -> Command {
 /// Lints all Python sources, and tests the policies package from its sources.
 fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     lint::run(root, cache)?;
-    let python = step("Python environment for policies/", || {
-        python::environment(root, cache)
-    })?;
+    let python = step("Python environment for policies/", || python::environment(root, cache))?;
     let mut pytest = Command::new(python);
     run_command(
         pytest
@@ -327,11 +298,7 @@ fn deny(root: &Path) -> Result<String> {
         return Ok("skipped: no cargo-deny (`cargo install --locked cargo-deny`)".to_owned());
     }
     let check = ["deny", "--offline", "check"];
-    capture(
-        cargo(root)
-            .args(check)
-            .args(["bans", "licenses", "sources"]),
-    )?;
+    capture(cargo(root).args(check).args(["bans", "licenses", "sources"]))?;
     // The advisory database is a git repository, which `cargo deny fetch` downloads.
     let fetched = capture(cargo(root).args(["deny", "fetch"])).is_ok();
     match fetched {
@@ -362,16 +329,9 @@ fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
     match name {
         "bench_draw" => !has("--alone"),
         _ => {
-            let after = arguments
-                .iter()
-                .skip_while(|argument| *argument != "--renderer")
-                .nth(1);
-            let joined = arguments
-                .iter()
-                .find_map(|argument| argument.strip_prefix("--renderer="));
-            joined
-                .or(after.map(String::as_str))
-                .is_some_and(|renderer| renderer.starts_with("gl"))
+            let after = arguments.iter().skip_while(|argument| *argument != "--renderer").nth(1);
+            let joined = arguments.iter().find_map(|argument| argument.strip_prefix("--renderer="));
+            joined.or(after.map(String::as_str)).is_some_and(|renderer| renderer.starts_with("gl"))
         }
     }
 }
@@ -394,14 +354,7 @@ pub(crate) fn screenshots(root: &Path) -> Result<()> {
 /// Runs the benchmark of the statistics, which needs no simulator.
 pub(crate) fn bench_report(root: &Path, release: bool) -> Result<()> {
     let mut program = cargo(root);
-    program.args([
-        "run",
-        "--quiet",
-        "--package",
-        "paired",
-        "--example",
-        "bench",
-    ]);
+    program.args(["run", "--quiet", "--package", "paired", "--example", "bench"]);
     run_command(program.args(release.then_some("--release")))
 }
 

@@ -17,15 +17,11 @@ const STAMP: &str = "node_modules/.installed-from";
 pub(crate) fn build(root: &Path) -> Result<Option<PathBuf>> {
     let folder = root.join("policies/typescript");
     if capture(Command::new("npm").arg("--version")).is_err() {
-        step("TypeScript policy", || {
-            Ok("skipped: no npm (Debian: `apt-get install npm`)")
-        })?;
+        step("TypeScript policy", || Ok("skipped: no npm (Debian: `apt-get install npm`)"))?;
         return Ok(None);
     }
     step("packages for policies/typescript", || install(&folder))?;
-    step("TypeScript policy", || {
-        capture(npm(&folder).args(["run", "build"])).map(|_| "built")
-    })?;
+    step("TypeScript policy", || capture(npm(&folder).args(["run", "build"])).map(|_| "built"))?;
     Ok(Some(folder.join("dist/src/main.js")))
 }
 

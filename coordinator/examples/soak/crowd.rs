@@ -123,10 +123,7 @@ impl Crowd {
 
     fn client(&self) -> Client {
         let endpoint = Endpoint::from_shared(self.coordinator.url.clone()).expect("a URL");
-        let connection = self
-            .coordinator
-            .worker
-            .connect_lazy(endpoint.timeout(CALL_TIMEOUT));
+        let connection = self.coordinator.worker.connect_lazy(endpoint.timeout(CALL_TIMEOUT));
         WorkerServiceClient::new(connection.expect("a host"))
     }
 
@@ -186,10 +183,9 @@ impl Crowd {
             }
             last_sent = Instant::now();
             let attempts = held.lock().expect("no panic").clone();
-            let progress = attempts.into_iter().map(|attempt_id| wire::Progress {
-                attempt_id,
-                control_steps: 1,
-            });
+            let progress = attempts
+                .into_iter()
+                .map(|attempt_id| wire::Progress { attempt_id, control_steps: 1 });
             let request = wire::HeartbeatRequest {
                 worker_id: id.clone(),
                 progress: progress.collect(),
@@ -250,9 +246,7 @@ impl Crowd {
             match lease {
                 Some(lease) => {
                     self.running.fetch_add(1, Ordering::Relaxed);
-                    held.lock()
-                        .expect("no panic")
-                        .insert(lease.attempt_id.clone());
+                    held.lock().expect("no panic").insert(lease.attempt_id.clone());
                     warm = self.roll_out(&mut client, &lease).await;
                     held.lock().expect("no panic").remove(&lease.attempt_id);
                     self.running.fetch_sub(1, Ordering::Relaxed);
@@ -412,10 +406,7 @@ fn realised(row: &str) -> Vec<wire::RealisedAxis> {
     match row["axis"].as_str().unwrap_or_default() {
         "clean" | "language" => Vec::new(),
         name if names.contains(&name) => vec![axis(name, parameters)],
-        _ => names
-            .iter()
-            .filter_map(|name| Some(axis(name, parameters.get(name)?)))
-            .collect(),
+        _ => names.iter().filter_map(|name| Some(axis(name, parameters.get(name)?))).collect(),
     }
 }
 

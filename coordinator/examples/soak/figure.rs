@@ -33,14 +33,8 @@ const PANELS: [(&str, &[Curve]); 6] = [
             ("status", |sample| sample.status.map(|secs| secs * 1e3)),
         ],
     ),
-    (
-        "memory, MiB",
-        &[("resident", |sample| Some(sample.resident_mib))],
-    ),
-    (
-        "open files",
-        &[("descriptors", |sample| Some(sample.descriptors as f64))],
-    ),
+    ("memory, MiB", &[("resident", |sample| Some(sample.resident_mib))]),
+    ("open files", &[("descriptors", |sample| Some(sample.descriptors as f64))]),
     (
         "disk, MiB",
         &[
@@ -49,10 +43,7 @@ const PANELS: [(&str, &[Curve]); 6] = [
             ("log", |sample| Some(sample.log_kib / 1024.0)),
         ],
     ),
-    (
-        "results, thousands",
-        &[("accepted", |sample| Some(sample.accepted as f64 / 1e3))],
-    ),
+    ("results, thousands", &[("accepted", |sample| Some(sample.accepted as f64 / 1e3))]),
 ];
 
 /// Returns the figure as SVG.
@@ -67,11 +58,7 @@ pub(crate) fn draw(samples: &[Sample]) -> String {
     );
     for (number, (title, curves)) in PANELS.iter().enumerate() {
         let top = GAP + number as f64 * (PANEL + GAP);
-        let values = || {
-            curves
-                .iter()
-                .flat_map(|curve| samples.iter().filter_map(curve.1))
-        };
+        let values = || curves.iter().flat_map(|curve| samples.iter().filter_map(curve.1));
         let max_value = values().fold(0.0, f64::max).max(1e-9);
         let y = |value: f64| top + PANEL - value / max_value * PANEL;
         let bottom = top + PANEL;
@@ -90,12 +77,9 @@ pub(crate) fn draw(samples: &[Sample]) -> String {
             LEFT - 6.0,
         );
         for (index, ((name, value), colour)) in curves.iter().zip(COLOURS).enumerate() {
-            let points = samples
-                .iter()
-                .filter_map(|sample| Some((sample.at, value(sample)?)));
-            let points: Vec<String> = points
-                .map(|(at, value)| format!("{:.1},{:.1}", x(at), y(value)))
-                .collect();
+            let points = samples.iter().filter_map(|sample| Some((sample.at, value(sample)?)));
+            let points: Vec<String> =
+                points.map(|(at, value)| format!("{:.1},{:.1}", x(at), y(value))).collect();
             let _ = writeln!(
                 svg,
                 "<polyline points='{}' fill='none' stroke='{colour}' stroke-width='1.3'/>\n\

@@ -65,8 +65,7 @@ impl Arguments {
 
     /// Returns the mean duration of a rollout with which all jobs take as long as planned.
     fn rollout_duration(&self) -> Duration {
-        self.planned_duration()
-            .mul_f64(f64::from(self.slots) / self.jobs as f64)
+        self.planned_duration().mul_f64(f64::from(self.slots) / self.jobs as f64)
     }
 }
 
@@ -132,11 +131,7 @@ async fn run(arguments: &Arguments) -> Result<()> {
     server.stop()?;
     println!("{}", server.check()?);
     ensure!(is_finished, "finish in {:.0} s", took.as_secs_f64());
-    ensure!(
-        unfinished.is_empty(),
-        "finish everything: {}",
-        unfinished.join("; ")
-    );
+    ensure!(unfinished.is_empty(), "finish everything: {}", unfinished.join("; "));
     watch::check_growth(&samples)
 }
 
@@ -148,12 +143,7 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
         // If the share is less than half a design, the campaign has two tasks only.
         let tasks = match designs {
             0.0 => json!(["libero_object/0", "libero_object/1"]),
-            _ => json!([
-                "libero_spatial",
-                "libero_object",
-                "libero_goal",
-                "libero_10"
-            ]),
+            _ => json!(["libero_spatial", "libero_object", "libero_goal", "libero_10"]),
         };
         json!({
             "name": name,
@@ -192,10 +182,7 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
 pub(crate) fn hash_fraction(text: &str) -> f64 {
     use sha2::{Digest, Sha256};
     let digest = Sha256::digest(text.as_bytes());
-    let bits = digest
-        .iter()
-        .take(4)
-        .fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
+    let bits = digest.iter().take(4).fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
     f64::from(bits) / 2_f64.powi(32)
 }
 

@@ -56,12 +56,7 @@ impl Server {
         // restart.
         let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
         let folder = folder.to_owned();
-        let mut server = Server {
-            child: spawn(&folder, address, 0)?,
-            folder,
-            address,
-            starts: 1,
-        };
+        let mut server = Server { child: spawn(&folder, address, 0)?, folder, address, starts: 1 };
         server.wait_until_listening()?;
         Ok(server)
     }
@@ -144,10 +139,7 @@ impl Server {
         Command::new("kill").args(["-TERM", &id]).status()?;
         let began = Instant::now();
         while self.child.try_wait()?.is_none() {
-            ensure!(
-                began.elapsed() < PATIENCE,
-                "stop the coordinator: it still runs"
-            );
+            ensure!(began.elapsed() < PATIENCE, "stop the coordinator: it still runs");
             std::thread::sleep(Duration::from_millis(100));
         }
         Ok(())
@@ -176,15 +168,8 @@ impl Server {
         let began = Instant::now();
         while std::net::TcpStream::connect(self.address).is_err() {
             let exit_status = self.child.try_wait()?;
-            ensure!(
-                exit_status.is_none(),
-                "start the coordinator; see {}",
-                self.log().display()
-            );
-            ensure!(
-                began.elapsed() < PATIENCE,
-                "start the coordinator: it does not listen"
-            );
+            ensure!(exit_status.is_none(), "start the coordinator; see {}", self.log().display());
+            ensure!(began.elapsed() < PATIENCE, "start the coordinator: it does not listen");
             std::thread::sleep(Duration::from_millis(50));
         }
         Ok(())
@@ -199,11 +184,7 @@ impl Server {
             .arg(self.folder.join("operator"))
             .output()?;
         let error_text = String::from_utf8_lossy(&output.stderr).into_owned();
-        ensure!(
-            output.status.success(),
-            "run `coordinator {}`: {error_text}",
-            arguments.join(" ")
-        );
+        ensure!(output.status.success(), "run `coordinator {}`: {error_text}", arguments.join(" "));
         Ok(String::from_utf8_lossy(&output.stdout).into_owned())
     }
 }
@@ -237,10 +218,8 @@ fn spawn(folder: &Path, address: SocketAddr, number: u32) -> Result<Child> {
 /// Returns the path of the coordinator program, one folder above the examples' in `target`.
 fn program() -> Result<PathBuf> {
     let executable = std::env::current_exe()?;
-    let folder = executable
-        .parent()
-        .and_then(Path::parent)
-        .context("find this program's folder")?;
+    let folder =
+        executable.parent().and_then(Path::parent).context("find this program's folder")?;
     let program = folder.join("coordinator");
     let remedy = "build it with `cargo build --package coordinator`, in the same profile";
     ensure!(program.is_file(), "find {}: {remedy}", program.display());
@@ -250,8 +229,5 @@ fn program() -> Result<PathBuf> {
 /// Writes a file that only its owner may read.
 fn write_private(path: &Path, text: &str) -> Result<()> {
     std::fs::write(path, text)?;
-    Ok(std::fs::set_permissions(
-        path,
-        Permissions::from_mode(0o600),
-    )?)
+    Ok(std::fs::set_permissions(path, Permissions::from_mode(0o600))?)
 }

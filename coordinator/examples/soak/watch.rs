@@ -68,10 +68,8 @@ pub(crate) struct Watch {
 
 impl Watch {
     pub(crate) fn start(coordinator: CoordinatorAccess, crowd: Arc<Crowd>) -> Watch {
-        let (followed, samples) = (
-            Shared::<FollowedProcess>::default(),
-            Shared::<Vec<Sample>>::default(),
-        );
+        let (followed, samples) =
+            (Shared::<FollowedProcess>::default(), Shared::<Vec<Sample>>::default());
         let longest = LongestLatencies::default();
         let mut tasks = JoinSet::new();
         tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 0));
@@ -88,11 +86,7 @@ impl Watch {
                 collected.lock().expect("no panic").push(sample);
             }
         });
-        Watch {
-            followed,
-            samples,
-            tasks,
-        }
+        Watch { followed, samples, tasks }
     }
 
     /// Switches the sampling to a restarted process.
@@ -154,9 +148,7 @@ fn sample(
     claims.sort_by(f64::total_cmp);
     let quantile = |share: f64| {
         let index = (claims.len() as f64 * share) as usize;
-        claims
-            .get(index.min(claims.len().saturating_sub(1)))
-            .copied()
+        claims.get(index.min(claims.len().saturating_sub(1))).copied()
     };
     let mut followed = followed.lock().expect("no panic");
     let process = format!("/proc/{}", followed.process);
@@ -214,10 +206,7 @@ async fn get(coordinator: &CoordinatorAccess, path: &str) -> Result<()> {
     let stream = TcpStream::connect(&authority).await?;
     let mut stream = coordinator.viewer.encrypt(stream, "localhost").await?;
     let token = coordinator.viewer.authorization(&uri, "Bearer");
-    let token = token
-        .as_ref()
-        .and_then(|value| value.to_str().ok())
-        .unwrap_or_default();
+    let token = token.as_ref().and_then(|value| value.to_str().ok()).unwrap_or_default();
     let request = format!(
         "GET {path} HTTP/1.1\r\nHost: {authority}\r\nAuthorization: {token}\r\nConnection: close\r\n\r\n"
     );
@@ -227,10 +216,7 @@ async fn get(coordinator: &CoordinatorAccess, path: &str) -> Result<()> {
     let _ = stream.read_to_end(&mut answer).await;
     match answer.starts_with(b"HTTP/1.1 200") {
         true => Ok(()),
-        false => bail!(
-            "{}",
-            String::from_utf8_lossy(&answer[..answer.len().min(60)])
-        ),
+        false => bail!("{}", String::from_utf8_lossy(&answer[..answer.len().min(60)])),
     }
 }
 
@@ -241,9 +227,7 @@ async fn request_status(coordinator: CoordinatorAccess, longest: LongestLatencie
     loop {
         tokio::time::sleep(REQUEST_INTERVAL).await;
         let sent_at = Instant::now();
-        let listed = client
-            .list_campaigns(wire::ListCampaignsRequest::default())
-            .await;
+        let listed = client.list_campaigns(wire::ListCampaignsRequest::default()).await;
         if listed.is_ok() {
             record_latency(&longest, 2, sent_at.elapsed());
         }
@@ -274,35 +258,16 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
         let result_count = results(&part[part.len() - 1]) - results(&part[0]);
         (value(&part[part.len() - 1]) - value(&part[0])) / result_count.max(1.0)
     };
-    let (memory, files) = (
-        |sample: &Sample| sample.resident_mib,
-        |sample: &Sample| sample.descriptors as f64,
-    );
-    let (log, wal) = (
-        |sample: &Sample| sample.log_kib,
-        |sample: &Sample| sample.wal_mib,
-    );
-    let claims = (
-        median(before, |sample| sample.claim_p99),
-        median(last, |sample| sample.claim_p99),
-    );
+    let (memory, files) =
+        (|sample: &Sample| sample.resident_mib, |sample: &Sample| sample.descriptors as f64);
+    let (log, wal) = (|sample: &Sample| sample.log_kib, |sample: &Sample| sample.wal_mib);
+    let claims =
+        (median(before, |sample| sample.claim_p99), median(last, |sample| sample.claim_p99));
     // Name, value in the second third, value in the last third, and the factor and the addend that
     // give the largest allowed value.
     let rows = [
-        (
-            "memory, MiB",
-            most(before, memory),
-            most(last, memory),
-            1.25,
-            64.0,
-        ),
-        (
-            "open files",
-            most(before, files),
-            most(last, files),
-            1.1,
-            16.0,
-        ),
+        ("memory, MiB", most(before, memory), most(last, memory), 1.25, 64.0),
+        ("open files", most(before, files), most(last, files), 1.1, 16.0),
         (
             "log, KiB a result",
             growth_per_result(before, log),
@@ -310,20 +275,11 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
             2.0,
             0.01,
         ),
-        (
-            "write-ahead log, MiB",
-            most(before, wal),
-            most(last, wal),
-            1.5,
-            64.0,
-        ),
+        ("write-ahead log, MiB", most(before, wal), most(last, wal), 1.5, 64.0),
         ("claims' p99, ms", claims.0 * 1e3, claims.1 * 1e3, 2.0, 50.0),
     ];
     let mut has_grown = Vec::new();
-    println!(
-        "\n{:24} {:>12} {:>12} {:>12}",
-        "", "before", "at the end", "allowed"
-    );
+    println!("\n{:24} {:>12} {:>12} {:>12}", "", "before", "at the end", "allowed");
     for (name, before, last, factor, addend) in rows {
         let allowed = before * factor + addend;
         println!("{name:24} {before:12.3} {last:12.3} {allowed:12.3}");
@@ -333,9 +289,6 @@ pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
     }
     match has_grown.is_empty() {
         true => Ok(()),
-        false => bail!(
-            "bound the resources: {} grew in the last third",
-            has_grown.join(", ")
-        ),
+        false => bail!("bound the resources: {} grew in the last third", has_grown.join(", ")),
     }
 }

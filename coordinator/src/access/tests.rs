@@ -77,8 +77,5 @@ async fn access_follows_the_table_for_every_combination_of_headers() {
             requests += walk(&path, TABLE, security, cookie, is_admitted).await;
         }
     }
-    assert!(
-        requests > 200_000,
-        "only {requests} combinations were tested"
-    );
+    assert!(requests > 200_000, "only {requests} combinations were tested");
 }

@@ -41,24 +41,14 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
         policy_seeds.entry(rollout).or_default().push(seed);
     }
     drop(view);
-    let origins = Origins {
-        origins: subject.provenances.clone(),
-        policy_seeds,
-    };
-    let origins = serde_json::to_string_pretty(&origins).map_err(|error| ArchiveError::Json {
-        member: PROVENANCE,
-        source: error.into(),
-    })?;
+    let origins = Origins { origins: subject.provenances.clone(), policy_seeds };
+    let origins = serde_json::to_string_pretty(&origins)
+        .map_err(|error| ArchiveError::Json { member: PROVENANCE, source: error.into() })?;
     // Runs on a blocking thread, since it takes thousands of bootstrap resamplings.
     let computed = tokio::task::spawn_blocking(|| Document::new(vec![subject])?.json()).await;
-    let report = computed.map_err(|_| ArchiveError::Panicked {
-        archive: from.campaign.name.to_string(),
-    })??;
-    Ok([
-        (SPECIFICATION, from.spec.clone()),
-        (PROVENANCE, origins),
-        (REPORT, report),
-    ])
+    let report = computed
+        .map_err(|_| ArchiveError::Panicked { archive: from.campaign.name.to_string() })??;
+    Ok([(SPECIFICATION, from.spec.clone()), (PROVENANCE, origins), (REPORT, report)])
 }
 
 /// Returns the path of the first difference between an archived JSON text and a newly computed one;
@@ -113,11 +103,7 @@ mod tests {
             ("[]", "its beginning"),
             ("nonsense", "its beginning, which is not JSON"),
         ] {
-            assert_eq!(
-                difference(archived, fresh).as_deref(),
-                Some(place),
-                "{fresh}"
-            );
+            assert_eq!(difference(archived, fresh).as_deref(), Some(place), "{fresh}");
         }
     }
 }

@@ -81,10 +81,8 @@ fn list_members(
     let mut files = Vec::new();
     for (name, text) in derived_members {
         let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|source| ArchiveError::Write {
-            path: path.clone(),
-            source,
-        })?;
+        std::fs::write(&path, text)
+            .map_err(|source| ArchiveError::Write { path: path.clone(), source })?;
         files.push((name.to_owned(), path));
     }
     files.push((DATABASE_FILE.to_owned(), folder.join(DATABASE_FILE)));
@@ -95,11 +93,7 @@ fn list_members(
         let (bytes, sha256) = digest.map_err(|error| match error {
             CopyError::Read(error) | CopyError::Write(error) => input_error(&path)(error),
         })?;
-        let member = Member {
-            name,
-            bytes,
-            sha256,
-        };
+        let member = Member { name, bytes, sha256 };
         Ok((member, path))
     };
     files.into_iter().map(member).collect()
@@ -116,17 +110,12 @@ impl Package {
     /// # Errors
     /// If `out` fails, or a file cannot be read or has changed since it was listed.
     pub fn write(&self, out: impl Write, archive: &Path) -> Result<(), ArchiveError> {
-        let write_error = |source| ArchiveError::Write {
-            path: archive.to_owned(),
-            source,
-        };
+        let write_error = |source| ArchiveError::Write { path: archive.to_owned(), source };
         // Fast compression, since films are compressed already and rows compress well at any level.
         let mut tar = Builder::new(GzEncoder::new(out, Compression::fast()));
         let contents = serde_json::to_vec_pretty(&self.contents);
-        let contents = contents.map_err(|error| ArchiveError::Json {
-            member: CONTENTS_FILE,
-            source: error.into(),
-        })?;
+        let contents = contents
+            .map_err(|error| ArchiveError::Json { member: CONTENTS_FILE, source: error.into() })?;
         let mut tar_header = header(contents.len() as u64);
         tar.append_data(&mut tar_header, CONTENTS_FILE, contents.as_slice())
             .map_err(write_error)?;
@@ -145,9 +134,7 @@ impl Package {
             }
         }
         let finished = tar.into_inner().and_then(GzEncoder::finish);
-        finished
-            .and_then(|mut out| out.flush())
-            .map_err(write_error)
+        finished.and_then(|mut out| out.flush()).map_err(write_error)
     }
 }
 
@@ -184,12 +171,7 @@ struct Digesting<R> {
 
 impl<R: Read> Digesting<R> {
     fn new(reader: R) -> Digesting<R> {
-        Digesting {
-            reader,
-            bytes: 0,
-            digest: Sha256::new(),
-            has_failed: false,
-        }
+        Digesting { reader, bytes: 0, digest: Sha256::new(), has_failed: false }
     }
 
     /// Attributes an error of a copy from this reader to the side that failed.
@@ -240,11 +222,8 @@ mod tests {
 
     /// Returns the error of writing an archive whose only member is the file `path`.
     fn error(path: &Path, out: impl Write) -> ArchiveError {
-        let member = Member {
-            name: "film.mp4".to_owned(),
-            bytes: BYTES.into(),
-            sha256: String::new(),
-        };
+        let member =
+            Member { name: "film.mp4".to_owned(), bytes: BYTES.into(), sha256: String::new() };
         let contents = Contents {
             format: FORMAT,
             program: String::new(),
@@ -265,10 +244,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         // A folder can be opened as a file, and every read of it fails.
         let unreadable = error(folder.path(), io::sink());
-        assert!(
-            matches!(unreadable, ArchiveError::Input { .. }),
-            "{unreadable}"
-        );
+        assert!(matches!(unreadable, ArchiveError::Input { .. }), "{unreadable}");
         // Bytes that do not compress, and room for few of them.
         let film = folder.path().join("film.mp4");
         let words = (0..BYTES / 4).map(|n| n.wrapping_mul(2_654_435_761));

@@ -57,17 +57,13 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
     let read = move || ArchiveReader { archive: &archive }.unpack_members(&path, &folder);
     let read = tokio::task::spawn_blocking(read).await;
-    let contents = read.map_err(|_| ArchiveError::Panicked {
-        archive: name.to_owned(),
-    })??;
+    let contents = read.map_err(|_| ArchiveError::Panicked { archive: name.to_owned() })??;
     let archive = || name.to_owned();
-    let campaign = Portable::open(into)
-        .await
-        .map_err(|source| ArchiveError::Content {
-            archive: archive(),
-            member: DATABASE_FILE,
-            source: Box::new(source),
-        })?;
+    let campaign = Portable::open(into).await.map_err(|source| ArchiveError::Content {
+        archive: archive(),
+        member: DATABASE_FILE,
+        source: Box::new(source),
+    })?;
     let altered = |member: &str, problem: &str| ArchiveError::Altered {
         archive: archive(),
         member: member.to_owned(),
@@ -84,10 +80,7 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let listed = contents.members[MEMBERS.len()..].iter();
     let listed: Vec<(String, u64)> = listed.map(|film| (film.name.clone(), film.bytes)).collect();
     if films != listed {
-        return Err(altered(
-            DATABASE_FILE,
-            "its films differ from those in archive.json",
-        ));
+        return Err(altered(DATABASE_FILE, "its films differ from those in archive.json"));
     }
     for (member, fresh) in derived::derive(&campaign).await? {
         let path = into.join(member);
@@ -113,10 +106,7 @@ struct ArchiveReader<'a> {
 impl ArchiveReader<'_> {
     /// Unpacks every member and checks it against the table of contents.
     fn unpack_members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
-        let unreadable = |source| ArchiveError::Read {
-            archive: self.archive.to_owned(),
-            source,
-        };
+        let unreadable = |source| ArchiveError::Read { archive: self.archive.to_owned(), source };
         let opened = File::open(file).map_err(unreadable)?;
         let compressed_bytes = opened.metadata().map_err(unreadable)?.len();
         let mut tar = Archive::new(GzDecoder::new(BufReader::new(opened)));
@@ -129,10 +119,7 @@ impl ArchiveReader<'_> {
         }
         if let Some(next) = entries.next() {
             next.map_err(|error| self.read_error("its end", error))?;
-            return Err(self.altered(
-                "its end",
-                "it holds members that archive.json does not list",
-            ));
+            return Err(self.altered("its end", "it holds members that archive.json does not list"));
         }
         // The gzip trailer holds the checksum, so the stream must be read to its very end.
         let mut padding = tar.into_inner().take(MAX_PADDING_BYTES);
@@ -159,9 +146,7 @@ impl ArchiveReader<'_> {
             program: String,
             schema: i64,
         }
-        let first = entries
-            .next()
-            .ok_or_else(|| self.not_an_archive("it holds nothing"))?;
+        let first = entries.next().ok_or_else(|| self.not_an_archive("it holds nothing"))?;
         let mut first = first.map_err(|error| match error.kind() {
             ErrorKind::UnexpectedEof => self.read_error(CONTENTS_FILE, error),
             _ => self.not_an_archive(NO_TAR),
@@ -212,10 +197,7 @@ impl ArchiveReader<'_> {
         let names = contents.members.iter().map(|member| member.name.as_str());
         let names: Vec<&str> = names.collect();
         if !names.starts_with(&MEMBERS) {
-            return refused(format!(
-                "its members do not begin with {}",
-                MEMBERS.join(", ")
-            ));
+            return refused(format!("its members do not begin with {}", MEMBERS.join(", ")));
         }
         let films = format!("{ARTIFACTS_FOLDER}/{}/", contents.campaign);
         for name in &names[MEMBERS.len()..] {
@@ -244,19 +226,12 @@ impl ArchiveReader<'_> {
             );
             return Err(self.altered(CONTENTS_FILE, &problem));
         }
-        std::fs::create_dir_all(into).map_err(|source| ArchiveError::Write {
-            path: into.to_owned(),
-            source,
-        })?;
+        std::fs::create_dir_all(into)
+            .map_err(|source| ArchiveError::Write { path: into.to_owned(), source })?;
         // The database counts twice, since its rows are copied into the coordinator's database.
-        let databases = contents
-            .members
-            .iter()
-            .filter(|member| member.name == DATABASE_FILE);
+        let databases = contents.members.iter().filter(|member| member.name == DATABASE_FILE);
         let copied = databases.fold(0, |sum: u64, member| sum.saturating_add(member.bytes));
-        let needed = total
-            .saturating_add(copied)
-            .saturating_add(DEFAULT_MIN_FREE_MIB << 20);
+        let needed = total.saturating_add(copied).saturating_add(DEFAULT_MIN_FREE_MIB << 20);
         let room = Room::measure(into, needed);
         match room.free_bytes < needed {
             true => Err(ArchiveError::NoRoom {
@@ -302,10 +277,7 @@ impl ArchiveReader<'_> {
         let written = write(&path, entry);
         let (bytes, sha256) = written.map_err(|error| match error {
             CopyError::Read(error) => self.read_error(name, error),
-            CopyError::Write(source) => ArchiveError::Write {
-                path: path.clone(),
-                source,
-            },
+            CopyError::Write(source) => ArchiveError::Write { path: path.clone(), source },
         })?;
         if bytes != member.bytes {
             return Err(self.resized(name, bytes, member.bytes));
@@ -332,10 +304,7 @@ impl ArchiveReader<'_> {
 
     /// Returns the error for a file that is not an archive.
     fn not_an_archive(&self, problem: impl ToString) -> ArchiveError {
-        ArchiveError::Foreign {
-            archive: self.archive.to_owned(),
-            problem: problem.to_string(),
-        }
+        ArchiveError::Foreign { archive: self.archive.to_owned(), problem: problem.to_string() }
     }
 
     /// Returns the error for a member that differs from the table of contents.
@@ -357,14 +326,8 @@ impl ArchiveReader<'_> {
     fn read_error(&self, member: &str, error: io::Error) -> ArchiveError {
         let archive = self.archive.to_owned();
         match error.raw_os_error() {
-            Some(_) => ArchiveError::Read {
-                archive,
-                source: error,
-            },
-            None => ArchiveError::Damaged {
-                archive,
-                member: member.to_owned(),
-            },
+            Some(_) => ArchiveError::Read { archive, source: error },
+            None => ArchiveError::Damaged { archive, member: member.to_owned() },
         }
     }
 }

@@ -62,10 +62,7 @@ pub(super) async fn set_priority(arguments: PriorityArguments) -> Result<(), Com
         ..AlterCampaignRequest::default()
     };
     alter(&arguments.connection, request).await?;
-    Ok(print_line(&format!(
-        "campaign {} has priority {}",
-        arguments.campaign, arguments.priority
-    ))?)
+    Ok(print_line(&format!("campaign {} has priority {}", arguments.campaign, arguments.priority))?)
 }
 
 pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), CommandError> {

@@ -74,13 +74,8 @@ impl Connection {
 
     /// Returns the access flags that were given, with their files, to pass to a child process.
     pub(super) fn access_files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
-        let files = [
-            ("--token-file", &self.access.token_file),
-            ("--ca", &self.access.ca),
-        ];
-        files
-            .into_iter()
-            .filter_map(|(flag, file)| Some((flag, file.as_deref()?)))
+        let files = [("--token-file", &self.access.token_file), ("--ca", &self.access.ca)];
+        files.into_iter().filter_map(|(flag, file)| Some((flag, file.as_deref()?)))
     }
 
     /// Returns a client that retries an unreachable coordinator for `retry_for`.

@@ -71,14 +71,10 @@ impl FromArgMatches for Sources {
         let folders = matches.get_many::<PathBuf>("from");
         let folders = folders.unwrap_or_default().cloned().map(Source::Folder);
         let indices = |name| matches.indices_of(name).unwrap_or_default();
-        let mut sources: Vec<(usize, Source)> = indices("campaigns")
-            .zip(names)
-            .chain(indices("from").zip(folders))
-            .collect();
+        let mut sources: Vec<(usize, Source)> =
+            indices("campaigns").zip(names).chain(indices("from").zip(folders)).collect();
         sources.sort_by_key(|(index, _)| *index);
-        Ok(Self(
-            sources.into_iter().map(|(_, source)| source).collect(),
-        ))
+        Ok(Self(sources.into_iter().map(|(_, source)| source).collect()))
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {

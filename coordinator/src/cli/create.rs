@@ -113,12 +113,7 @@ pub(super) struct CreateArguments {
     /// With --dry-run: source of the outcomes that are assumed for the smallest detectable
     /// differences: a campaign, or a folder as for `report --from`. If omitted, the student's
     /// published outcomes.
-    #[arg(
-        long,
-        value_name = "FOLDER|CAMPAIGN",
-        requires = "dry_run",
-        hide_short_help = true
-    )]
+    #[arg(long, value_name = "FOLDER|CAMPAIGN", requires = "dry_run", hide_short_help = true)]
     planning_from: Option<String>,
     /// With --dry-run: print JSON.
     #[arg(long, requires = "dry_run")]
@@ -281,10 +276,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         return Ok(print_line(&spec)?);
     }
     let tasks = campaign.tasks();
-    let suites: BTreeSet<&str> = tasks
-        .iter()
-        .filter_map(|task| task.split('/').next())
-        .collect();
+    let suites: BTreeSet<&str> = tasks.iter().filter_map(|task| task.split('/').next()).collect();
     let unknown_length = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
         let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
@@ -307,10 +299,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         return print_video_estimate(&campaign);
     }
     let client = arguments.connection.client()?;
-    let request = CreateCampaignRequest {
-        spec: campaign.spec.clone(),
-        priority: arguments.priority,
-    };
+    let request =
+        CreateCampaignRequest { spec: campaign.spec.clone(), priority: arguments.priority };
     let created = client.call(request, Service::create_campaign).await?;
     let verb = match created.jobs_added {
         0 => "exists already, with this specification",
@@ -346,9 +336,7 @@ fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<
             format!("{} to {} ms", milliseconds(shortest), milliseconds(longest))
         }
     };
-    print_line(&format!(
-        "execution model {execution}: an answer takes effect after {delay_text}"
-    ))?;
+    print_line(&format!("execution model {execution}: an answer takes effect after {delay_text}"))?;
     Ok(())
 }
 
@@ -372,9 +360,7 @@ fn print_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {
         let placebo_rollouts = counted(placebo as u64, "rollout");
-        print_line(&format!(
-            "  including {placebo_rollouts} at the placebo level L0"
-        ))?;
+        print_line(&format!("  including {placebo_rollouts} at the placebo level L0"))?;
     }
     Ok(())
 }
@@ -429,10 +415,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             renderer: arguments.flags.renderer,
         },
         stop: arguments.stop.stop.clone().map(|rule| Stop {
-            strata: arguments
-                .stop
-                .stop_strata
-                .unwrap_or_else(|| Strata::default_for(&rule)),
+            strata: arguments.stop.stop_strata.unwrap_or_else(|| Strata::default_for(&rule)),
             rule,
             seed: arguments.stop.stop_seed,
         }),
@@ -545,9 +528,7 @@ pub(super) fn enum_parser<T>(
 where
     T: DeserializeOwned + Clone + Send + Sync + 'static,
 {
-    names
-        .into()
-        .try_map(|name| serde_json::from_value(name.into()))
+    names.into().try_map(|name| serde_json::from_value(name.into()))
 }
 
 fn parse_names<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {

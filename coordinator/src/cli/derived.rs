@@ -113,9 +113,7 @@ impl DerivedCampaign<'_> {
 
     /// Creates the campaign, unless it exists with the same specification.
     async fn create(&self, client: &Client, source: &CampaignStatus) -> Result<(), CommandError> {
-        let CampaignSpec {
-            record, execution, ..
-        } = spec(client, self.source).await?;
+        let CampaignSpec { record, execution, .. } = spec(client, self.source).await?;
         let spec = CampaignSpec {
             name: self.name.to_owned(),
             policy: PolicyRoute {
@@ -179,9 +177,7 @@ impl DerivedCampaign<'_> {
 
 /// Returns the specification of a campaign.
 async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
-    let request = GetCampaignRequest {
-        campaign: name.to_owned(),
-    };
+    let request = GetCampaignRequest { campaign: name.to_owned() };
     let answer = client.call(request, Service::get_campaign).await?;
     CampaignSpec::from_json(&answer.spec).map_err(usage)
 }

@@ -82,10 +82,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         must_exist: arguments.json || arguments.watch,
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
-    if !derived_campaign
-        .create_or_propose(&client, arguments.create, prospect)
-        .await?
-    {
+    if !derived_campaign.create_or_propose(&client, arguments.create, prospect).await? {
         return Ok(());
     }
     let fetch = async || {

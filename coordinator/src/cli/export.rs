@@ -72,11 +72,11 @@ fn format(name: &str) -> Result<Format, String> {
     match name {
         "jsonl" => Ok(Format::Jsonl),
         "parquet" => Ok(Format::Parquet),
-        "csv" => Err(
-            "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format; \
+        "csv" => {
+            Err("`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format; \
              `export` writes jsonl and parquet"
-                .to_owned(),
-        ),
+                .to_owned())
+        }
         _ => Err("write jsonl or parquet".to_owned()),
     }
 }
@@ -86,9 +86,7 @@ async fn write_table(
     campaign: &str,
     out: &mut (impl Write + Send),
 ) -> Result<u64, CommandError> {
-    let request = ExportRequest {
-        campaign: campaign.to_owned(),
-    };
+    let request = ExportRequest { campaign: campaign.to_owned() };
     let mut lines = client.call(request, Service::export).await?;
     let mut rows = Vec::new();
     while let Some(line) = client.next(&mut lines).await? {
@@ -104,9 +102,7 @@ async fn write_lines(
     campaign: &str,
     out: &mut impl Write,
 ) -> Result<u64, CommandError> {
-    let request = ExportRequest {
-        campaign: campaign.to_owned(),
-    };
+    let request = ExportRequest { campaign: campaign.to_owned() };
     let mut lines = client.call(request, Service::export).await?;
     let mut rows = 0;
     while let Some(line) = client.next(&mut lines).await? {

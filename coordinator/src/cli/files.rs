@@ -27,10 +27,7 @@ fn read_text(path: &Path) -> Result<String, CommandError> {
     };
     let checked = match read {
         Ok(size) if size <= MAX_INPUT_BYTES as usize => Ok(text),
-        Ok(_) => Err(anyhow!(
-            "it is larger than {} MiB: divide it",
-            MAX_INPUT_BYTES >> 20
-        )),
+        Ok(_) => Err(anyhow!("it is larger than {} MiB: divide it", MAX_INPUT_BYTES >> 20)),
         Err(error) => Err(error.into()),
     };
     checked.map_err(|error| usage(error.context(format!("read {}", input_name(path)))))
@@ -39,15 +36,13 @@ fn read_text(path: &Path) -> Result<String, CommandError> {
 /// Reads a specification; an invalid one is a usage error.
 pub(super) fn read_spec(path: &Path) -> Result<CampaignSpec, CommandError> {
     let spec = CampaignSpec::from_json(&read_text(path)?);
-    spec.with_context(|| format!("use {}", input_name(path)))
-        .map_err(usage)
+    spec.with_context(|| format!("use {}", input_name(path))).map_err(usage)
 }
 
 /// Reads a suite file; an invalid one is a usage error.
 pub(super) fn read_suite_file(path: &Path) -> Result<SuiteFile, CommandError> {
     let file = SuiteFile::from_json(&read_text(path)?);
-    file.with_context(|| format!("use {}", input_name(path)))
-        .map_err(usage)
+    file.with_context(|| format!("use {}", input_name(path))).map_err(usage)
 }
 
 /// Reads a manifest. An invalid one is a failure, not a usage error, since the command was valid.
@@ -101,11 +96,7 @@ impl AtomicFile {
         let _ = std::fs::remove_file(&partial);
         let file = File::create_new(&partial)
             .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
-        Ok(AtomicFile {
-            path: path.to_owned(),
-            partial,
-            file: Some(BufWriter::new(file)),
-        })
+        Ok(AtomicFile { path: path.to_owned(), partial, file: Some(BufWriter::new(file)) })
     }
 
     /// Returns the writer of the partial file.

@@ -36,10 +36,8 @@ pub(super) async fn request_for_suites(
     rollouts: impl IntoIterator<Item = (&str, u64)>,
     policy_rate: Option<f64>,
 ) -> Result<ForecastResponse, String> {
-    let to_message = |(suite, rollouts): (&str, u64)| SuiteRollouts {
-        suite: suite.to_owned(),
-        rollouts,
-    };
+    let to_message =
+        |(suite, rollouts): (&str, u64)| SuiteRollouts { suite: suite.to_owned(), rollouts };
     let request = ForecastRequest {
         policy: policy.to_owned(),
         rollouts: rollouts.into_iter().map(to_message).collect(),

@@ -34,11 +34,7 @@ pub(super) async fn check(
     let access = match connection.policy_access() {
         Ok(access) => access,
         Err(error) => {
-            return Ok(Some(unknown_length(
-                spec,
-                longest,
-                &transport::chain(&error),
-            )));
+            return Ok(Some(unknown_length(spec, longest, &transport::chain(&error))));
         }
     };
     let policy = &spec.policy;

@@ -130,10 +130,7 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         ..ListJobsRequest::default()
     };
     let mut remaining = arguments.limit;
-    let mut listed = json::Jobs {
-        jobs: Vec::new(),
-        is_truncated: false,
-    };
+    let mut listed = json::Jobs { jobs: Vec::new(), is_truncated: false };
     loop {
         // The request asks for one job more than is shown, to detect whether further jobs exist.
         request.limit = remaining.min(PAGE_JOBS) + 1;
@@ -163,10 +160,8 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
 
 async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let request = GetJobRequest {
-        job: Some(job_name(&arguments.rollout)?),
-        campaign: arguments.campaign,
-    };
+    let request =
+        GetJobRequest { job: Some(job_name(&arguments.rollout)?), campaign: arguments.campaign };
     let details = client.call(request, Service::get_job).await?;
     match arguments.json {
         true => json::print(&json::JobDetails::from_message(&details)?),
@@ -177,11 +172,8 @@ async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
 async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
     let names: Result<Vec<JobName>, CommandError> =
         arguments.rollouts.iter().map(|id| job_name(id)).collect();
-    let request = RetryJobsRequest {
-        campaign: arguments.campaign,
-        jobs: names?,
-        all: arguments.all,
-    };
+    let request =
+        RetryJobsRequest { campaign: arguments.campaign, jobs: names?, all: arguments.all };
     let client = arguments.connection.client()?;
     let retried = client.call(request, Service::retry_jobs).await?;
     Ok(print_line(&match retried.jobs {
@@ -193,10 +185,7 @@ async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
 async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
     let names: Result<Vec<JobName>, CommandError> =
         arguments.rollouts.iter().map(|id| job_name(id)).collect();
-    let request = SkipJobsRequest {
-        campaign: arguments.campaign,
-        jobs: names?,
-    };
+    let request = SkipJobsRequest { campaign: arguments.campaign, jobs: names? };
     let client = arguments.connection.client()?;
     let skipped = client.call(request, Service::skip_jobs).await?;
     let skipped = counted(skipped.jobs, "rollout");
@@ -216,10 +205,7 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
         let error = anyhow!("write a rollout id, and #r1 after it for its second replicate");
         usage(error.context(format!("read rollout `{text}`")))
     })?;
-    Ok(JobName {
-        rollout_id,
-        replicate,
-    })
+    Ok(JobName { rollout_id, replicate })
 }
 
 fn replicate_name(job: &Job) -> String {
@@ -265,16 +251,10 @@ fn describe_job(details: &GetJobResponse) -> String {
     let mut lines = vec![
         format!("{}  (job {})", replicate_name(&job), job.job_id),
         format!("  now            {}", describe_state(&job)),
-        format!(
-            "  attempts       {}, of which {} are charged",
-            job.attempt, job.charged_attempts
-        ),
+        format!("  attempts       {}, of which {} are charged", job.attempt, job.charged_attempts),
     ];
     if details.stale_reports > 0 {
-        lines.push(format!(
-            "  late reports   {} refused",
-            details.stale_reports
-        ));
+        lines.push(format!("  late reports   {} refused", details.stale_reports));
     }
     if let Some(result) = &details.result {
         lines.push(format!(

@@ -195,9 +195,7 @@ fn instant(unix_ms: i64) -> String {
 
 impl Campaigns {
     pub(super) fn from_messages(statuses: &[wire::CampaignStatus]) -> Campaigns {
-        Campaigns {
-            campaigns: statuses.iter().map(Campaign::from_message).collect(),
-        }
+        Campaigns { campaigns: statuses.iter().map(Campaign::from_message).collect() }
     }
 }
 
@@ -219,8 +217,6 @@ impl Workers {
     pub(super) fn from_messages<'a>(
         workers: impl Iterator<Item = &'a wire::WorkerStatus>,
     ) -> Workers {
-        Workers {
-            workers: workers.map(Worker::from_message).collect(),
-        }
+        Workers { workers: workers.map(Worker::from_message).collect() }
     }
 }

@@ -46,9 +46,8 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     let used_columns = name.chars().count() + counts.chars().count() + 2;
     let bar_columns = LINE_COLUMNS.saturating_sub(used_columns).min(BAR_COLUMNS) as u64;
     let filled = (done * bar_columns).checked_div(status.total).unwrap_or(0);
-    let bar: String = (0..bar_columns)
-        .map(|column| if column < filled { '█' } else { '░' })
-        .collect();
+    let bar: String =
+        (0..bar_columns).map(|column| if column < filled { '█' } else { '░' }).collect();
     format!("{name} {bar} {counts}")
 }
 
@@ -58,11 +57,7 @@ fn describe_early_stop(status: &CampaignStatus) -> Option<String> {
     let early = status.early_stop.as_ref()?;
     let configurations = [early.used?.into(), early.configurations.into()];
     let rollouts = [status.queued, status.total];
-    Some(report::describe_early_stop(
-        configurations,
-        &early.rule,
-        rollouts,
-    ))
+    Some(report::describe_early_stop(configurations, &early.rule, rollouts))
 }
 
 /// Describes the reasons why a campaign makes no progress, an early stop, and faults that need the
@@ -132,10 +127,7 @@ mod tests {
 
     #[test]
     fn a_paused_or_cancelled_campaign_shows_no_eta() {
-        let with = |state: State| CampaignStatus {
-            state: state.into(),
-            ..running(57, 140)
-        };
+        let with = |state: State| CampaignStatus { state: state.into(), ..running(57, 140) };
         assert!(line(&with(State::Paused)).ends_with("40%  paused, 2 running"));
         assert!(line(&with(State::Cancelled)).ends_with("40%  cancelled"));
         assert!(is_finished(&with(State::Cancelled)) && !is_finished(&with(State::Paused)));

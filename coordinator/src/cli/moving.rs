@@ -71,14 +71,10 @@ fn campaign_name(name: &str) -> Result<CampaignName, String> {
 
 pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let request = ArchiveCampaignRequest {
-        campaign: arguments.campaign.clone(),
-    };
+    let request = ArchiveCampaignRequest { campaign: arguments.campaign.clone() };
     let mut chunks = client.call(request, Service::archive_campaign).await?;
     let remote = RemoteObject::from_argument(&arguments.output)?;
-    let output = remote
-        .as_ref()
-        .map_or(&arguments.output, |object| &object.file);
+    let output = remote.as_ref().map_or(&arguments.output, |object| &object.file);
     let mut file = AtomicFile::create(output)?;
     let mut size_bytes = 0;
     while let Some(chunk) = client.next(&mut chunks).await? {
@@ -92,9 +88,7 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
         put.map_err(failure)?;
     }
     let (name, path) = (&arguments.campaign, arguments.output.display());
-    Ok(print_line(&format!(
-        "wrote campaign {name} to {path}: {size_bytes} bytes"
-    ))?)
+    Ok(print_line(&format!("wrote campaign {name} to {path}: {size_bytes} bytes"))?)
 }
 
 pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandError> {
@@ -105,25 +99,16 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
         if !fetched.map_err(failure)? {
             let (name, location) = (&remote.name, remote.storage.location());
             let error = anyhow!("there is no such object");
-            return Err(usage(
-                error.context(format!("fetch {name} from {location}")),
-            ));
+            return Err(usage(error.context(format!("fetch {name} from {location}"))));
         }
     }
-    let path = remote
-        .as_ref()
-        .map_or(&arguments.file, |object| &object.file);
+    let path = remote.as_ref().map_or(&arguments.file, |object| &object.file);
     // An unreadable file is a usage error; it is detected before the coordinator is contacted.
     File::open(path).await.map_err(|error| {
-        usage(ArchiveError::Read {
-            archive: path.display().to_string(),
-            source: error,
-        })
+        usage(ArchiveError::Read { archive: path.display().to_string(), source: error })
     })?;
     let first_chunk = ImportChunk {
-        name: arguments
-            .name
-            .map_or_else(String::new, |name| name.to_string()),
+        name: arguments.name.map_or_else(String::new, |name| name.to_string()),
         archive: arguments.file.display().to_string(),
         data: Vec::new(),
     };
@@ -168,10 +153,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
         repeated += counts.both;
         merged = counts;
         move_films(&into, &campaign, [&combined, &next]).await?;
-        combined = Unpacked {
-            campaign,
-            contents: combined.contents,
-        };
+        combined = Unpacked { campaign, contents: combined.contents };
     }
     let folder_of_films = combined.campaign.folder().to_owned();
     let artifacts = folder_of_films.join(queue::ARTIFACTS_FOLDER);
@@ -182,9 +164,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     let mut file = AtomicFile::create(output)?;
     package.write(file.writer(), output).map_err(failure)?;
     file.finish()?;
-    let Merged {
-        quarantined, open, ..
-    } = merged;
+    let Merged { quarantined, open, .. } = merged;
     Ok(print_line(&format!(
         "merged {} archives into campaign {name}: {} with an outcome, {repeated} outcomes \
          repeated by later archives; {quarantined} in quarantine, {open} still to run; \
@@ -205,10 +185,9 @@ async fn send(
     let file = File::open(path).await?;
     let chunks = ReaderStream::with_capacity(file, CHUNK_BYTES);
     // A read error ends the stream early; the coordinator then rejects the archive as truncated.
-    let chunks = chunks.map_while(Result::ok).map(|data| ImportChunk {
-        data: data.into(),
-        ..ImportChunk::default()
-    });
+    let chunks = chunks
+        .map_while(Result::ok)
+        .map(|data| ImportChunk { data: data.into(), ..ImportChunk::default() });
     let chunks = tokio_stream::iter([first_chunk]).chain(chunks);
     service.import_campaign(chunks).await
 }
@@ -277,9 +256,7 @@ async fn move_films(
         std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
         for input in inputs {
             let artifacts = input.campaign.folder().join(queue::ARTIFACTS_FOLDER);
-            let from = artifacts
-                .join(input.campaign.campaign.name.as_str())
-                .join(name);
+            let from = artifacts.join(input.campaign.campaign.name.as_str()).join(name);
             if from.is_file() {
                 let moved = std::fs::rename(&from, &path);
                 moved.with_context(|| format!("move film {}", from.display()))?;

@@ -34,10 +34,7 @@ pub(super) struct DeleteArguments {
 pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result<(), CommandError> {
     let name = &arguments.campaign;
     let client = arguments.connection.client()?;
-    let request = ChangeCampaignRequest {
-        campaign: name.clone(),
-        change: change.into(),
-    };
+    let request = ChangeCampaignRequest { campaign: name.clone(), change: change.into() };
     let changed = client.call(request, Service::change_campaign).await?;
     let text = match changed.state() {
         State::Running | State::Unspecified => "running",
@@ -59,10 +56,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
         return Err(usage(error.context(format!("delete campaign `{name}`"))));
     }
     let client = arguments.connection.client()?;
-    let request = DeleteCampaignRequest {
-        campaign: name.clone(),
-        confirm: confirmed,
-    };
+    let request = DeleteCampaignRequest { campaign: name.clone(), confirm: confirmed };
     let deleted = client.call(request, Service::delete_campaign).await?;
     Ok(print_line(&format!(
         "campaign {name} deleted: {}, {} and their files",
@@ -85,8 +79,6 @@ fn prompt(name: &str) -> Result<String, CommandError> {
     .and_then(|()| stderr.flush())
     .context("ask for the campaign's name")?;
     let mut answer = String::new();
-    std::io::stdin()
-        .read_line(&mut answer)
-        .context("read the campaign's name")?;
+    std::io::stdin().read_line(&mut answer).context("read the campaign's name")?;
     Ok(answer.trim().to_owned())
 }

@@ -52,11 +52,7 @@ struct DetectableDifferences {
 
 impl From<Detectable> for DetectableDifferences {
     fn from(detectable: Detectable) -> Self {
-        Self {
-            difference: detectable.difference,
-            i: detectable.i,
-            r_d: detectable.r_d,
-        }
+        Self { difference: detectable.difference, i: detectable.i, r_d: detectable.r_d }
     }
 }
 
@@ -87,22 +83,15 @@ impl Planning {
                 (format!("the outcomes of {name}"), assumed)
             }
         };
-        Ok(Planning {
-            levels: levels(campaign, &assumed),
-            assumed_from,
-        })
+        Ok(Planning { levels: levels(campaign, &assumed), assumed_from })
     }
 }
 
 fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     let planned = configurations(campaign);
     let floor = planned.get(&Level::L0).copied();
-    let placebo = |levels: &[Assumed]| {
-        levels
-            .iter()
-            .find(|level| level.level == Level::L0)
-            .copied()
-    };
+    let placebo =
+        |levels: &[Assumed]| levels.iter().find(|level| level.level == Level::L0).copied();
     let assumed_floor = placebo(assumed).or_else(|| placebo(&Assumed::STUDENT));
     let perturbed = planned.iter().filter(|(level, _)| **level != Level::L0);
     let plan_level = |(&level, &planned): (&Level, &Planned)| {
@@ -132,10 +121,7 @@ fn configurations(campaign: &NewCampaign) -> BTreeMap<Level, Planned> {
     let ids = campaign.jobs.iter().filter(|job| job.replicate == 0);
     for id in ids.filter_map(|job| job.rollout_id.parse::<RolloutId>().ok()) {
         if id.condition() == Condition::Combination {
-            units
-                .entry(id.level())
-                .or_default()
-                .insert((id.task(), id.number()));
+            units.entry(id.level()).or_default().insert((id.task(), id.number()));
         }
     }
     let planned = |units: &BTreeSet<(TaskRef, u16)>| {
@@ -145,10 +131,7 @@ fn configurations(campaign: &NewCampaign) -> BTreeMap<Level, Planned> {
             configs_per_task: units.len() as f64 / tasks.len() as f64,
         }
     };
-    units
-        .iter()
-        .map(|(&level, units)| (level, planned(units)))
-        .collect()
+    units.iter().map(|(&level, units)| (level, planned(units))).collect()
 }
 
 /// Formats the planning for a terminal; `None` if the campaign has no simultaneous perturbation.
@@ -165,22 +148,14 @@ pub(super) fn describe(planning: &Planning) -> Option<String> {
             planning.assumed_from
         ),
     )];
-    lines.extend(
-        planning
-            .levels
-            .iter()
-            .map(|level| wrapped("  ", 4, &describe_level(level))),
-    );
+    lines.extend(planning.levels.iter().map(|level| wrapped("  ", 4, &describe_level(level))));
     Some(lines.join("\n"))
 }
 
 fn describe_level(planned: &PlannedLevel) -> String {
     let level = match planned.level == planned.assumed_level {
         true => planned.level.to_string(),
-        false => format!(
-            "{} (outcomes assumed as at {})",
-            planned.level, planned.assumed_level
-        ),
+        false => format!("{} (outcomes assumed as at {})", planned.level, planned.assumed_level),
     };
     let configurations = counted(planned.configurations.into(), "configuration");
     let tasks = counted(planned.tasks.into(), "task");
@@ -215,7 +190,5 @@ fn describe_level(planned: &PlannedLevel) -> String {
 
 /// Formats a fraction in percentage points.
 fn points(fraction: Option<f64>) -> String {
-    fraction.map_or("none".to_owned(), |fraction| {
-        format!("{:.1}", 100.0 * fraction)
-    })
+    fraction.map_or("none".to_owned(), |fraction| format!("{:.1}", 100.0 * fraction))
 }

@@ -87,12 +87,9 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         ("--published", !arguments.published.is_empty()),
     ];
     let given_flag = ctrl_flags.into_iter().find(|(_, is_given)| *is_given);
-    if let (Some((flag, _)), Some(protocol)) = (
-        given_flag,
-        subjects
-            .iter()
-            .find_map(|subject| subject.protocol.as_deref()),
-    ) {
+    if let (Some((flag, _)), Some(protocol)) =
+        (given_flag, subjects.iter().find_map(|subject| subject.protocol.as_deref()))
+    {
         return Err(usage(anyhow!(
             "use {flag} for a campaign under {protocol}: the flag applies to LIBERO-CTRL's \
              measures, which campaigns of other benchmarks lack; leave it out, \
@@ -127,31 +124,19 @@ fn parse_published(text: &str) -> Result<Published, String> {
         Ok(percent) if (0.0..=100.0).contains(&percent) => percent / 100.0,
         _ => return Err(format!("`{percent}` is no percentage from 0 to 100")),
     };
-    let of_suite = policy
-        .split_once(':')
-        .and_then(|(suite, policy)| Some((suite.parse().ok()?, policy)));
+    let of_suite =
+        policy.split_once(':').and_then(|(suite, policy)| Some((suite.parse().ok()?, policy)));
     let (suite, policy) = match of_suite {
         Some((suite, policy)) => (Some(suite), policy),
         None => (None, policy),
     };
-    Ok(Published {
-        suite,
-        policy: policy.to_owned(),
-        rate,
-    })
+    Ok(Published { suite, policy: policy.to_owned(), rate })
 }
 
 fn add_published(subjects: &mut [Subject], published: &[Published]) -> anyhow::Result<()> {
-    for Published {
-        suite,
-        policy,
-        rate,
-    } in published
-    {
+    for Published { suite, policy, rate } in published {
         let mut has_report = false;
-        let of_policy = subjects
-            .iter_mut()
-            .filter(|subject| subject.policy == *policy);
+        let of_policy = subjects.iter_mut().filter(|subject| subject.policy == *policy);
         for subject in of_policy {
             match suite {
                 Some(suite) => subject.published_by_suite.push((*suite, *rate)),

@@ -87,9 +87,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     // The socket listens only once the coordinator is ready, which orchestrators infer from an open
     // port.
     let listener = socket.listen(BACKLOG).with_context(unusable)?;
-    let address = listener
-        .local_addr()
-        .context("read the listening address")?;
+    let address = listener.local_addr().context("read the listening address")?;
     if arguments.security.insecure && !address.ip().is_loopback() {
         tracing::warn!(
             "--insecure: every machine that reaches {address} can read its traffic, lease jobs and \
@@ -122,11 +120,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
 /// Binds a socket that does not listen yet, so that an address in use is reported before a database
 /// is created.
 fn bind(address: SocketAddr) -> std::io::Result<TcpSocket> {
-    let socket = if address.is_ipv4() {
-        TcpSocket::new_v4()?
-    } else {
-        TcpSocket::new_v6()?
-    };
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
     // Without this option, a restarted coordinator is refused its address until earlier
     // connections have left the state TIME_WAIT.
     socket.set_reuseaddr(true)?;
@@ -187,10 +181,7 @@ mod tests {
         assert_eq!(url("127.0.0.1:7411"), "https://127.0.0.1:7411/");
         assert_eq!(url("[::1]:7411"), "https://[::1]:7411/");
         for unspecified in ["0.0.0.0:7511", "[::]:7511"] {
-            assert_eq!(
-                url(unspecified),
-                "https://HOST:7511/ where HOST is this machine's name"
-            );
+            assert_eq!(url(unspecified), "https://HOST:7511/ where HOST is this machine's name");
         }
     }
 }

@@ -77,10 +77,7 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
 fn details(status: &CampaignStatus) -> String {
     let mut lines = vec![
         line(status),
-        format!(
-            "  policy       {} at {}",
-            status.policy, status.policy_endpoint
-        ),
+        format!("  policy       {} at {}", status.policy, status.policy_endpoint),
         format!("  priority     {:>7}", status.priority),
         format!("  committed    {:>7}", status.committed),
         format!("  succeeded    {:>7}", status.succeeded),

@@ -12,10 +12,7 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
         .clauses()
         .iter()
         .map(|clause| {
-            format!(
-                "an early end shows that {}",
-                describe_clause(*clause, &configurations_text)
-            )
+            format!("an early end shows that {}", describe_clause(*clause, &configurations_text))
         })
         .collect();
     if rule.is_about_new_tasks() {
@@ -60,11 +57,7 @@ fn describe_clause(clause: Clause, configurations: &str) -> String {
              successes are not equally frequent in new tasks"
             .to_owned(),
         Clause::ExcludesForNewTasks(measure, value) => {
-            format!(
-                "{} in new tasks is not {}",
-                describe_measure(measure),
-                points(value)
-            )
+            format!("{} in new tasks is not {}", describe_measure(measure), points(value))
         }
         Clause::Excludes(measure, value) => format!(
             "{} over all {configurations} is not {}",

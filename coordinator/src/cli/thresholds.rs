@@ -78,10 +78,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         ThresholdReport::check_budget(source, &thresholds).map_err(usage)?;
         Ok(ThresholdReport::prospect(source, &thresholds))
     };
-    if !derived_campaign
-        .create_or_propose(&client, arguments.create, prospect)
-        .await?
-    {
+    if !derived_campaign.create_or_propose(&client, arguments.create, prospect).await? {
         return Ok(());
     }
     let fetch = async || {

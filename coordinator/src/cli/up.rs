@@ -98,10 +98,7 @@ async fn run(
     requests: &mut Requests,
 ) -> anyhow::Result<()> {
     let strings = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
-    let data = arguments
-        .data
-        .to_str()
-        .context("read --data: write a path in UTF-8")?;
+    let data = arguments.data.to_str().context("read --data: write a path in UTF-8")?;
     let listen = arguments.listen.to_string();
     let serve = strings(&["serve", "--data", data, "--listen", &listen]);
     let Some(coordinator) = programs.serve("coordinator", serve, requests).await? else {
@@ -115,14 +112,8 @@ async fn run(
         return Ok(());
     };
     let url = format!("http://{coordinator}");
-    let worker = strings(&[
-        "--connect",
-        &url,
-        "--assets",
-        &arguments.assets,
-        "--slots",
-        &arguments.slots,
-    ]);
+    let worker =
+        strings(&["--connect", &url, "--assets", &arguments.assets, "--slots", &arguments.slots]);
     programs.start("worker", worker)?;
     if programs.first_line("worker ", requests).await?.is_none() {
         return Ok(());
@@ -220,8 +211,7 @@ impl Programs {
             .spawn()
             .with_context(|| format!("start {}", program.display()))?;
         let (sender, lines) = mpsc::unbounded_channel();
-        self.relays
-            .spawn(relay(child.stdout.take(), name, Some(sender)));
+        self.relays.spawn(relay(child.stdout.take(), name, Some(sender)));
         self.relays.spawn(relay(child.stderr.take(), name, None));
         self.started.push(Program { name, child, lines });
         Ok(())
@@ -367,10 +357,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part}: {text}");
         }
-        assert!(
-            text.lines().all(|line| line.chars().count() <= 100),
-            "{text}"
-        );
+        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
         // The message fits a terminal together with the log's first lines.
         assert!(text.lines().count() <= 24, "{text}");
         let default_message = startup_message(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");

@@ -26,10 +26,7 @@ pub(super) async fn watch(
     client: &Client,
     name: Option<&str>,
 ) -> Result<Vec<CampaignStatus>, CommandError> {
-    let mut screen = Screen {
-        is_terminal: std::io::stdout().is_terminal(),
-        ..Screen::default()
-    };
+    let mut screen = Screen { is_terminal: std::io::stdout().is_terminal(), ..Screen::default() };
     let period = match screen.is_terminal {
         true => TERMINAL_PERIOD,
         false => LOG_PERIOD,
@@ -198,11 +195,7 @@ mod tests {
             ..campaign("finished", "expert")
         };
         let lines = table(&[paused, finished.clone()]);
-        assert!(
-            lines[2].ends_with("150/200 75%  paused, 0 running"),
-            "{}",
-            lines[2]
-        );
+        assert!(lines[2].ends_with("150/200 75%  paused, 0 running"), "{}", lines[2]);
         let lines = table(&[finished.clone(), finished]);
         assert!(lines[2].ends_with("200/200 100%  finished"), "{}", lines[2]);
     }

@@ -56,16 +56,11 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
         doctor.arg(flag).arg(file);
     }
     print_line(&format!("policy-gateway doctor {url}"))?;
-    let exit_status = doctor
-        .status()
-        .await
-        .context("run `policy-gateway doctor`")?;
+    let exit_status = doctor.status().await.context("run `policy-gateway doctor`")?;
     match exit_status.code() {
         Some(0) => Ok(()),
         Some(_) => Err(CommandError::FaultsPrinted),
-        None => Err(failure(anyhow!(
-            "run `policy-gateway doctor`: {exit_status}"
-        ))),
+        None => Err(failure(anyhow!("run `policy-gateway doctor`: {exit_status}"))),
     }
 }
 
@@ -74,13 +69,8 @@ fn success_so_far(subject: &Subject) -> String {
     // Returns the numbers of successes and of rollouts with an outcome.
     let count = |is_nominal: bool| {
         let has_condition = |condition: Condition| (condition == Condition::Clean) == is_nominal;
-        let records = subject
-            .records
-            .iter()
-            .filter(|record| has_condition(record.id.condition()));
-        let outcomes: Vec<bool> = records
-            .filter_map(|record| record.outcome.success())
-            .collect();
+        let records = subject.records.iter().filter(|record| has_condition(record.id.condition()));
+        let outcomes: Vec<bool> = records.filter_map(|record| record.outcome.success()).collect();
         let successes = outcomes.iter().filter(|success| **success).count();
         (successes, outcomes.len())
     };

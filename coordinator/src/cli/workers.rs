@@ -32,17 +32,13 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let workers = listed.await?.workers.into_iter();
     let (alive, departed): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
     if arguments.json {
-        let shown = alive
-            .iter()
-            .chain(departed.iter().filter(|_| arguments.all));
+        let shown = alive.iter().chain(departed.iter().filter(|_| arguments.all));
         return json::print(&json::Workers::from_messages(shown));
     }
     let (recent, older): (Vec<_>, Vec<_>) = departed
         .iter()
         .partition(|worker| worker.silent_secs < LISTED_AFTER_DEPARTURE.as_secs_f64());
-    let shown = alive
-        .iter()
-        .chain(recent.iter().copied().filter(|_| arguments.all));
+    let shown = alive.iter().chain(recent.iter().copied().filter(|_| arguments.all));
     let mut lines: Vec<String> = shown.map(describe_worker).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());

@@ -41,10 +41,7 @@ pub(super) async fn archive(
 ) -> Result<Chunks, Status> {
     let data = queue.store().folder();
     let folder = moving_folder(data)?;
-    let (copy, films) = queue
-        .copy_campaign(name, folder.path())
-        .await
-        .map_err(copy_failed)?;
+    let (copy, films) = queue.copy_campaign(name, folder.path()).await.map_err(copy_failed)?;
     let source = queue.source_outcomes(&copy.spec).await.map_err(failed)?;
     let fetched = folder.path().join("films");
     if let Some(storage) = storage {
@@ -74,9 +71,7 @@ async fn fetch_films(
         let name = film.path.rsplit('/').next().unwrap_or_default();
         let key = format!("{folder}/{name}");
         if !data.join(&key).is_file() {
-            let fetched = storage
-                .fetch(&key, Some(film.size_bytes), &into.join(name))
-                .await;
+            let fetched = storage.fetch(&key, Some(film.size_bytes), &into.join(name)).await;
             // A film missing from the storage is left out; any other error fails the export.
             fetched.map_err(|error| unavailable(&error))?;
         }
@@ -91,29 +86,23 @@ fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
     let writing = tokio::task::spawn_blocking(move || {
         // Keeps the temporary folder until the last chunk is sent.
         let _until_written = &folder;
-        let mut out = ChunkWriter {
-            buffer: Vec::with_capacity(CHUNK_BYTES),
-            sender,
-        };
+        let mut out = ChunkWriter { buffer: Vec::with_capacity(CHUNK_BYTES), sender };
         package.write(&mut out, Path::new(&archive))
     });
     let state = (receiver, Some(writing));
-    Box::pin(futures_util::stream::unfold(
-        state,
-        |(mut receiver, writing)| async move {
-            if let Some(data) = receiver.recv().await {
-                return Some((Ok(wire::ArchiveChunk { data }), (receiver, writing)));
-            }
-            // The writer's result is awaited: a failure must end the stream with an error, or the
-            // client would take a truncated archive for complete.
-            let status = match writing?.await {
-                Ok(Ok(())) => return None,
-                Ok(Err(error)) => archive_failed(error),
-                Err(_) => Status::internal("write the archive: a thread panicked"),
-            };
-            Some((Err(status), (receiver, None)))
-        },
-    ))
+    Box::pin(futures_util::stream::unfold(state, |(mut receiver, writing)| async move {
+        if let Some(data) = receiver.recv().await {
+            return Some((Ok(wire::ArchiveChunk { data }), (receiver, writing)));
+        }
+        // The writer's result is awaited: a failure must end the stream with an error, or the
+        // client would take a truncated archive for complete.
+        let status = match writing?.await {
+            Ok(Ok(())) => return None,
+            Ok(Err(error)) => archive_failed(error),
+            Err(_) => Status::internal("write the archive: a thread panicked"),
+        };
+        Some((Err(status), (receiver, None)))
+    }))
 }
 
 /// Writer that sends its data into a channel in chunks.
@@ -226,9 +215,7 @@ async fn next_chunk(
 /// Creates a temporary folder in the data folder, deleted on drop or, after a crash, at the next
 /// start. It is on the data folder's disk, so that films can be renamed instead of copied.
 fn moving_folder(data: &Path) -> Result<TempDir, Status> {
-    let folder = tempfile::Builder::new()
-        .prefix(MOVING_PREFIX)
-        .tempdir_in(data);
+    let folder = tempfile::Builder::new().prefix(MOVING_PREFIX).tempdir_in(data);
     folder.map_err(|error| folder_failed(data, &error))
 }
 

@@ -100,10 +100,7 @@ impl OperatorService for OperatorApi {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let spec = view.spec(&campaign).await.map_err(failed)?;
         let status = view.status(campaign).await.map_err(failed)?;
-        Ok(Response::new(GetCampaignResponse {
-            spec,
-            status: Some(listing::status(status)),
-        }))
+        Ok(Response::new(GetCampaignResponse { spec, status: Some(listing::status(status)) }))
     }
 
     async fn change_campaign(
@@ -116,9 +113,7 @@ impl OperatorService for OperatorApi {
         let queue = self.queue.clone();
         let changed = async move { queue.change_campaign(&name, change).await };
         let state = listing::state(self.changes.run(changed).await?.map_err(failed)?);
-        Ok(Response::new(ChangeCampaignResponse {
-            state: state.into(),
-        }))
+        Ok(Response::new(ChangeCampaignResponse { state: state.into() }))
     }
 
     async fn delete_campaign(
@@ -147,9 +142,7 @@ impl OperatorService for OperatorApi {
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
         let jobs = view.jobs(&campaign, filter).await.map_err(failed)?;
         let jobs = jobs.into_iter().map(|line| listing::job(line, view.now));
-        Ok(Response::new(ListJobsResponse {
-            jobs: jobs.collect(),
-        }))
+        Ok(Response::new(ListJobsResponse { jobs: jobs.collect() }))
     }
 
     async fn get_job(&self, request: Request<GetJobRequest>) -> Answer<GetJobResponse> {
@@ -184,9 +177,7 @@ impl OperatorService for OperatorApi {
         let mut view = self.view().await?;
         let workers = view.workers().await.map_err(failed)?.into_iter();
         let workers = workers.map(|line| listing::worker(line, view.now));
-        Ok(Response::new(ListWorkersResponse {
-            workers: workers.collect(),
-        }))
+        Ok(Response::new(ListWorkersResponse { workers: workers.collect() }))
     }
 
     async fn backup(
@@ -202,9 +193,7 @@ impl OperatorService for OperatorApi {
         request: Request<ReportRequest>,
     ) -> Result<Response<Self::ReportStream>, Status> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
-        let mut subject = report::subject(&mut view, &campaign)
-            .await
-            .map_err(failed)?;
+        let mut subject = report::subject(&mut view, &campaign).await.map_err(failed)?;
         let setups = report::setups(&mut view, &campaign).await;
         subject.setups = setups.map_err(failed)?;
         let json = serde_json::to_vec(&subject);

@@ -147,9 +147,7 @@ pub(super) fn priority(priority: i32) -> Result<i32, Status> {
         return Ok(priority);
     }
     let (least, most) = (PRIORITIES.start(), PRIORITIES.end());
-    Err(invalid(format!(
-        "`priority` is {priority}; it must be from {least} to {most}"
-    )))
+    Err(invalid(format!("`priority` is {priority}; it must be from {least} to {most}")))
 }
 
 pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alteration, Status> {
@@ -158,12 +156,8 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     let policy = request.policy;
     Ok(Alteration {
         priority: request.priority.map(priority).transpose()?,
-        endpoint: endpoint
-            .map(|endpoint| required("policy_endpoint", endpoint))
-            .transpose()?,
-        policy: policy
-            .map(|policy| required("policy", policy))
-            .transpose()?,
+        endpoint: endpoint.map(|endpoint| required("policy_endpoint", endpoint)).transpose()?,
+        policy: policy.map(|policy| required("policy", policy)).transpose()?,
         name: name.transpose().map_err(invalid)?,
     })
 }
@@ -237,14 +231,9 @@ fn job_state(state: &str) -> Result<Option<&str>, Status> {
 
 pub(super) fn job_name(name: wire::JobName) -> Result<JobName, Status> {
     if name.rollout_id.len() > MAX_ROLLOUT_ID_BYTES {
-        return Err(invalid(format!(
-            "a rollout id is longer than {MAX_ROLLOUT_ID_BYTES} bytes"
-        )));
+        return Err(invalid(format!("a rollout id is longer than {MAX_ROLLOUT_ID_BYTES} bytes")));
     }
-    Ok(JobName {
-        rollout_id: required("rollout_id", name.rollout_id)?,
-        replicate: name.replicate,
-    })
+    Ok(JobName { rollout_id: required("rollout_id", name.rollout_id)?, replicate: name.replicate })
 }
 
 pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status> {
@@ -254,9 +243,7 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
             let names: Result<Vec<JobName>, Status> = jobs.into_iter().map(job_name).collect();
             Ok(Retry::Named(names?))
         }
-        _ => Err(invalid(format!(
-            "name 1 to {MAX_JOBS_RETRIED} jobs, or set `all`"
-        ))),
+        _ => Err(invalid(format!("name 1 to {MAX_JOBS_RETRIED} jobs, or set `all`"))),
     }
 }
 
@@ -358,12 +345,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
 
 fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
     let mut realised = Realised::default();
-    for wire::RealisedAxis {
-        axis: name,
-        parameters,
-        elements,
-    } in axes
-    {
+    for wire::RealisedAxis { axis: name, parameters, elements } in axes {
         let axis = name.parse().ok().filter(|axis| Axis::METRIC.contains(axis));
         let values = parameters.iter().chain(&elements);
         let fits =
@@ -392,9 +374,7 @@ fn realisation(name: &str) -> Result<String, Status> {
 
 fn text(field: &str, value: String) -> Result<String, Status> {
     if value.len() > MAX_TEXT_BYTES {
-        return Err(invalid(format!(
-            "`{field}` is longer than {MAX_TEXT_BYTES} bytes"
-        )));
+        return Err(invalid(format!("`{field}` is longer than {MAX_TEXT_BYTES} bytes")));
     }
     Ok(printable(&value).into_owned())
 }
@@ -428,9 +408,7 @@ fn digest(field: &str, value: &str) -> Result<String, Status> {
     if value.len() == 64 && value.bytes().all(is_hex) {
         Ok(value.to_owned())
     } else {
-        Err(invalid(format!(
-            "`{field}` is not a SHA-256 in lower-case hex"
-        )))
+        Err(invalid(format!("`{field}` is not a SHA-256 in lower-case hex")))
     }
 }
 

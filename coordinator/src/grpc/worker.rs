@@ -74,9 +74,7 @@ impl WorkerService for WorkerApi {
             worker: read::worker_id(&request.worker_id)?,
             claim: read::claim_id(request.claim_id)?,
             warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
-            lacking_tasks: lacking
-                .filter(|task| task.len() <= MAX_TASK_BYTES)
-                .collect(),
+            lacking_tasks: lacking.filter(|task| task.len() <= MAX_TASK_BYTES).collect(),
         };
         let wait = read::wait(request.wait_secs);
         let claimed = self.queue.claim(&claim, wait).await.map_err(failed)?;
@@ -90,9 +88,7 @@ impl WorkerService for WorkerApi {
         let request = request.into_inner();
         let worker = read::worker_id(&request.worker_id)?;
         if request.progress.len() > MAX_PROGRESS {
-            return Err(invalid(format!(
-                "more than {MAX_PROGRESS} leases in one heartbeat"
-            )));
+            return Err(invalid(format!("more than {MAX_PROGRESS} leases in one heartbeat")));
         }
         let progress = request.progress.iter().map(|progress| {
             let attempt = read::attempt(&progress.attempt_id)?;
@@ -101,8 +97,7 @@ impl WorkerService for WorkerApi {
         let progress: Vec<_> = progress.collect::<Result<_, Status>>()?;
         let lost = self.queue.heartbeat(&worker, &progress).await;
         let lost = lost.map_err(failed)?;
-        self.queue
-            .note_filming(&worker, read::filming(request.filming));
+        self.queue.note_filming(&worker, read::filming(request.filming));
         Ok(Response::new(HeartbeatResponse {
             lost_attempts: lost.iter().map(ToString::to_string).collect(),
         }))
@@ -119,10 +114,7 @@ impl WorkerService for WorkerApi {
             CommitVerdict::Divergent => Verdict::Divergent,
             CommitVerdict::Unpaired => Verdict::Unpaired,
         };
-        Ok(Response::new(CommitResponse {
-            verdict: verdict.into(),
-            detail: reply.detail,
-        }))
+        Ok(Response::new(CommitResponse { verdict: verdict.into(), detail: reply.detail }))
     }
 
     async fn release(&self, request: Request<ReleaseRequest>) -> Answer<ReleaseResponse> {
@@ -158,10 +150,7 @@ impl WorkerService for WorkerApi {
         let pin = read::pin(request.into_inner())?;
         let next = self.queue.next_film(&pin).await.map_err(failed)?;
         let (film, left) = next.unzip();
-        Ok(Response::new(NextFilmResponse {
-            film: film.map(write_film),
-            left: left.unwrap_or(0),
-        }))
+        Ok(Response::new(NextFilmResponse { film: film.map(write_film), left: left.unwrap_or(0) }))
     }
 
     async fn put_artifact(

@@ -44,11 +44,7 @@ pub(super) struct Rendered {
 
 impl Rendered {
     pub(super) fn new(html: String, version: u64) -> Rendered {
-        Rendered {
-            tag: format!("\"{}\"", short_digest(&html)),
-            html: html.into(),
-            version,
-        }
+        Rendered { tag: format!("\"{}\"", short_digest(&html)), html: html.into(), version }
     }
 
     /// Returns the page, or 304 Not Modified if the browser has the same entity tag.
@@ -91,10 +87,7 @@ fn static_file(media_type: &'static str, text: String) -> Response {
 /// Returns the first 16 hex digits of a text's SHA-256.
 fn short_digest(text: &str) -> String {
     let digest = Sha256::digest(text);
-    digest[..8]
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

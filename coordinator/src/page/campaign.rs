@@ -22,21 +22,12 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let status = view.status(campaign).await?;
     let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;
-    let records = document
-        .analyses
-        .iter()
-        .flat_map(|analysis| &analysis.subject.records);
+    let records = document.analyses.iter().flat_map(|analysis| &analysis.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
-    let explained = document
-        .analyses
-        .iter()
-        .find_map(|analysis| analysis.findings.as_ref());
+    let explained = document.analyses.iter().find_map(|analysis| analysis.findings.as_ref());
     let measuring_campaign = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
     let link = |id: RolloutId, replicate: u32| address(measuring_campaign, id, replicate);
-    let is_paired = document
-        .analyses
-        .iter()
-        .all(|analysis| analysis.is_paired());
+    let is_paired = document.analyses.iter().all(|analysis| analysis.is_paired());
     // A campaign of LIBERO's family has a table by dimension instead.
     let progress_by_condition = match &document.family {
         Some(_) => Markup::default(),
@@ -146,12 +137,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
 
 /// Renders a cell of the table: a progress bar and its counts.
 fn tally(counts: &Counts) -> Markup {
-    let Counts {
-        committed: done,
-        succeeded,
-        quarantined,
-        ..
-    } = *counts;
+    let Counts { committed: done, succeeded, quarantined, .. } = *counts;
     let total = counts.total();
     let description = format!(
         "{done} of {total} have a result, {succeeded} succeeded, {quarantined} quarantined"

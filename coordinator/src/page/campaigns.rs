@@ -15,9 +15,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
     // Newest first, since visitors usually want the campaign that was created last.
     campaigns.reverse();
-    let names = campaigns
-        .iter()
-        .map(|status| status.campaign.name.to_string());
+    let names = campaigns.iter().map(|status| status.campaign.name.to_string());
     let names: Vec<String> = names.collect();
     let main = html! {
         h1 { "Campaigns" }
@@ -112,20 +110,13 @@ fn describe_pace(status: &CampaignStatus) -> String {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
         CampaignState::Stopped { .. } => describe_early_stop(status),
         _ if unfinished(status) == 0 && status.counts.quarantined > 0 => {
-            format!(
-                "finished but for {} in quarantine",
-                status.counts.quarantined
-            )
+            format!("finished but for {} in quarantine", status.counts.quarantined)
         }
         _ if unfinished(status) == 0 => "finished".to_owned(),
         CampaignState::Paused { .. } => "paused by its operator".to_owned(),
         CampaignState::Running { .. } => match (status.rate_per_sec, status.eta_secs) {
             (Some(rate), Some(eta)) => {
-                format!(
-                    "{}, {} left at that pace",
-                    rate_text(rate),
-                    duration_text(eta)
-                )
+                format!("{}, {} left at that pace", rate_text(rate), duration_text(eta))
             }
             _ => "no recent result to measure the pace by".to_owned(),
         },

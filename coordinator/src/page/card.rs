@@ -92,11 +92,7 @@ fn describe_state(shown: &ShownRollout) -> (&'static str, &'static str, String) 
                 false => ("failed", "✗ failure", "in"),
             };
             let steps = result.steps;
-            (
-                class,
-                word,
-                format!("{preposition} {steps} of {budget} control steps"),
-            )
+            (class, word, format!("{preposition} {steps} of {budget} control steps"))
         }
         (None, "leased") => {
             let steps = line.control_steps.unwrap_or_default();
@@ -144,10 +140,7 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
 fn perturbation_values(shown: &ShownRollout) -> Markup {
     let mut perturbed_axes = shown.row.perturbation.axes();
     perturbed_axes.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
-    let axes = shown
-        .id
-        .condition()
-        .axes(perturbed_axes.into_iter().collect());
+    let axes = shown.id.condition().axes(perturbed_axes.into_iter().collect());
     let axes: Vec<Axis> = axes.axes().collect();
     // The row's instruction is empty if only the variant's BDDL file holds it.
     let instruction = &shown.row.instruction;
@@ -244,11 +237,7 @@ fn provenance(shown: &ShownRollout, replicate: u32) -> Markup {
 /// Describes how many goal predicates held; empty if the worker did not report them.
 fn goal(result: &ResultLine) -> String {
     let describe = |goal: GoalProgress| {
-        let GoalProgress {
-            predicates,
-            at_end,
-            at_most,
-        } = goal;
+        let GoalProgress { predicates, at_end, at_most } = goal;
         format!("{at_end} of {predicates} predicates held at the end, at most {at_most} at once")
     };
     result.goal().map(describe).unwrap_or_default()
@@ -268,10 +257,7 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
     let committed = utc_text(result.committed_ms);
     let pack_digest = short_digest(&pin.asset_pack_digest);
     vec![
-        (
-            "committed",
-            format!("attempt {}, {committed}", result.number),
-        ),
+        ("committed", format!("attempt {}, {committed}", result.number)),
         ("divergent", divergent),
         ("attempt id", result.attempt.to_string()),
         ("worker", result.worker_id.to_string()),
@@ -283,10 +269,7 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("inverse kinematics off by", residual.unwrap_or_default()),
         ("policy", format!("{}{privileged}", provenance.policy_name)),
         ("checkpoint", provenance.policy_checkpoint.clone()),
-        (
-            "checkpoint digest",
-            provenance.policy_checkpoint_digest.clone(),
-        ),
+        ("checkpoint digest", provenance.policy_checkpoint_digest.clone()),
         ("policy settings", provenance.policy_settings_in_words()),
         ("batches", provenance.batch_mode.clone()),
         ("realisation", provenance.realisation.clone()),
@@ -297,10 +280,7 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("machine", provenance.host.clone()),
         ("worker's program", provenance.program_version.clone()),
         ("scene", short_digest(&result.digests.scene)),
-        (
-            "initial state's bytes",
-            short_digest(&result.digests.init_state),
-        ),
+        ("initial state's bytes", short_digest(&result.digests.init_state)),
         ("first frames", short_digest(&result.digests.first_frame)),
     ]
 }

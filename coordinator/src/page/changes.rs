@@ -85,10 +85,8 @@ impl Changes {
             let event = format!("retry: {RECONNECT_MS}\nevent: change\ndata: {version}\n\n");
             Ok::<_, std::convert::Infallible>(Bytes::from(event))
         });
-        let headers = [
-            (header::CONTENT_TYPE, "text/event-stream"),
-            (header::CACHE_CONTROL, "no-store"),
-        ];
+        let headers =
+            [(header::CONTENT_TYPE, "text/event-stream"), (header::CACHE_CONTROL, "no-store")];
         Ok((headers, Body::from_stream(lines)).into_response())
     }
 

@@ -25,10 +25,7 @@ pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
         let main = html! { (crumbs()) h1 { "Compare two campaigns" } (form) };
         return Ok(Sheet::new(Tab::Campaigns, "Compare", main));
     };
-    let (a, b) = (
-        campaign(&mut view, &a).await?,
-        campaign(&mut view, &b).await?,
-    );
+    let (a, b) = (campaign(&mut view, &a).await?, campaign(&mut view, &b).await?);
     let comparison = page.comparison([&a, &b], &mut view).await?;
     let title = format!("{} against {}", a.name, b.name);
     let main = html! {
@@ -85,9 +82,7 @@ fn crumbs() -> Markup {
 async fn names(view: &mut View) -> Result<Vec<String>, Problem> {
     let statuses = view.statuses().await?;
     let names = statuses.iter().rev();
-    Ok(names
-        .map(|status| status.campaign.name.to_string())
-        .collect())
+    Ok(names.map(|status| status.campaign.name.to_string()).collect())
 }
 
 async fn campaign(view: &mut View, name: &str) -> Result<Campaign, Problem> {

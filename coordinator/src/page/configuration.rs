@@ -140,9 +140,7 @@ fn siblings(requested: RolloutId) -> Vec<String> {
     // The simultaneous rollout comes first, beside the nominal one, since the two are usually
     // compared.
     let subset_conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
-    let conditions = [Condition::Combination]
-        .into_iter()
-        .chain(subset_conditions);
+    let conditions = [Condition::Combination].into_iter().chain(subset_conditions);
     let conditions = conditions.chain([Condition::Latency]);
     let id =
         |condition| RolloutId::perturbed(requested.task(), condition, requested.level(), config);
@@ -156,10 +154,7 @@ async fn neighbours(
     campaign: &Campaign,
     requested: RolloutId,
 ) -> Result<Vec<RolloutId>, Problem> {
-    let (suite, task) = (
-        requested.task().suite().short_name(),
-        requested.task().index(),
-    );
+    let (suite, task) = (requested.task().suite().short_name(), requested.task().index());
     let prefix = format!("{suite}/t{task}/{}/", requested.condition());
     let ids = view.rollout_ids_with_prefix(campaign.id, &prefix).await?;
     let mut ids: Vec<RolloutId> = ids.iter().filter_map(|id| id.parse().ok()).collect();
@@ -180,14 +175,11 @@ fn navigation_links(
     let index = same_level.iter().position(|id| **id == requested);
     let previous = index.and_then(|index| same_level.get(index.checked_sub(1)?));
     let next = index.and_then(|index| same_level.get(index + 1));
-    let levels = neighbours
-        .iter()
-        .filter(|id| id.number() == requested.number());
+    let levels = neighbours.iter().filter(|id| id.number() == requested.number());
     let link = |id: RolloutId, replicate| address(campaign, id, replicate);
     let levels = levels.map(|id| (id.level().to_string(), link(*id, replicate)));
-    let replicates = replicates
-        .iter()
-        .map(|replicate| (replicate.to_string(), link(requested, *replicate)));
+    let replicates =
+        replicates.iter().map(|replicate| (replicate.to_string(), link(requested, *replicate)));
     let current = link(requested, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
@@ -236,11 +228,7 @@ fn heading(requested: RolloutId) -> String {
             None => format!("nominal from initial state {}", requested.number()),
         },
     };
-    format!(
-        "{}, task {}, {place_in_design}",
-        requested.suite_name(),
-        task.index()
-    )
+    format!("{}, task {}, {place_in_design}", requested.suite_name(), task.index())
 }
 
 /// Describes the effect of simultaneous perturbation; `None` unless the outcomes under each axis

@@ -80,9 +80,7 @@ fn side_by_side(
     minimal: &MinimalSubset,
     transition: Transition,
 ) -> (usize, Markup) {
-    let sets = [minimal.set]
-        .into_iter()
-        .chain(minimal.below.iter().copied());
+    let sets = [minimal.set].into_iter().chain(minimal.below.iter().copied());
     let shown: Vec<Film> = sets.filter_map(|set| find_film(lattice, set)).collect();
     let filmed: Vec<&Film> = shown.iter().filter(|film| film.is_filmed).collect();
     let is_shown = |set: &AxisSet| filmed.iter().any(|film| film.set == *set);
@@ -110,19 +108,10 @@ fn find_film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
         let rows = source.rollouts_under(set, full);
         rows.map(move |(id, row)| (source, id, row))
     });
-    let mut matching: Vec<_> = all
-        .filter(|(_, _, row)| row.job.success == Some(success))
-        .collect();
+    let mut matching: Vec<_> = all.filter(|(_, _, row)| row.job.success == Some(success)).collect();
     matching.sort_by_key(|(_, _, row)| (!row.is_filmed, row.job.replicate));
     let (source, id, row) = matching.into_iter().next()?;
-    Some(Film {
-        source,
-        id,
-        replicate: row.job.replicate,
-        set,
-        success,
-        is_filmed: row.is_filmed,
-    })
+    Some(Film { source, id, replicate: row.job.replicate, set, success, is_filmed: row.is_filmed })
 }
 
 fn card(film: &Film) -> Markup {

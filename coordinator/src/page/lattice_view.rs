@@ -35,13 +35,8 @@ pub(super) async fn read(
     requested: RolloutId,
 ) -> Result<Option<LatticeView>, Problem> {
     let simultaneous = |number| {
-        RolloutId::perturbed(
-            requested.task(),
-            Condition::Combination,
-            requested.level(),
-            number,
-        )
-        .ok()
+        RolloutId::perturbed(requested.task(), Condition::Combination, requested.level(), number)
+            .ok()
     };
     let Some(configuration) = requested.config().and_then(simultaneous) else {
         return Ok(None);
@@ -62,9 +57,7 @@ pub(super) async fn read(
             continue;
         };
         let candidate = source(view, candidate, requested).await?;
-        let most_rows = explaining
-            .as_ref()
-            .map_or(0, |(source, _)| source.rows.len());
+        let most_rows = explaining.as_ref().map_or(0, |(source, _)| source.rows.len());
         if candidate.rows.len() > most_rows {
             explaining = Some((candidate, explanation));
         }
@@ -77,15 +70,8 @@ pub(super) async fn read(
         }
     };
     let explaining = explaining.map(|(source, _)| source);
-    let outcomes = lattices
-        .ok()
-        .and_then(|mut lattices| lattices.remove(&configuration));
-    Ok(outcomes.map(|outcomes| LatticeView {
-        configuration,
-        outcomes,
-        measured,
-        explaining,
-    }))
+    let outcomes = lattices.ok().and_then(|mut lattices| lattices.remove(&configuration));
+    Ok(outcomes.map(|outcomes| LatticeView { configuration, outcomes, measured, explaining }))
 }
 
 /// Reads a campaign's rollouts of a configuration under all subsets of the axes, nominal included.
@@ -96,12 +82,7 @@ async fn source(
 ) -> Result<Source, Problem> {
     let conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let id = |condition| {
-        RolloutId::perturbed(
-            requested.task(),
-            condition,
-            requested.level(),
-            requested.number(),
-        )
+        RolloutId::perturbed(requested.task(), condition, requested.level(), requested.number())
     };
     let ids = conditions.filter_map(|condition| id(condition).ok());
     let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
@@ -115,10 +96,8 @@ async fn source(
 
 async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Explanation>, Problem> {
     let spec = view.spec(campaign).await?;
-    let spec = CampaignSpec::from_json(&spec).map_err(|source| ReadError::Spec {
-        campaign: campaign.name.clone(),
-        source,
-    })?;
+    let spec = CampaignSpec::from_json(&spec)
+        .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     Ok(match spec.rollouts {
         Rollouts::Explanation(explanation) => Some(explanation),
         Rollouts::Design(_)

@@ -14,11 +14,7 @@ pub(super) struct Sheet {
 
 impl Sheet {
     pub(super) fn new(tab: Tab, title: impl Into<String>, main: Markup) -> Sheet {
-        Sheet {
-            title: title.into(),
-            tab,
-            main,
-        }
+        Sheet { title: title.into(), tab, main }
     }
 }
 

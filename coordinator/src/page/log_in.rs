@@ -70,10 +70,7 @@ fn show(code: StatusCode, next: &str, message: &str) -> Response {
 
 fn redirect(address: &str, cookie: Option<String>) -> Response {
     let cookie = cookie.map(|cookie| [(header::SET_COOKIE, cookie)]);
-    let headers = [
-        (header::LOCATION, address),
-        (header::CACHE_CONTROL, "no-store"),
-    ];
+    let headers = [(header::LOCATION, address), (header::CACHE_CONTROL, "no-store")];
     (StatusCode::SEE_OTHER, headers, cookie, ()).into_response()
 }
 
@@ -101,17 +98,9 @@ mod tests {
 
     #[test]
     fn login_redirects_only_within_this_server() {
-        assert_eq!(
-            next(b"next=%2Fcampaigns%2Fdemo%3Fa%3Db"),
-            "/campaigns/demo?a=b"
-        );
-        for foreign in [
-            "//evil.example",
-            "https://evil.example",
-            "/%5Cevil.example",
-            "/a%0Ab",
-            "",
-        ] {
+        assert_eq!(next(b"next=%2Fcampaigns%2Fdemo%3Fa%3Db"), "/campaigns/demo?a=b");
+        for foreign in ["//evil.example", "https://evil.example", "/%5Cevil.example", "/a%0Ab", ""]
+        {
             assert_eq!(next(format!("next={foreign}").as_bytes()), "/", "{foreign}");
         }
     }

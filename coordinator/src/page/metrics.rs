@@ -24,16 +24,9 @@ const COUNTER: &str = "counter";
 
 /// Serves `/metrics`.
 pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
-    let cached = page.metrics.get(
-        "",
-        |cached| cached.started.elapsed() < PAGE_AGE,
-        collect(&page),
-    );
+    let cached = page.metrics.get("", |cached| cached.started.elapsed() < PAGE_AGE, collect(&page));
     let kind = "text/plain; version=0.0.4; charset=utf-8";
-    let headers = [
-        (header::CONTENT_TYPE, kind),
-        (header::CACHE_CONTROL, "no-store"),
-    ];
+    let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, "no-store")];
     match cached.await {
         Ok(text) => (headers, text.to_string()).into_response(),
         Err(problem) => problem.into_response(),
@@ -86,11 +79,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
         text.single_gauge(name, help, value);
     }
     let build = "rollout_build_info";
-    text.family(
-        build,
-        GAUGE,
-        "Version of the program; the value is always 1.",
-    );
+    text.family(build, GAUGE, "Version of the program; the value is always 1.");
     text.sample(build, &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     Ok(text.0.into())
 }
@@ -182,9 +171,7 @@ impl Exposition {
 
 /// Escapes a label value.
 fn escaped(text: &str) -> String {
-    text.replace('\\', "\\\\")
-        .replace('"', "\\\"")
-        .replace('\n', "\\n")
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
 #[cfg(test)]

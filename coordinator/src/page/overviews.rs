@@ -57,12 +57,7 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
 
 /// Renders the page of the quarantined rollouts of all campaigns.
 pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
-    let quarantined = page
-        .queue
-        .view()
-        .await?
-        .quarantine(None, MAX_QUARANTINED)
-        .await?;
+    let quarantined = page.queue.view().await?.quarantine(None, MAX_QUARANTINED).await?;
     let main = html! {
         h1 { "Quarantine" }
         @if quarantined.is_empty() {
@@ -85,14 +80,7 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
 }
 
 fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup {
-    let columns = [
-        "worker",
-        "machine",
-        "busy",
-        "last call",
-        ".state",
-        ".runs on",
-    ];
+    let columns = ["worker", "machine", "busy", "last call", ".state", ".runs on"];
     let rows = html! { @for worker in workers { (worker_row(worker, now)) } };
     layout::table(name, &columns, &rows)
 }

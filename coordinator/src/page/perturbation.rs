@@ -58,12 +58,7 @@ const ROBOT: [Formatter; 6] = [
 ];
 
 const SENSOR: [Formatter; 4] = [
-    |sigma| {
-        format!(
-            "noise, standard deviation {:.2} % of full scale",
-            100.0 * sigma.abs()
-        )
-    },
+    |sigma| format!("noise, standard deviation {:.2} % of full scale", 100.0 * sigma.abs()),
     |px| format!("blur, standard deviation {:.2} px at 128 px", px.abs()),
     |log2| format!("JPEG quality {:.0}", 100.0 * (-log2.abs()).exp2()),
     |px| format!("motion blur {:.2} px at 128 px", px.abs()),
@@ -74,12 +69,7 @@ const ACTUATION: [Formatter; 5] = [
     |fraction| format!("bias {:+.1} % of a demonstrated action", 100.0 * fraction),
     |degrees| format!("command frame turned {degrees:+.1}°"),
     |steps| format!("lag {:.2} control steps", steps.abs()),
-    |fraction| {
-        format!(
-            "noise {:.1} % of a demonstrated action",
-            100.0 * fraction.abs()
-        )
-    },
+    |fraction| format!("noise {:.1} % of a demonstrated action", 100.0 * fraction.abs()),
 ];
 
 #[cfg(test)]

@@ -115,10 +115,9 @@ impl<E: Into<ReadError>> From<E> for Problem {
             ReadError::Queue(QueueError::UnknownCampaign { campaign }) => {
                 Problem::Campaign(campaign.to_string())
             }
-            ReadError::Queue(QueueError::Renamed { campaign, now }) => Problem::Renamed {
-                former: campaign.to_string(),
-                now: now.to_string(),
-            },
+            ReadError::Queue(QueueError::Renamed { campaign, now }) => {
+                Problem::Renamed { former: campaign.to_string(), now: now.to_string() }
+            }
             error => Problem::failed(&error),
         }
     }

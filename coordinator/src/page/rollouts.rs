@@ -40,10 +40,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
     let (campaign, mut view) = page.campaign(name).await?;
     let (lines, next) = match &selection.id {
         Some(id) => {
-            let job = JobName {
-                rollout_id: id.clone(),
-                replicate: 0,
-            };
+            let job = JobName { rollout_id: id.clone(), replicate: 0 };
             match view.job(&campaign, &job).await {
                 Ok(line) => (vec![line], None),
                 Err(QueueError::UnknownRollout { .. }) => (Vec::new(), None),

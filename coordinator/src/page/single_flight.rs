@@ -64,11 +64,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         let started = Instant::now();
         let value = make.await?;
         let cost = started.elapsed();
-        *cached = Some(CachedValue {
-            value: value.clone(),
-            started,
-            cost,
-        });
+        *cached = Some(CachedValue { value: value.clone(), started, cost });
         Ok(value)
     }
 
@@ -100,11 +96,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         let computed = tokio::task::spawn_blocking(move || {
             let _permit = permit;
             let value = computation()?;
-            *cached = Some(CachedValue {
-                value: value.clone(),
-                started,
-                cost: started.elapsed(),
-            });
+            *cached = Some(CachedValue { value: value.clone(), started, cost: started.elapsed() });
             Ok(value)
         });
         computed.await.unwrap_or_else(|error| Err(panicked(&error)))

@@ -22,8 +22,6 @@ pub(super) fn speed(pace: &ForecastResponse, is_over: bool) -> Markup {
 /// Capitalizes the first letter and appends a full stop.
 fn sentence(words: &str) -> String {
     let mut letters = words.chars();
-    let first = letters
-        .next()
-        .map(|letter| letter.to_uppercase().to_string());
+    let first = letters.next().map(|letter| letter.to_uppercase().to_string());
     format!("{}{}.", first.unwrap_or_default(), letters.as_str())
 }

@@ -154,9 +154,7 @@ impl Page {
         };
         let (_, document) = self
             .documents
-            .compute(campaign.name.as_str(), is_fresh, read, |error| {
-                Problem::failed(error)
-            })
+            .compute(campaign.name.as_str(), is_fresh, read, |error| Problem::failed(error))
             .await?;
         Ok(document)
     }
@@ -178,10 +176,7 @@ impl Page {
         let computed_editions = editions.clone();
         let read = async {
             let documents = [self.document(a, view).await?, self.document(b, view).await?];
-            let setups = [
-                report::setups(view, a).await?,
-                report::setups(view, b).await?,
-            ];
+            let setups = [report::setups(view, a).await?, report::setups(view, b).await?];
             Ok::<_, Problem>(move || {
                 let [a, b] = documents.each_ref().map(|document| &document.analyses[0]);
                 let compared = Comparison::of([a, b], setups.each_ref());
@@ -190,9 +185,8 @@ impl Page {
         };
         // Campaign names contain no spaces, so the key is unambiguous.
         let key = format!("{} {}", a.name, b.name);
-        let compared = self
-            .comparisons
-            .compute(&key, is_fresh, read, |error| Problem::failed(error));
+        let compared =
+            self.comparisons.compute(&key, is_fresh, read, |error| Problem::failed(error));
         let (_, compared) = compared.await?;
         Ok(compared)
     }

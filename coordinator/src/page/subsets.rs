@@ -83,10 +83,7 @@ pub(super) async fn section(
             (films.markup)
         }
     };
-    Ok(Section {
-        markup,
-        films: films.count,
-    })
+    Ok(Section { markup, films: films.count })
 }
 
 /// Renders a link from the shown campaign, which measures or explains the configuration, to the

@@ -47,11 +47,8 @@ impl Extent {
         let mut extent: Option<Extent> = None;
         for path in paths {
             for position in path {
-                let extent = extent.get_or_insert(Extent {
-                    low: *position,
-                    high: *position,
-                    steps: 0,
-                });
+                let extent =
+                    extent.get_or_insert(Extent { low: *position, high: *position, steps: 0 });
                 for (axis, value) in position.iter().enumerate() {
                     extent.low[axis] = extent.low[axis].min(*value);
                     extent.high[axis] = extent.high[axis].max(*value);
@@ -74,10 +71,7 @@ impl Extent {
         let scale = self.scale();
         let middle = |axis: usize| f64::midpoint(self.low[axis], self.high[axis]);
         let half = VIEW_SIDE / 2.0;
-        [
-            2.0 + half + (y - middle(1)) * scale,
-            TOP + half + (x - middle(0)) * scale,
-        ]
+        [2.0 + half + (y - middle(1)) * scale, TOP + half + (x - middle(0)) * scale]
     }
 
     /// Projects a height at a control step to the drawing of the height.
@@ -123,15 +117,10 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
 /// Returns the SVG points of a path's view from above and of its height.
 fn polylines(path: &Path, extent: &Extent) -> (String, String) {
     let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
-    let above = path
-        .iter()
-        .map(|position| point(extent.project_from_above(*position)));
+    let above = path.iter().map(|position| point(extent.project_from_above(*position)));
     let heights = path.iter().enumerate();
     let heights = heights.map(|(step, [_, _, z])| point(extent.project_height(step, *z)));
-    (
-        above.collect::<Vec<_>>().join(" "),
-        heights.collect::<Vec<_>>().join(" "),
-    )
+    (above.collect::<Vec<_>>().join(" "), heights.collect::<Vec<_>>().join(" "))
 }
 
 /// Describes the plot for screen readers.
@@ -180,11 +169,7 @@ mod tests {
     fn every_path_stays_within_its_plot() {
         let paths = [
             read(&Motion::pack(
-                &[
-                    [-3_000, 3_000, 8_000],
-                    [2_500, -1_000, 13_000],
-                    [0, 0, 9_000],
-                ],
+                &[[-3_000, 3_000, 8_000], [2_500, -1_000, 13_000], [0, 0, 9_000]],
                 &[],
             )),
             read(&Motion::pack(&[[0, 0, 10_000]], &[])),
@@ -195,10 +180,7 @@ mod tests {
             for (step, position) in path.iter().enumerate() {
                 let within = |range: [f64; 2], value: f64| {
                     // A position on an edge may exceed it by a rounding error.
-                    assert!(
-                        range[0] - 1e-6 <= value && value <= range[1] + 1e-6,
-                        "{value}"
-                    );
+                    assert!(range[0] - 1e-6 <= value && value <= range[1] + 1e-6, "{value}");
                 };
                 let [x, y] = extent.project_from_above(*position);
                 within([2.0, 2.0 + VIEW_SIDE], x);
@@ -210,9 +192,6 @@ mod tests {
         }
         assert!(Extent::from_paths([Path::new()].iter()).is_none());
         let words = description(&paths[0]);
-        assert!(
-            words.contains("2 control steps") && words.contains("x −30.0"),
-            "{words}"
-        );
+        assert!(words.contains("2 control steps") && words.contains("x −30.0"), "{words}");
     }
 }

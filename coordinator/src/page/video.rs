@@ -48,9 +48,7 @@ pub(super) async fn answer(
     let mut response = match (&page.storage, file.is_file()) {
         (_, true) => {
             let served = ServeFile::new(file).try_call(request).await;
-            served
-                .map_err(|error| Problem::failed(&error))?
-                .into_response()
+            served.map_err(|error| Problem::failed(&error))?.into_response()
         }
         (Some(storage), false) => from_storage(storage, &video, request.headers()).await?,
         (None, false) => return Err(Problem::Video),
@@ -64,9 +62,7 @@ pub(super) async fn answer(
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::CACHE_CONTROL, "private, max-age=60"),
     ] {
-        response
-            .headers_mut()
-            .insert(name, HeaderValue::from_static(value));
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
 }
@@ -93,16 +89,12 @@ async fn from_storage(
     let mut answer = Response::builder()
         .header(header::CONTENT_TYPE, "video/mp4")
         .header(header::ACCEPT_RANGES, "bytes")
-        .header(
-            header::CONTENT_LENGTH,
-            object.range.end - object.range.start,
-        );
+        .header(header::CONTENT_LENGTH, object.range.end - object.range.start);
     if is_part {
         let (first, last) = (object.range.start, object.range.end.saturating_sub(1));
-        answer = answer.status(StatusCode::PARTIAL_CONTENT).header(
-            header::CONTENT_RANGE,
-            format!("bytes {first}-{last}/{size}"),
-        );
+        answer = answer
+            .status(StatusCode::PARTIAL_CONTENT)
+            .header(header::CONTENT_RANGE, format!("bytes {first}-{last}/{size}"));
     }
     let answer = answer.body(Body::from_stream(object.bytes.0));
     answer.map_err(|error| Problem::failed(&error))

@@ -87,10 +87,9 @@ fn with_token(channel: &Channel, token: Option<&str>) -> InterceptedService<Chan
     let value = token.map(|token| format!("Bearer {token}").parse().expect("a header"));
     let add_token: WithToken = Box::new(move |mut request: Request<()>| {
         if let Some(value) = &value {
-            request.metadata_mut().insert(
-                "authorization",
-                tonic::metadata::MetadataValue::clone(value),
-            );
+            request
+                .metadata_mut()
+                .insert("authorization", tonic::metadata::MetadataValue::clone(value));
         }
         Ok(request)
     });
@@ -105,17 +104,13 @@ async fn register(channel: &Channel, token: Option<&str>, id: &str) -> Result<()
 
 async fn create(channel: &Channel, token: Option<&str>, spec: String) -> Result<(), Status> {
     let mut service = OperatorServiceClient::new(with_token(channel, token));
-    service
-        .create_campaign(wire::CreateCampaignRequest { spec, priority: 0 })
-        .await?;
+    service.create_campaign(wire::CreateCampaignRequest { spec, priority: 0 }).await?;
     Ok(())
 }
 
 async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
     let mut service = OperatorServiceClient::new(with_token(channel, token));
-    service
-        .list_campaigns(wire::ListCampaignsRequest {})
-        .await?;
+    service.list_campaigns(wire::ListCampaignsRequest {}).await?;
     Ok(())
 }
 
@@ -127,15 +122,10 @@ async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
     let spec = || small_spec("stranger").to_string();
     for token in [None, Some("wrong-secret-0123456789"), Some("x")] {
         for _ in 0..3 {
-            let refused = register(&channel, token, "w")
-                .await
-                .expect_err("a stranger");
+            let refused = register(&channel, token, "w").await.expect_err("a stranger");
             assert_eq!(refused.code(), Code::Unauthenticated, "{refused}");
             let refused = create(&channel, token, spec()).await;
-            assert_eq!(
-                refused.expect_err("a stranger").code(),
-                Code::Unauthenticated
-            );
+            assert_eq!(refused.expect_err("a stranger").code(), Code::Unauthenticated);
         }
     }
     assert_eq!(guarded.logged("was refused"), 1);
@@ -166,12 +156,8 @@ async fn a_token_allows_only_the_calls_of_its_role() {
     assert_eq!(guarded.logged("was refused"), 1);
     assert_eq!(guarded.rows().await, before);
 
-    create(&channel, Some(OPERATOR), spec())
-        .await
-        .expect("an operator");
-    register(&channel, Some(WORKER), "w")
-        .await
-        .expect("a worker");
+    create(&channel, Some(OPERATOR), spec()).await.expect("an operator");
+    register(&channel, Some(WORKER), "w").await.expect("a worker");
     assert_ne!(guarded.rows().await, before);
 }
 
@@ -182,13 +168,7 @@ async fn names_of_a_million_characters_are_refused_in_every_field() {
     let before = guarded.rows().await;
     let long = "n".repeat(MILLION);
     let mut worker = WorkerServiceClient::new(with_token(&channel, Some(WORKER)));
-    for field in [
-        "worker_id",
-        "host",
-        "asset_pack",
-        "asset_pack_digest",
-        "renderer",
-    ] {
+    for field in ["worker_id", "host", "asset_pack", "asset_pack_digest", "renderer"] {
         let mut request = registration("w", "primitives");
         match field {
             "worker_id" => request.worker_id = long.clone(),
@@ -321,10 +301,7 @@ fn non_loopback_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
-    let message = &fail(
-        coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]),
-        2,
-    );
+    let message = &fail(coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]), 2);
     for word in ["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"] {
         assert!(message.contains(word), "{message}");
     }
@@ -337,10 +314,7 @@ fn an_address_in_use_is_named_before_a_database_is_created() {
     let address = serve.url.trim_start_matches("http://");
     let data = folder.path().join("second");
     let data = data.to_str().expect("UTF-8");
-    let message = &fail(
-        coordinator(&["serve", "--listen", address, "--data", data]),
-        1,
-    );
+    let message = &fail(coordinator(&["serve", "--listen", address, "--data", data]), 1);
     for words in [address, "choose another address with --listen"] {
         assert!(message.contains(words), "{message}");
     }
@@ -372,11 +346,7 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
             .expect("runs");
         let message = text(&listed.stderr);
         assert_eq!(listed.status.success(), is_allowed, "{message}");
-        assert_eq!(
-            message.contains("--insecure-loopback"),
-            !is_allowed,
-            "{message}"
-        );
+        assert_eq!(message.contains("--insecure-loopback"), !is_allowed, "{message}");
         assert!(serve.command(&["campaign", "list"]).status.success());
     }
 }
@@ -396,30 +366,18 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
     let [tokens_text, key_text, certificate_text, data_text] =
         [&tokens, &key, &certificate, &data].map(|path| path.to_str().expect("UTF-8"));
     let with_tokens = ["serve", "--data", data_text, "--token-file", tokens_text];
-    let with_key = [
-        "serve",
-        "--data",
-        data_text,
-        "--tls-cert",
-        certificate_text,
-        "--tls-key",
-        key_text,
-    ];
+    let with_key =
+        ["serve", "--data", data_text, "--tls-cert", certificate_text, "--tls-key", key_text];
     let as_client = ["campaign", "list", "--token-file", tokens_text];
-    for (arguments, exposed) in [
-        (&with_tokens[..], &tokens),
-        (&with_key[..], &key),
-        (&as_client[..], &tokens),
-    ] {
+    for (arguments, exposed) in
+        [(&with_tokens[..], &tokens), (&with_key[..], &key), (&as_client[..], &tokens)]
+    {
         for mode in [0o644, 0o640, 0o602] {
             std::fs::set_permissions(exposed, Permissions::from_mode(mode)).expect("set");
             let message = &fail(coordinator(arguments), 1);
             let remedy = format!("`chmod 600 {}`", exposed.display());
             let shown = format!("{mode:04o}");
-            assert!(
-                message.contains(&remedy) && message.contains(&shown),
-                "{message}"
-            );
+            assert!(message.contains(&remedy) && message.contains(&shown), "{message}");
             assert!(!message.contains(OPERATOR), "{message}");
         }
         std::fs::set_permissions(exposed, Permissions::from_mode(0o600)).expect("set");
@@ -471,8 +429,7 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     // A connection on which only a few bytes were sent is closed after the timeout, too.
     let mut last = silent.pop().expect("a connection");
     last.write_all(b"GET / HTTP").expect("sent");
-    last.set_read_timeout(Some(Duration::from_secs(120)))
-        .expect("set");
+    last.set_read_timeout(Some(Duration::from_secs(120))).expect("set");
     let end = last.read(&mut [0; 64]);
     assert!(
         matches!(&end, Ok(0)) || end.is_err_and(|error| error.kind() == ErrorKind::ConnectionReset),

@@ -71,10 +71,7 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     assert_eq!(altered.taken_back, 1);
     let status = altered.status.expect("a status");
     assert_eq!(status.policy_endpoint, NEW_ENDPOINT);
-    assert!(
-        !status.policy_paused,
-        "the policy at the new endpoint is available"
-    );
+    assert!(!status.policy_paused, "the policy at the new endpoint is available");
 
     // An attempt at the old endpoint no longer belongs to this campaign, and is no evidence about
     // the new endpoint.
@@ -87,11 +84,7 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     assert_eq!(bench.count(charged).await, 0);
     let leases = worker.claim(8).await;
     assert_eq!(leases.len(), 4);
-    assert!(
-        leases
-            .iter()
-            .all(|lease| lease.policy_endpoint == NEW_ENDPOINT)
-    );
+    assert!(leases.iter().all(|lease| lease.policy_endpoint == NEW_ENDPOINT));
     // No policy has the mistyped endpoint any more.
     assert_eq!(bench.count("SELECT count(*) FROM policy").await, 1);
     assert_invariants(&bench).await;
@@ -110,10 +103,7 @@ async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     let policy = json!({"policy": {"name": "expart", "endpoint": NEW_ENDPOINT}});
     let now = bench.create(&with(before.clone(), policy)).await;
     assert_eq!(now.expect("an existing campaign").jobs_added, 0);
-    let refused = bench
-        .create(&before)
-        .await
-        .expect_err("another specification");
+    let refused = bench.create(&before).await.expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(refused.message().contains("`policy`"), "{refused}");
 }
@@ -128,17 +118,9 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     assert_eq!(lease.campaign, "one");
     let held = worker.claim(8).await;
     let refusals = [
-        (
-            to_endpoint("one", "localhost"),
-            Code::InvalidArgument,
-            "http://",
-        ),
+        (to_endpoint("one", "localhost"), Code::InvalidArgument, "http://"),
         (to_endpoint("none", NEW_ENDPOINT), Code::NotFound, "no such"),
-        (
-            to_name("one", "two"),
-            Code::AlreadyExists,
-            "another one is called `two`",
-        ),
+        (to_name("one", "two"), Code::AlreadyExists, "another one is called `two`"),
         (to_name("one", "../up"), Code::InvalidArgument, "../up"),
         (
             wire::AlterCampaignRequest {
@@ -178,26 +160,14 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     bench.advance(61).await;
     let probe = worker.claim_one().await;
     assert_eq!(probe.campaign, "leaves");
-    alter(&bench, to_endpoint("leaves", NEW_ENDPOINT))
-        .await
-        .expect("altered");
+    alter(&bench, to_endpoint("leaves", NEW_ENDPOINT)).await.expect("altered");
     assert_invariants(&bench).await;
     let next = worker.claim(2).await;
     let campaigns: Vec<&str> = next.iter().map(|lease| lease.campaign.as_str()).collect();
-    assert_eq!(
-        campaigns,
-        ["leaves", "leaves"],
-        "jobs are leased at once at the new endpoint"
-    );
+    assert_eq!(campaigns, ["leaves", "leaves"], "jobs are leased at once at the new endpoint");
     let later_leases = worker.claim(8).await;
-    let probes = later_leases
-        .iter()
-        .filter(|lease| lease.campaign == "stays");
-    assert_eq!(
-        probes.count(),
-        1,
-        "another campaign probes the old endpoint"
-    );
+    let probes = later_leases.iter().filter(|lease| lease.campaign == "stays");
+    assert_eq!(probes.count(), 1, "another campaign probes the old endpoint");
 }
 
 #[tokio::test]
@@ -215,14 +185,9 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     let second = film(&mut worker, &held).await;
     assert!(second.starts_with("artifacts/old/"), "{second}");
     assert_eq!(bench.status("new").await.committed, 2);
-    let again = bench
-        .create(&small_spec("new"))
-        .await
-        .expect("an existing campaign");
+    let again = bench.create(&small_spec("new")).await.expect("an existing campaign");
     assert_eq!(again.jobs_added, 0);
-    let request = wire::GetCampaignRequest {
-        campaign: "old".to_owned(),
-    };
+    let request = wire::GetCampaignRequest { campaign: "old".to_owned() };
     let refused = bench.operator().await.get_campaign(request).await;
     let refused = refused.expect_err("renamed");
     assert_eq!(refused.code(), Code::NotFound);
@@ -239,38 +204,27 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let first_path = film(&mut worker, &lease).await;
-    alter(&bench, to_name("name", "first"))
-        .await
-        .expect("renamed");
+    alter(&bench, to_name("name", "first")).await.expect("renamed");
     let second = bench.create_with_priority(&small_spec("name"), 1).await;
     assert_eq!(second.expect("created").jobs_added, 4);
     let lease = worker.claim_one().await;
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let second_path = film(&mut worker, &lease).await;
-    assert!(
-        second_path.starts_with("artifacts/name~2/"),
-        "{second_path}"
-    );
+    assert!(second_path.starts_with("artifacts/name~2/"), "{second_path}");
     assert_invariants(&bench).await;
 
     bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&first_path).is_file());
     assert!(!bench.folder.path().join(&second_path).exists());
     // No campaign has this name now, and the name no longer leads to the renamed campaign.
-    let request = wire::GetCampaignRequest {
-        campaign: "name".to_owned(),
-    };
+    let request = wire::GetCampaignRequest { campaign: "name".to_owned() };
     let refused = bench.operator().await.get_campaign(request).await;
     let refused = refused.expect_err("gone");
     assert!(refused.message().contains("no such campaign"), "{refused}");
     // The first campaign gets its first name back, and is then renamed once more.
-    alter(&bench, to_name("first", "name"))
-        .await
-        .expect("renamed");
-    alter(&bench, to_name("name", "last"))
-        .await
-        .expect("renamed");
+    alter(&bench, to_name("first", "name")).await.expect("renamed");
+    alter(&bench, to_name("name", "last")).await.expect("renamed");
     assert_invariants(&bench).await;
     bench.delete("last", "last").await.expect("deleted");
     assert!(!bench.folder.path().join(&first_path).exists());
@@ -284,18 +238,10 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     let run = |arguments: &[&str], code: i32, words: &str| {
         let output = serve.command(arguments);
         let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(
-            output.status.code(),
-            Some(code),
-            "{arguments:?}: {output_text}"
-        );
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
         assert!(output_text.contains(words), "{arguments:?}: {output_text}");
     };
-    run(
-        &[&CREATE[..], &["--priority", "-3"]].concat(),
-        0,
-        "14 rollouts",
-    );
+    run(&[&CREATE[..], &["--priority", "-3"]].concat(), 0, "14 rollouts");
     run(&CREATE, 0, "keeps priority -3");
     let mut worker = serve.worker("a").await;
     worker.claim_one().await;
@@ -303,24 +249,12 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     run(&set("set-priority", "-100"), 0, "demo has priority -100");
     run(&set("set-priority", "101"), 2, "-100 to 100");
     run(&set("set-endpoint", "localhost"), 2, "http://");
-    run(
-        &set("set-endpoint", NEW_ENDPOINT),
-        0,
-        "1 rollout taken back",
-    );
+    run(&set("set-endpoint", NEW_ENDPOINT), 0, "1 rollout taken back");
     run(&["campaign", "status", "demo"], 0, NEW_ENDPOINT);
     let new_url = "http://127.0.0.1:50053";
     let move_from = |from| ["campaign", "move-endpoint", from, new_url];
-    run(
-        &move_from("http://127.0.0.1:1"),
-        0,
-        "no unfinished campaign measures",
-    );
-    run(
-        &move_from(NEW_ENDPOINT),
-        0,
-        &format!("demo measures expert at {new_url}"),
-    );
+    run(&move_from("http://127.0.0.1:1"), 0, "no unfinished campaign measures");
+    run(&move_from(NEW_ENDPOINT), 0, &format!("demo measures expert at {new_url}"));
     run(&["campaign", "status", "demo"], 0, new_url);
     run(&set("rename", "final"), 0, "demo is now called final");
     run(&["campaign", "status", "demo"], 1, "is called `final`");
@@ -352,9 +286,7 @@ async fn every_alteration_is_stored_in_the_specification() {
         ..to_endpoint("old", NEW_ENDPOINT)
     };
     alter(&bench, request).await.expect("altered");
-    let request = wire::GetCampaignRequest {
-        campaign: "new".to_owned(),
-    };
+    let request = wire::GetCampaignRequest { campaign: "new".to_owned() };
     let campaign = bench.operator().await.get_campaign(request).await;
     let spec = campaign.expect("a campaign").into_inner().spec;
     let spec: Value = serde_json::from_str(&spec).expect("JSON");

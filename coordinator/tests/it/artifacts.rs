@@ -20,20 +20,12 @@ pub(crate) async fn put(
 ) -> Result<String, Status> {
     let mut chunks: Vec<wire::ArtifactChunk> = pieces
         .iter()
-        .map(|data| wire::ArtifactChunk {
-            data: data.clone(),
-            ..wire::ArtifactChunk::default()
-        })
+        .map(|data| wire::ArtifactChunk { data: data.clone(), ..wire::ArtifactChunk::default() })
         .collect();
     chunks[0].attempt_id = lease.attempt_id.clone();
     chunks[0].name = name.to_owned();
     let request = tokio_stream::iter(chunks);
-    Ok(worker
-        .service
-        .put_artifact(request)
-        .await?
-        .into_inner()
-        .path)
+    Ok(worker.service.put_artifact(request).await?.into_inner().path)
 }
 
 #[tokio::test]
@@ -47,22 +39,16 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(early.code(), Code::PermissionDenied);
 
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let path = put(&mut worker, &lease, "video.mp4", &pieces)
-        .await
-        .expect("stored");
+    let path = put(&mut worker, &lease, "video.mp4", &pieces).await.expect("stored");
     let attempt = &lease.attempt_id;
     let expected = format!("artifacts/filmed/object_t0_clean_i16.r0.{attempt}.mp4");
     assert_eq!(path, expected);
     let stored = std::fs::read(bench.folder.path().join(&path)).expect("a file");
     assert_eq!(stored, pieces.concat());
-    let second_path = put(&mut worker, &lease, "video.mp4", &[vec![3; 10]])
-        .await
-        .expect("replaced");
+    let second_path =
+        put(&mut worker, &lease, "video.mp4", &[vec![3; 10]]).await.expect("replaced");
     assert_eq!(second_path, path);
-    assert_eq!(
-        std::fs::read(bench.folder.path().join(&path)).expect("a file"),
-        [3; 10]
-    );
+    assert_eq!(std::fs::read(bench.folder.path().join(&path)).expect("a file"), [3; 10]);
     let recorded = "SELECT count(*) FROM artifact WHERE kind = 'video' AND size_bytes = 10";
     assert_eq!(bench.count(recorded).await, 1);
 }
@@ -125,15 +111,9 @@ async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() 
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let small = [vec![1; 10]];
 
-    let unknown = wire::Lease {
-        attempt_id: "0".repeat(32),
-        ..lease.clone()
-    };
+    let unknown = wire::Lease { attempt_id: "0".repeat(32), ..lease.clone() };
     let refused = put(&mut worker, &unknown, "video.mp4", &small).await;
-    assert_eq!(
-        refused.expect_err("there is no such attempt").code(),
-        Code::PermissionDenied
-    );
+    assert_eq!(refused.expect_err("there is no such attempt").code(), Code::PermissionDenied);
     for name in ["../../etc/passwd", "video.mp4/..", "", "notes.txt"] {
         let refused = put(&mut worker, &lease, name, &small).await;
         assert_eq!(refused.expect_err(name).code(), Code::InvalidArgument);
@@ -142,10 +122,7 @@ async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() 
     let refused = put(&mut worker, &lease, "video.mp4", &pieces).await;
     let refused = refused.expect_err("65 MiB");
     assert_eq!(refused.code(), Code::InvalidArgument);
-    assert!(
-        refused.message().contains("larger than 67108864 bytes"),
-        "{refused}"
-    );
+    assert!(refused.message().contains("larger than 67108864 bytes"), "{refused}");
 
     let folder = bench.folder.path().join("artifacts/filmed");
     assert_eq!(std::fs::read_dir(folder).expect("a folder").count(), 0);

@@ -98,11 +98,7 @@ async fn only_failures_charged_to_its_machine_stop_a_worker() {
             let lease = worker.claim_one().await;
             stop_reason = worker.release(&lease, reason).await.stop_leasing;
         }
-        assert_eq!(
-            !stop_reason.is_empty(),
-            stops_worker,
-            "{reason:?}: {stop_reason}"
-        );
+        assert_eq!(!stop_reason.is_empty(), stops_worker, "{reason:?}: {stop_reason}");
         let misbehaved = bench.count("SELECT max(misbehaved) FROM policy").await;
         assert_eq!(misbehaved > 0, reason == Reason::PolicyMisbehaved);
     }

@@ -20,15 +20,9 @@ async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_ref
     assert_eq!((second.jobs_added, second.jobs_total), (0, 4));
 
     let different = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
-    let refused = bench
-        .create(&different)
-        .await
-        .expect_err("another specification");
+    let refused = bench.create(&different).await.expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
-    assert!(
-        refused.message().contains("`configs`, `levels`"),
-        "{refused}"
-    );
+    assert!(refused.message().contains("`configs`, `levels`"), "{refused}");
     assert_eq!(bench.count("SELECT count(*) FROM job").await, 4);
 }
 
@@ -43,23 +37,12 @@ async fn a_specification_that_cannot_run_is_refused_and_nothing_is_written() {
             assert!(refused.message().contains(word), "{refused}");
         }
     };
-    check(
-        json!({"tasks": ["libero_objects"]}),
-        &["libero_objects", "libero_object,"],
-    )
-    .await;
-    check(
-        json!({"tasks": ["libero_object/10"]}),
-        &["libero_object/10", "libero_object/9"],
-    )
-    .await;
+    check(json!({"tasks": ["libero_objects"]}), &["libero_objects", "libero_object,"]).await;
+    check(json!({"tasks": ["libero_object/10"]}), &["libero_object/10", "libero_object/9"]).await;
     check(json!({"axes": ["camrea"]}), &["camrea", "camera, lighting"]).await;
     check(json!({"name": "../up"}), &["../up"]).await;
     check(json!({"name": "x".repeat(1_000_000)}), &["1 to 80"]).await;
-    for table in [
-        "SELECT count(*) FROM campaign",
-        "SELECT count(*) FROM policy",
-    ] {
+    for table in ["SELECT count(*) FROM campaign", "SELECT count(*) FROM policy"] {
         assert_eq!(bench.count(table).await, 0);
     }
 }
@@ -69,16 +52,9 @@ async fn a_status_has_counts_and_rate() {
     let bench = Bench::start().await;
     bench.create(&small_spec("paced")).await.expect("created");
     let before = bench.status("paced").await;
-    assert_eq!(
-        (before.total, before.queued, before.live_workers),
-        (4, 4, 0)
-    );
+    assert_eq!((before.total, before.queued, before.live_workers), (4, 4, 0));
     assert_eq!((before.rate_per_sec, before.eta_secs), (None, None));
-    assert!(
-        before.waiting_reason.contains("no worker"),
-        "{}",
-        before.waiting_reason
-    );
+    assert!(before.waiting_reason.contains("no worker"), "{}", before.waiting_reason);
 
     let mut worker = bench.worker("a").await;
     for success in [true, false] {
@@ -89,17 +65,12 @@ async fn a_status_has_counts_and_rate() {
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let status = bench.status("paced").await;
-    assert_eq!(
-        (status.committed, status.succeeded, status.queued),
-        (2, 1, 2)
-    );
+    assert_eq!((status.committed, status.succeeded, status.queued), (2, 1, 2));
     assert_eq!(status.live_workers, 1);
     assert_eq!(status.rate_per_sec, Some(0.1));
     assert_eq!(status.eta_secs, Some(20.0));
 
-    let unknown = wire::GetCampaignRequest {
-        campaign: "nobody".to_owned(),
-    };
+    let unknown = wire::GetCampaignRequest { campaign: "nobody".to_owned() };
     let refused = bench.operator().await.get_campaign(unknown).await;
     assert_eq!(refused.expect_err("unknown").code(), Code::NotFound);
 }
@@ -107,10 +78,7 @@ async fn a_status_has_counts_and_rate() {
 #[tokio::test]
 async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     let bench = Bench::start().await;
-    let spec = with(
-        small_spec("out"),
-        json!({"axes": ["robot"], "replicates": 2}),
-    );
+    let spec = with(small_spec("out"), json!({"axes": ["robot"], "replicates": 2}));
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
     let mut leases = worker.claim(4).await;
@@ -122,16 +90,8 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
         }
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
-    let request = wire::ExportRequest {
-        campaign: "out".to_owned(),
-    };
-    let mut stream = bench
-        .operator()
-        .await
-        .export(request)
-        .await
-        .expect("a stream")
-        .into_inner();
+    let request = wire::ExportRequest { campaign: "out".to_owned() };
+    let mut stream = bench.operator().await.export(request).await.expect("a stream").into_inner();
     let mut lines = Vec::new();
     while let Some(line) = stream.message().await.expect("a line") {
         lines.push(line.json);
@@ -162,10 +122,7 @@ async fn campaigns_and_results_survive_a_restart() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let bench = bench.restart().await;
     let status = bench.status("kept").await;
-    assert_eq!(
-        (status.total, status.committed, status.succeeded),
-        (4, 1, 1)
-    );
+    assert_eq!((status.total, status.committed, status.succeeded), (4, 1, 1));
 }
 
 #[tokio::test]

@@ -14,10 +14,8 @@ use crate::harness::{Bench, registration, rollout_id, small_spec, with};
 #[tokio::test(flavor = "multi_thread")]
 async fn claim_is_exclusive_under_concurrency() {
     let bench = Bench::start().await;
-    let spec = with(
-        small_spec("busy"),
-        json!({"tasks": ["libero_object"], "configs": [0, 1, 2, 3]}),
-    );
+    let spec =
+        with(small_spec("busy"), json!({"tasks": ["libero_object"], "configs": [0, 1, 2, 3]}));
     let jobs = bench.create(&spec).await.expect("created").jobs_total;
     let mut claimants = JoinSet::new();
     for number in 0..8_u32 {
@@ -29,11 +27,7 @@ async fn claim_is_exclusive_under_concurrency() {
                 if leases.is_empty() {
                     return claimed;
                 }
-                claimed.extend(
-                    leases
-                        .into_iter()
-                        .map(|lease| (lease.job_id, lease.attempt)),
-                );
+                claimed.extend(leases.into_iter().map(|lease| (lease.job_id, lease.attempt)));
             }
         });
     }
@@ -55,10 +49,7 @@ async fn a_waiting_claim_is_woken_by_new_work() {
     bench.create(&small_spec("late")).await.expect("created");
     let claimed = waiting.join_all().await.remove(0).expect("an answer");
     assert!(claimed.lease.is_some());
-    assert!(
-        created.elapsed() < Duration::from_secs(5),
-        "woken, not timed out"
-    );
+    assert!(created.elapsed() < Duration::from_secs(5), "woken, not timed out");
 }
 
 #[tokio::test]
@@ -78,10 +69,8 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
     let ids: Vec<String> = worker.claim(8).await.iter().map(rollout_id).collect();
-    let conditions: Vec<&str> = ids
-        .iter()
-        .map(|id| id.split('/').nth(2).expect("a condition"))
-        .collect();
+    let conditions: Vec<&str> =
+        ids.iter().map(|id| id.split('/').nth(2).expect("a condition")).collect();
     let unit = ["clean", "camera", "sensor", "combination"];
     assert_eq!(conditions, [unit, unit].concat());
     assert!(ids[1..4].iter().all(|id| id.ends_with("c00")), "{ids:?}");
@@ -103,17 +92,9 @@ async fn a_worker_gets_jobs_of_its_warm_task_or_else_of_a_task_without_leases() 
     let second_rollout = rollout_id(&second.claim_one().await);
     assert_eq!(task(&second_rollout), "t1", "another worker holds t0");
     let warm = first.claim_warm(1, "libero_object/2").await;
-    assert_eq!(
-        task(&rollout_id(&warm[0])),
-        "t2",
-        "the worker has compiled the scene of t2"
-    );
+    assert_eq!(task(&rollout_id(&warm[0])), "t2", "the worker has compiled the scene of t2");
     let remaining = first.claim_warm(64, "libero_object/2").await;
-    assert_eq!(
-        remaining.len(),
-        9,
-        "the warm task is preferred, not required"
-    );
+    assert_eq!(remaining.len(), 9, "the warm task is preferred, not required");
 }
 
 /// Checks a campaign that is leased task by task, and one with a stop rule, which is leased in a
@@ -141,23 +122,11 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     for campaign in ["partial", "drawn"] {
         assert!(claimed.iter().any(|lease| lease.campaign == campaign));
     }
-    assert!(
-        claimed
-            .iter()
-            .all(|lease| rollout_id(lease).contains("/t1/"))
-    );
+    assert!(claimed.iter().all(|lease| rollout_id(lease).contains("/t1/")));
     let mut complete = bench.worker("b").await;
     let remaining = complete.claim(64).await;
-    assert_eq!(
-        remaining.len(),
-        claimed.len(),
-        "the jobs of t0 are still queued"
-    );
-    assert!(
-        remaining
-            .iter()
-            .all(|lease| rollout_id(lease).contains("/t0/"))
-    );
+    assert_eq!(remaining.len(), claimed.len(), "the jobs of t0 are still queued");
+    assert!(remaining.iter().all(|lease| rollout_id(lease).contains("/t0/")));
 }
 
 /// Regression: a worker without LIBERO-Plus' task files was offered rollouts of these files again
@@ -191,10 +160,7 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
         }
     };
     claimed.sort();
-    assert_eq!(
-        claimed,
-        ["goal/t8/plus:noise_30/i00", "goal/t8/plus:unperturbed/i00"]
-    );
+    assert_eq!(claimed, ["goal/t8/plus:noise_30/i00", "goal/t8/plus:unperturbed/i00"]);
     for words in ["campaign `plus`", "worker assets fetch --suite libero-plus"] {
         assert!(idle_reason.contains(words), "{idle_reason}");
     }
@@ -209,13 +175,7 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
     let mut complete = bench.worker("b").await;
     let mut remaining: Vec<String> = complete.claim(64).await.iter().map(rollout_id).collect();
     remaining.sort();
-    assert_eq!(
-        remaining,
-        [
-            "goal/t8/plus:language_1/i00",
-            "goal/t8/plus:level1_sample1/i00"
-        ]
-    );
+    assert_eq!(remaining, ["goal/t8/plus:language_1/i00", "goal/t8/plus:level1_sample1/i00"]);
 }
 
 #[tokio::test]
@@ -260,22 +220,10 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
     let mut worker = bench.worker("a").await;
     let begun = worker.claim(4).await;
     bench.create(&spec("new")).await.expect("created");
-    let campaigns: Vec<String> = worker
-        .claim(6)
-        .await
-        .into_iter()
-        .map(|lease| lease.campaign)
-        .collect();
-    assert_eq!(
-        campaigns[..4],
-        ["new"; 4],
-        "the new campaign until both hold four leases"
-    );
-    assert_eq!(
-        campaigns[4..],
-        ["begun", "new"],
-        "then the campaigns alternate"
-    );
+    let campaigns: Vec<String> =
+        worker.claim(6).await.into_iter().map(|lease| lease.campaign).collect();
+    assert_eq!(campaigns[..4], ["new"; 4], "the new campaign until both hold four leases");
+    assert_eq!(campaigns[4..], ["begun", "new"], "then the campaigns alternate");
     // After a commit, the rollout's campaign has the fewest leases, so that the slot continues with
     // this campaign, whose scene it holds.
     assert_eq!(worker.commit(&begun[0], true).await, Verdict::Accepted);
@@ -292,10 +240,7 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     // Creating the same campaign again keeps its priority.
-    let again = bench
-        .create(&small_spec("urgent"))
-        .await
-        .expect("an existing campaign");
+    let again = bench.create(&small_spec("urgent")).await.expect("an existing campaign");
     assert_eq!((again.jobs_added, again.priority), (0, 7));
 
     let request = wire::AlterCampaignRequest {
@@ -309,19 +254,11 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(altered.status.expect("a status").priority, 8);
     assert_eq!(worker.claim_one().await.campaign, "usual");
     for priority in [-101, 101] {
-        let request = wire::AlterCampaignRequest {
-            priority: Some(priority),
-            ..request.clone()
-        };
-        let refused = operator
-            .alter_campaign(request)
-            .await
-            .expect_err("no priority");
+        let request = wire::AlterCampaignRequest { priority: Some(priority), ..request.clone() };
+        let refused = operator.alter_campaign(request).await.expect_err("no priority");
         assert_eq!(refused.code(), Code::InvalidArgument);
         assert!(refused.message().contains("from -100 to 100"), "{refused}");
-        let refused = bench
-            .create_with_priority(&small_spec("new"), priority)
-            .await;
+        let refused = bench.create_with_priority(&small_spec("new"), priority).await;
         let refused = refused.expect_err("no priority");
         assert_eq!(refused.code(), Code::InvalidArgument);
     }
@@ -356,10 +293,7 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
 #[tokio::test]
 async fn replicates_change_the_policys_seed_only() {
     let bench = Bench::start().await;
-    let spec = with(
-        small_spec("thrice"),
-        json!({"replicates": 3, "record": "failures"}),
-    );
+    let spec = with(small_spec("thrice"), json!({"replicates": 3, "record": "failures"}));
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
@@ -370,16 +304,10 @@ async fn replicates_change_the_policys_seed_only() {
     let seeds: BTreeSet<u64> = seeds.collect();
     assert_eq!((rows.len(), seeds.len()), (1, 3));
     assert_eq!(
-        (0..3)
-            .map(|replicate| lease_of(replicate).replicate)
-            .collect::<Vec<_>>(),
+        (0..3).map(|replicate| lease_of(replicate).replicate).collect::<Vec<_>>(),
         [0, 1, 2]
     );
-    assert!(
-        leases
-            .iter()
-            .all(|lease| lease.record_video && lease.record_failures_only)
-    );
+    assert!(leases.iter().all(|lease| lease.record_video && lease.record_failures_only));
 }
 
 #[tokio::test]
@@ -418,10 +346,7 @@ async fn a_repeated_claim_returns_its_existing_lease() {
     assert_eq!(bench.status("again").await.leased, 1);
     // Claim ids are local to a worker: the same id from another worker is another claim.
     let mut other = bench.worker("b").await;
-    let request = wire::ClaimRequest {
-        worker_id: other.id.clone(),
-        ..request
-    };
+    let request = wire::ClaimRequest { worker_id: other.id.clone(), ..request };
     let claimed = other.service.claim(request).await.expect("an answer");
     let lease = claimed.into_inner().lease.expect("a lease");
     assert_ne!(lease.attempt_id, first.attempt_id);

@@ -84,9 +84,7 @@ async fn store_every_instant(bench: &Bench) {
 async fn latest(bench: &Bench, table: &str, column: &str) -> Option<i64> {
     let pool = bench.database().await;
     let statement = format!("SELECT max({column}) FROM {table}");
-    let latest = sqlx::query_scalar(AssertSqlSafe(statement))
-        .fetch_one(&pool)
-        .await;
+    let latest = sqlx::query_scalar(AssertSqlSafe(statement)).fetch_one(&pool).await;
     pool.close().await;
     latest.expect("an instant")
 }
@@ -105,11 +103,7 @@ async fn every_column_with_an_instant_is_listed() {
     pool.close().await;
     let columns_in_schema = columns.iter().map(|(table, column)| (&**table, &**column));
     let named = INSTANTS.map(|(table, column, _)| (table, column));
-    assert_eq!(
-        columns_in_schema.collect::<Vec<_>>(),
-        named,
-        "list new columns in INSTANTS"
-    );
+    assert_eq!(columns_in_schema.collect::<Vec<_>>(), named, "list new columns in INSTANTS");
 }
 
 /// Regression: instants stayed ahead of a clock that was set back.
@@ -126,11 +120,7 @@ async fn a_clock_set_back_leaves_no_instant_in_the_future() {
         let latest = latest.unwrap_or_else(|| panic!("no row has {table}.{column}"));
         // No attempt of these campaigns may last an hour.
         let max_ahead = ahead.unwrap_or(3_600_000);
-        assert!(
-            latest <= now + max_ahead,
-            "{table}.{column} is {} ms ahead",
-            latest - now
-        );
+        assert!(latest <= now + max_ahead, "{table}.{column} is {} ms ahead", latest - now);
     }
     let folder = bench.stop().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
@@ -150,11 +140,7 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
     let yesterday = UnixMillis(bench.clock.now().0 - DAY_MS);
     let folder = bench.stop().await;
     let bench = Bench::start_in(folder, Arc::new(ManualClock::at(yesterday))).await;
-    assert_eq!(
-        bench.status("back").await.live_workers,
-        1,
-        "the worker has just called"
-    );
+    assert_eq!(bench.status("back").await.live_workers, 1, "the worker has just called");
     bench.advance(60).await;
     assert_eq!(bench.status("back").await.live_workers, 0);
     let (mut worker, lease) = bench.worker_with_lease("b").await;
@@ -202,11 +188,7 @@ async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_ful
     let mut worker = bench.worker("b").await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
-    assert_eq!(
-        worker.claim(64).await.len(),
-        5,
-        "failed jobs are leased again, too"
-    );
+    assert_eq!(worker.claim(64).await.len(), 5, "failed jobs are leased again, too");
     let folder = bench.stop().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
 }
@@ -253,9 +235,7 @@ fn sources(folder: &Path, paths: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let entry = entry.expect("an entry");
         let (path, name) = (entry.path(), entry.file_name());
-        let is_left_out = ["target", "tests", "fuzz", "xtask"]
-            .iter()
-            .any(|folder| name == *folder);
+        let is_left_out = ["target", "tests", "fuzz", "xtask"].iter().any(|folder| name == *folder);
         let is_hidden = name.as_encoded_bytes().starts_with(b".");
         if entry.file_type().expect("a type").is_dir() {
             if !is_left_out && !is_hidden {
@@ -269,9 +249,7 @@ fn sources(folder: &Path, paths: &mut Vec<PathBuf>) {
 
 #[test]
 fn every_file_that_reads_another_clock_is_listed() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("a root");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a root");
     let mut files = Vec::new();
     sources(root, &mut files);
     // Tests set the times of files, but no decision depends on them.
@@ -279,15 +257,9 @@ fn every_file_that_reads_another_clock_is_listed() {
     assert!(files.len() > 300, "{} files", files.len());
     let reads = |path: &PathBuf| {
         let text = std::fs::read_to_string(path).expect("a source");
-        [
-            "SystemTime",
-            ".mtime(",
-            ".modified()",
-            "now_utc(",
-            "now_local(",
-        ]
-        .iter()
-        .any(|word| text.contains(word))
+        ["SystemTime", ".mtime(", ".modified()", "now_utc(", "now_local("]
+            .iter()
+            .any(|word| text.contains(word))
     };
     let files_with_clocks = files.iter().filter(|path| reads(path));
     let mut files_with_clocks: Vec<&str> = files_with_clocks

@@ -39,18 +39,8 @@ fn create(serve: &Serve, name: &str, policy: &str, more: &[&str]) {
 #[tokio::test(flavor = "multi_thread")]
 async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     let (_folder, serve) = Serve::anew();
-    create(
-        &serve,
-        "a",
-        "strong",
-        &["--axes", "camera,sensor", "--configs", "0,1"],
-    );
-    create(
-        &serve,
-        "b",
-        "weak",
-        &["--axes", "camera,sensor", "--configs", "0"],
-    );
+    create(&serve, "a", "strong", &["--axes", "camera,sensor", "--configs", "0,1"]);
+    create(&serve, "b", "weak", &["--axes", "camera,sensor", "--configs", "0"]);
     run_all(&mut serve.worker("w").await).await;
 
     let table = &succeed(serve.command(&["compare", "a", "b"]));
@@ -77,10 +67,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     assert_eq!(last["condition"], "combination");
     assert_eq!(last["difference"]["difference"], json!(-1.0));
     assert_eq!(last["difference"]["no_interval"], "no_spread");
-    assert_eq!(
-        (&json["only_in_a"], &json["only_in_b"]),
-        (&json!(0), &json!(40))
-    );
+    assert_eq!((&json["only_in_a"], &json["only_in_b"]), (&json!(0), &json!(40)));
     assert_eq!(json["unpaired"], json!({}));
 }
 
@@ -100,20 +87,11 @@ async fn compare_takes_a_and_b_in_command_line_order() {
         (["compare", "a", "--from", &file, "--json"], false),
     ] {
         let json = succeed_in_json(serve.command(&arguments));
-        assert_eq!(
-            json["a"]["origin"]["file"].is_object(),
-            is_file_first,
-            "{json}"
-        );
+        assert_eq!(json["a"]["origin"]["file"].is_object(), is_file_first, "{json}");
         let warning = json["warnings"][0].as_str().expect("a warning");
-        assert!(
-            warning.contains("asset pack, MuJoCo version, renderer"),
-            "{warning}"
-        );
+        assert!(warning.contains("asset pack, MuJoCo version, renderer"), "{warning}");
         let compared = json["cells"].as_array().expect("cells").iter();
-        let compared: u64 = compared
-            .filter_map(|cell| cell["difference"]["n"].as_u64())
-            .sum();
+        let compared: u64 = compared.filter_map(|cell| cell["difference"]["n"].as_u64()).sum();
         assert_eq!(compared, 10 * 7, "five axes, simultaneous, nominal");
     }
 
@@ -134,19 +112,14 @@ fn an_invalid_compare_command_exits_with_2_and_the_remedy() {
     check(&["compare"], "CAMPAIGN");
     check(&["compare", "--from", EXAMPLE], "two campaigns");
     check(&["compare", "one"], "two campaigns");
-    check(
-        &["compare", "one", "two", "--from", EXAMPLE],
-        "two campaigns",
-    );
+    check(&["compare", "one", "two", "--from", EXAMPLE], "two campaigns");
 }
 
 /// Returns the comparison that `coordinator compare` makes of two campaigns of a bench.
 async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
     let mut subjects = Vec::new();
     for name in names {
-        let request = wire::ReportRequest {
-            campaign: name.to_owned(),
-        };
+        let request = wire::ReportRequest { campaign: name.to_owned() };
         let parts = bench.operator().await.report(request).await;
         let mut parts = parts.expect("a report").into_inner();
         let mut bytes = Vec::new();
@@ -174,22 +147,11 @@ async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
         bench.create(&spec).await.expect("created");
     }
     let statistics = compared(&bench, ["a", "b"]).await.statistics;
-    let unpaired: Vec<String> = statistics
-        .unpaired
-        .values()
-        .flatten()
-        .map(|id| id.to_string())
-        .collect();
+    let unpaired: Vec<String> =
+        statistics.unpaired.values().flatten().map(|id| id.to_string()).collect();
     assert_eq!(unpaired.len(), 3, "{unpaired:?}");
-    assert!(
-        unpaired.iter().all(|id| id.ends_with("c10")),
-        "{unpaired:?}"
-    );
-    assert_eq!(
-        statistics.shared(),
-        3,
-        "configuration 0 is the same in both"
-    );
+    assert!(unpaired.iter().all(|id| id.ends_with("c10")), "{unpaired:?}");
+    assert_eq!(statistics.shared(), 3, "configuration 0 is the same in both");
     let same_seed = compared(&bench, ["a", "c"]).await.statistics;
     assert_eq!((same_seed.shared(), same_seed.unpaired.len()), (6, 0));
 }
@@ -201,10 +163,7 @@ async fn a_comparison_includes_progress_and_design() {
     let bench = Bench::start().await;
     let policy = json!({"name": "strong", "endpoint": "http://127.0.0.1:50051"});
     let changes = json!({"levels": ["L0", "L1"], "directions": "own"});
-    for (name, more) in [
-        ("a", json!({"policy": policy})),
-        ("b", json!({"placebo_radius": 0.05})),
-    ] {
+    for (name, more) in [("a", json!({"policy": policy})), ("b", json!({"placebo_radius": 0.05}))] {
         let spec = with(with(small_spec(name), changes.clone()), more);
         bench.create(&spec).await.expect("created");
     }
@@ -221,14 +180,8 @@ async fn a_comparison_includes_progress_and_design() {
         let values = [progress.goal, progress.steps];
         values.map(|value| value.map(|row| row.difference.value))
     };
-    assert_eq!(
-        differences(Condition::Combination),
-        [Some(0.5), Some(-160.0)]
-    );
-    assert_eq!(
-        differences(Condition::Single(Axis::Camera)),
-        [Some(0.0), Some(0.0)]
-    );
+    assert_eq!(differences(Condition::Combination), [Some(0.5), Some(-160.0)]);
+    assert_eq!(differences(Condition::Single(Axis::Camera)), [Some(0.0), Some(0.0)]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -240,10 +193,7 @@ async fn two_campaigns_are_compared_on_the_page() {
     );
     bench.create(&first).await.expect("created");
     let list = http(&bench.url, "GET /").await.text();
-    assert!(
-        !list.contains("action=\"/compare\""),
-        "a single campaign has no comparison form"
-    );
+    assert!(!list.contains("action=\"/compare\""), "a single campaign has no comparison form");
     bench.create(&small_spec("second")).await.expect("created");
     let mut worker = bench.worker("w").await;
     run_all(&mut worker).await;
@@ -252,14 +202,8 @@ async fn two_campaigns_are_compared_on_the_page() {
     let list = http(&bench.url, "GET /?later").await.text();
     assert!(list.contains("action=\"/compare\""), "{list}");
     let form = http(&bench.url, "GET /compare").await;
-    assert!(
-        form.text().contains("<option value=\"first\""),
-        "{}",
-        form.text()
-    );
-    let answer = http(&bench.url, "GET /compare?a=first&b=second")
-        .await
-        .text();
+    assert!(form.text().contains("<option value=\"first\""), "{}", form.text());
+    let answer = http(&bench.url, "GET /compare?a=first&b=second").await.text();
     for words in [
         "first against second",
         "strong − expert",
@@ -276,13 +220,8 @@ async fn two_campaigns_are_compared_on_the_page() {
     // Campaigns that cannot be compared also give a page, not an error.
     let other = with(small_spec("other"), json!({"realisation": "reference"}));
     bench.create(&other).await.expect("created");
-    let refused = http(&bench.url, "GET /compare?a=first&b=other")
-        .await
-        .text();
-    for words in [
-        "These campaigns cannot be compared",
-        "different realisation modes",
-    ] {
+    let refused = http(&bench.url, "GET /compare?a=first&b=other").await.text();
+    for words in ["These campaigns cannot be compared", "different realisation modes"] {
         assert!(refused.contains(words), "no `{words}` in\n{refused}");
     }
 }

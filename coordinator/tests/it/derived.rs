@@ -124,14 +124,7 @@ pub(crate) async fn kill_at_failpoint(
     planted: impl Fn(&RolloutId) -> Outcome,
 ) {
     let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
-        .args([
-            "serve",
-            "--listen",
-            "127.0.0.1:0",
-            "--lease-secs",
-            "3",
-            "--data",
-        ])
+        .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs", "3", "--data"])
         .arg(folder)
         .env(FAILPOINT_VARIABLE, point)
         .stdout(Stdio::piped())
@@ -142,10 +135,7 @@ pub(crate) async fn kill_at_failpoint(
     let began = Instant::now();
     if serve.is_ready() {
         // Calls the service directly, since the command would retry while the coordinator is down.
-        let request = CreateCampaignRequest {
-            spec: spec.to_string(),
-            priority: 0,
-        };
+        let request = CreateCampaignRequest { spec: spec.to_string(), priority: 0 };
         if let Ok(mut operator) = OperatorServiceClient::connect(serve.url.clone()).await {
             let _ = operator.create_campaign(request).await;
         }

@@ -53,10 +53,7 @@ async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let started = Instant::now();
     while worker.claim(1).await.is_empty() {
-        assert!(
-            started.elapsed() < Duration::from_secs(20),
-            "leasing is still suspended"
-        );
+        assert!(started.elapsed() < Duration::from_secs(20), "leasing is still suspended");
     }
 }
 

@@ -76,9 +76,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
 
     let (spec, rows) = (path("late.json"), path("late.jsonl"));
     std::fs::write(&spec, run(&["--print-spec"])).expect("written");
-    succeed(coordinator(&[
-        "manifest", "expand", "--spec", &spec, "--output", &rows,
-    ]));
+    succeed(coordinator(&["manifest", "expand", "--spec", &spec, "--output", &rows]));
     let written = std::fs::read_to_string(&rows).expect("written");
     let column = format!(r#""execution":"{MODEL}""#);
     assert!(written.lines().all(|line| line.contains(&column)));
@@ -103,10 +101,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl Policy for DescribeOnly {
     async fn describe(&self, request: Request<DescribeRequest>) -> Answer<DescribeResponse> {
         let DescribeRequest { policy, suite, .. } = request.into_inner();
-        assert_eq!(
-            (policy.as_str(), suite.as_str()),
-            ("expert", "libero_object")
-        );
+        assert_eq!((policy.as_str(), suite.as_str()), ("expert", "libero_object"));
         Ok(Response::new(DescribeResponse {
             protocol_version: proto::PROTOCOL_VERSION,
             name: policy,
@@ -163,10 +158,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let rollouts = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
     let refused = serve.command(&[&named[..], &rollouts, &axis].concat());
     let message = text(&refused.stderr);
-    assert!(
-        message.contains("`overlap:10` drops at least 10"),
-        "{message}"
-    );
+    assert!(message.contains("`overlap:10` drops at least 10"), "{message}");
     // The first model drops every action of some answers only. `hold` drops no action, since the
     // arm holds still while an answer is under way.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
@@ -176,10 +168,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     serving.shutdown().await;
     let created = create("unknown", "overlap:10", &[]);
     assert!(created.status.success(), "{}", text(&created.stderr));
-    let message = text(&created.stdout)
-        .split_whitespace()
-        .collect::<Vec<_>>()
-        .join(" ");
+    let message = text(&created.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
     for part in [
         "the length of the answers of policy",
         "rollouts fail if overlap:10 drops every action of an answer",
@@ -191,9 +180,5 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let part = "the arm holds still in rollouts in which overlap:10 drops every action";
     assert!(words.join(" ").contains(part), "{message}");
     let listed = serve.command(&["campaign", "list"]);
-    assert!(
-        !text(&listed.stdout).contains("late"),
-        "{}",
-        text(&listed.stdout)
-    );
+    assert!(!text(&listed.stdout).contains("late"), "{}", text(&listed.stdout));
 }

@@ -75,10 +75,7 @@ async fn planted_rules_are_found_again() {
     // The explanation can be requested before the campaign is finished.
     let output = serve.command(&["explain", "first", "--create"]);
     let output = text(&output.stderr);
-    assert!(
-        output.contains("80 rollouts without an outcome"),
-        "{output}"
-    );
+    assert!(output.contains("80 rollouts without an outcome"), "{output}");
     assert_eq!(findings(&serve, "explain", &[])["complete"], json!(false));
 
     let findings_json = explained(&serve, &[]).await;
@@ -165,10 +162,7 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
     let output = serve.command(&["explain", "first"]);
     // Six transitions with six axes: 56 subsets each.
     let words = text(&output.stdout);
-    assert!(
-        words.contains("at most 336 rollouts for 6 transitions"),
-        "{words}"
-    );
+    assert!(words.contains("at most 336 rollouts for 6 transitions"), "{words}");
     let campaigns = serve.command(&["campaign", "list", "--json"]);
     let campaigns: Value = serde_json::from_slice(&campaigns.stdout).expect("JSON");
     assert_eq!(campaigns["campaigns"].as_array().map(Vec::len), Some(1));
@@ -191,24 +185,10 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
         "campaign", "create", "--name", "alone", "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0", "--axes", "camera",
     ]));
-    refused(
-        &["explain", "alone"],
-        "an interaction needs at least two axes",
-    );
-    refused(
-        &["campaign", "status", "alone-explained"],
-        "no such campaign",
-    );
-    assert!(
-        serve
-            .command(&["explain", "first", "--create"])
-            .status
-            .success()
-    );
-    refused(
-        &["explain", "first", "--create", "--budget", "20"],
-        "they differ in `explains`",
-    );
+    refused(&["explain", "alone"], "an interaction needs at least two axes");
+    refused(&["campaign", "status", "alone-explained"], "no such campaign");
+    assert!(serve.command(&["explain", "first", "--create"]).status.success());
+    refused(&["explain", "first", "--create", "--budget", "20"], "they differ in `explains`");
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     refused(&delete, "campaign `first-explained` is derived from it");
 
@@ -235,10 +215,7 @@ async fn an_explanation_stays_within_its_budget_and_completes_started_transition
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
     let findings_json = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
-    assert!(
-        findings_json["rollouts"].as_u64() <= Some(60),
-        "{findings_json}"
-    );
+    assert!(findings_json["rollouts"].as_u64() <= Some(60), "{findings_json}");
     let explained = findings_json["explained"].as_u64().expect("a number");
     assert!((1..6).contains(&explained), "{explained}");
 }
@@ -263,10 +240,7 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
             "name": name, "explains": {"campaign": "first"},
             "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
         });
-        let request = CreateCampaignRequest {
-            spec: spec.to_string(),
-            priority: 0,
-        };
+        let request = CreateCampaignRequest { spec: spec.to_string(), priority: 0 };
         let operator = OperatorServiceClient::connect(serve.url.clone()).await;
         let mut operator = operator.expect("a connection");
         let disconnect_after = Duration::from_micros(125 * eighth_millis);
@@ -284,20 +258,14 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
-    assert!(
-        created > 0,
-        "no request arrived before its client disconnected"
-    );
+    assert!(created > 0, "no request arrived before its client disconnected");
 }
 
 /// Returns the number of a campaign's rollouts; `None` if the campaign does not exist.
 async fn rollouts_of(serve: &Serve, campaign: &str) -> Option<u64> {
     let operator = OperatorServiceClient::connect(serve.url.clone()).await;
     let campaign = campaign.to_owned();
-    let status = operator
-        .expect("a connection")
-        .get_campaign(GetCampaignRequest { campaign })
-        .await
-        .ok()?;
+    let status =
+        operator.expect("a connection").get_campaign(GetCampaignRequest { campaign }).await.ok()?;
     status.into_inner().status.map(|status| status.total)
 }

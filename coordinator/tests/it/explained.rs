@@ -63,24 +63,14 @@ async fn report_page_and_table_show_the_explanation() {
     );
     assert!(std::fs::metadata(&parquet).expect("written").len() > 0);
     let html = std::fs::read_to_string(&html).expect("written");
-    for shown in [
-        "Minimal subsets of the axes",
-        "Emergent failures",
-        "Compensated successes",
-    ] {
+    for shown in ["Minimal subsets of the axes", "Emergent failures", "Compensated successes"] {
         assert!(html.contains(shown), "{shown}");
     }
-    assert!(
-        !html.contains("Paired outcomes"),
-        "the campaign runs only parts of configurations"
-    );
+    assert!(!html.contains("Paired outcomes"), "the campaign runs only parts of configurations");
 
     let emergent = "/campaigns/first/configurations/object/t0/combination/L2/c00";
     let campaign = page(&serve, "/campaigns/first-explained").await;
-    assert!(
-        campaign.contains(&format!("href=\"{emergent}\"")),
-        "{campaign}"
-    );
+    assert!(campaign.contains(&format!("href=\"{emergent}\"")), "{campaign}");
     let bar = "camera+robot: 2 configurations, established in 2";
     assert!(campaign.contains(bar), "{campaign}");
     // The pages show the outcomes of both campaigns, and mark minimal subsets with a ring.
@@ -89,15 +79,9 @@ async fn report_page_and_table_show_the_explanation() {
         let page = page(&serve, place).await;
         assert!(page.contains("camera+robot: fails; minimal"), "{place}");
         assert!(page.contains("robot+sensor: succeeds"), "{place}");
-        assert!(
-            page.contains(&format!("href=\"{subset}#camera+robot\"")),
-            "{place}"
-        );
+        assert!(page.contains(&format!("href=\"{subset}#camera+robot\"")), "{place}");
         assert!(page.contains("camera and robot together"), "{place}");
-        assert!(
-            page.contains("--record transitions"),
-            "the remedy for missing films is shown"
-        );
+        assert!(page.contains("--record transitions"), "the remedy for missing films is shown");
     }
 }
 
@@ -119,12 +103,8 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         .filter(|film| film.campaign == "first-explained" && id(film).task().index() == 2)
         .map(|film| id(film).condition().to_string())
         .collect();
-    let expected = [
-        "camera+lighting",
-        "camera+lighting+sensor",
-        "camera+sensor",
-        "lighting+sensor",
-    ];
+    let expected =
+        ["camera+lighting", "camera+lighting+sensor", "camera+sensor", "lighting+sensor"];
     assert_eq!(filmed_conditions, expected.map(str::to_owned).into());
 
     // The page shows exactly one command that makes the films, with an address that can be pasted.
@@ -143,10 +123,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         let video = format!("/campaigns/first-explained/videos/object/t2/{set}/L2/c00?replicate=0");
         assert!(page.contains(&video), "{set}");
     }
-    assert!(
-        !page.contains("Not all of these rollouts"),
-        "a film is missing"
-    );
+    assert!(!page.contains("Not all of these rollouts"), "a film is missing");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -154,10 +131,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let (_folder, serve) = Serve::anew();
     create_with(&serve, &[]);
     let error = &fail(serve.command(&["interactions", "first"]), 1);
-    assert!(
-        error.contains("--subsets all") && error.contains("`first`"),
-        "{error}"
-    );
+    assert!(error.contains("--subsets all") && error.contains("`first`"), "{error}");
 
     #[rustfmt::skip]
     printed(&serve, &[
@@ -176,15 +150,11 @@ async fn interactions_add_up_to_simultaneous_success() {
     assert_eq!((&level["n"], &level["left_out"]), (&10.into(), &0.into()));
     let sum = |list: &str, value: &str| -> i64 {
         let entries = level[list].as_array().expect("a list").iter();
-        entries
-            .filter_map(|row| row[value]["numerator"].as_i64())
-            .sum()
+        entries.filter_map(|row| row[value]["numerator"].as_i64()).sum()
     };
     let report = printed(&serve, &["report", "whole", "--json"]);
     let report: Value = serde_json::from_str(&report).expect("JSON");
-    let s_sim = report["paired"]["p"]["L2"]["s_sim"]
-        .as_f64()
-        .expect("a rate");
+    let s_sim = report["paired"]["p"]["L2"]["s_sim"].as_f64().expect("a rate");
     // All ten nominal rollouts succeed. Shapley values are counted in sixtieths of a rollout.
     let simultaneous = 10 + sum("subsets", "moebius");
     assert_eq!(simultaneous as f64 / 10.0, s_sim);

@@ -48,17 +48,12 @@ async fn call_everything(serve: &Serve) -> Result<(), Status> {
         .await
         .map_err(|error| Status::unavailable(error.to_string()))?;
     let spec = small_spec("passing").to_string();
-    operator
-        .create_campaign(wire::CreateCampaignRequest { spec, priority: 0 })
-        .await?;
+    operator.create_campaign(wire::CreateCampaignRequest { spec, priority: 0 }).await?;
     let mut worker = serve.try_worker("b").await?;
     let lease = worker.try_claim(0.0, "").await?.lease.expect("a lease");
     let beat = wire::HeartbeatRequest {
         worker_id: worker.id.clone(),
-        progress: vec![wire::Progress {
-            attempt_id: lease.attempt_id.clone(),
-            control_steps: 5,
-        }],
+        progress: vec![wire::Progress { attempt_id: lease.attempt_id.clone(), control_steps: 5 }],
         ..wire::HeartbeatRequest::default()
     };
     worker.service.heartbeat(beat).await?;
@@ -78,15 +73,11 @@ async fn call_everything(serve: &Serve) -> Result<(), Status> {
         data: vec![1; 1_000],
     }]);
     worker.service.put_artifact(video).await?;
-    for (campaign, change) in [
-        ("sound", Change::Pause),
-        ("sound", Change::Resume),
-        ("passing", Change::Cancel),
-    ] {
-        let request = wire::ChangeCampaignRequest {
-            campaign: campaign.to_owned(),
-            change: change.into(),
-        };
+    for (campaign, change) in
+        [("sound", Change::Pause), ("sound", Change::Resume), ("passing", Change::Cancel)]
+    {
+        let request =
+            wire::ChangeCampaignRequest { campaign: campaign.to_owned(), change: change.into() };
         operator.change_campaign(request).await?;
     }
     retry_all(&mut operator).await?;
@@ -115,19 +106,12 @@ async fn copy(
     operator: &mut OperatorServiceClient<tonic::transport::Channel>,
     campaign: &str,
 ) -> Result<(), Status> {
-    let request = wire::ArchiveCampaignRequest {
-        campaign: campaign.to_owned(),
-    };
+    let request = wire::ArchiveCampaignRequest { campaign: campaign.to_owned() };
     let mut archive = operator.archive_campaign(request).await?.into_inner();
-    let mut chunks = vec![wire::ImportChunk {
-        name: "imported".to_owned(),
-        ..wire::ImportChunk::default()
-    }];
+    let mut chunks =
+        vec![wire::ImportChunk { name: "imported".to_owned(), ..wire::ImportChunk::default() }];
     while let Some(chunk) = archive.message().await? {
-        chunks.push(wire::ImportChunk {
-            data: chunk.data,
-            ..wire::ImportChunk::default()
-        });
+        chunks.push(wire::ImportChunk { data: chunk.data, ..wire::ImportChunk::default() });
     }
     let chunks = tokio_stream::iter(chunks);
     operator.import_campaign(chunks).await.map(drop)
@@ -136,13 +120,10 @@ async fn copy(
 /// Finishes the campaign on a coordinator without failpoints. Returns the report.
 async fn finish(folder: &Path) -> Vec<u8> {
     let serve = Serve::start(folder);
-    let mut operator = OperatorServiceClient::connect(serve.url.clone())
-        .await
-        .expect("a connection");
-    let resume = wire::ChangeCampaignRequest {
-        campaign: "sound".to_owned(),
-        change: Change::Resume.into(),
-    };
+    let mut operator =
+        OperatorServiceClient::connect(serve.url.clone()).await.expect("a connection");
+    let resume =
+        wire::ChangeCampaignRequest { campaign: "sound".to_owned(), change: Change::Resume.into() };
     operator.change_campaign(resume).await.expect("resumed");
     retry_all(&mut operator).await.expect("retried");
     // Leases that a worker with this id held before the restart belong to this worker.
@@ -150,9 +131,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
     let began = Instant::now();
     loop {
         take_over(&mut worker, &mut operator).await;
-        let request = wire::GetCampaignRequest {
-            campaign: "sound".to_owned(),
-        };
+        let request = wire::GetCampaignRequest { campaign: "sound".to_owned() };
         let status = operator.get_campaign(request).await.expect("a status");
         let status = status.into_inner().status.expect("a status");
         if status.committed == status.total {
@@ -161,9 +140,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
         assert!(began.elapsed() < PATIENCE, "{status:?}");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    let request = wire::ReportRequest {
-        campaign: "sound".to_owned(),
-    };
+    let request = wire::ReportRequest { campaign: "sound".to_owned() };
     let parts = operator.report(request).await.expect("a report");
     let mut parts = parts.into_inner();
     let mut json = Vec::new();
@@ -187,11 +164,7 @@ async fn take_over(
         limit: 64,
         ..wire::ListJobsRequest::default()
     };
-    let leased = operator
-        .list_jobs(request)
-        .await
-        .expect("a list")
-        .into_inner();
+    let leased = operator.list_jobs(request).await.expect("a list").into_inner();
     for job in leased.jobs {
         let request = wire::ReleaseRequest {
             attempt_id: job.attempt_id,
@@ -213,11 +186,7 @@ fn copy_of(folder: &Path) -> TempDir {
 /// Runs a coordinator until it is killed at the failpoint, and then another that finishes the
 /// campaign. Returns the report.
 async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
-    let occurrence = if step == Step::Sweep {
-        EXPIRING_SWEEP
-    } else {
-        1
-    };
+    let occurrence = if step == Step::Sweep { EXPIRING_SWEEP } else { 1 };
     let point = format!("{side:?}:{step:?}:{occurrence}");
     let child = serve(folder.path(), &point);
     let mut serve = Serve::wait_until_listening(child);
@@ -253,12 +222,9 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
     // `stops`.
     let tested_elsewhere = [Step::Derive, Step::Stop];
-    let steps = Step::ALL
-        .into_iter()
-        .filter(|step| !tested_elsewhere.contains(step));
-    let mut points: Vec<(Side, Step)> = steps
-        .flat_map(|step| [(Side::Before, step), (Side::After, step)])
-        .collect();
+    let steps = Step::ALL.into_iter().filter(|step| !tested_elsewhere.contains(step));
+    let mut points: Vec<(Side, Step)> =
+        steps.flat_map(|step| [(Side::Before, step), (Side::After, step)]).collect();
     let mut processes = JoinSet::new();
     while !points.is_empty() || !processes.is_empty() {
         while let (true, Some((side, step))) = (processes.len() < CONCURRENCY, points.pop()) {

@@ -17,10 +17,7 @@ const PAST_BACKOFF_SECS: u64 = 70;
 /// Starts a coordinator with a campaign of one rollout.
 async fn one_job() -> Bench {
     let bench = Bench::start().await;
-    let spec = with(
-        small_spec("one"),
-        json!({"axes": ["camera"], "nominal": "none"}),
-    );
+    let spec = with(small_spec("one"), json!({"axes": ["camera"], "nominal": "none"}));
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
     bench
 }
@@ -73,12 +70,7 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     }
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(bench.count("SELECT max(attempt) FROM job").await, 1);
-    assert_eq!(
-        bench
-            .count("SELECT max(charged_in_a_row) FROM worker")
-            .await,
-        0
-    );
+    assert_eq!(bench.count("SELECT max(charged_in_a_row) FROM worker").await, 0);
 }
 
 /// Regression: a heartbeat sent before the release resumed the lease.
@@ -114,12 +106,7 @@ async fn network_outages_quarantine_nothing_and_stop_no_worker() {
     }
     let status = bench.status("cut").await;
     assert_eq!((status.queued, status.quarantined), (4, 0));
-    assert_eq!(
-        bench
-            .count("SELECT count(*) FROM failure WHERE charged")
-            .await,
-        0
-    );
+    assert_eq!(bench.count("SELECT count(*) FROM failure WHERE charged").await, 0);
     let stopped = "SELECT count(*) FROM worker WHERE stopped_reason IS NOT NULL";
     assert_eq!(bench.count(stopped).await, 0);
 }
@@ -192,11 +179,7 @@ async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
     assert_eq!(slow.commit(&old, false).await, Verdict::Divergent);
     assert_eq!(slow.commit(&old, true).await, Verdict::Duplicate);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 1);
-    assert_eq!(
-        bench.status("one").await.succeeded,
-        1,
-        "the first outcome is kept"
-    );
+    assert_eq!(bench.status("one").await.succeeded, 1, "the first outcome is kept");
 }
 
 #[tokio::test]
@@ -204,19 +187,11 @@ async fn reports_without_a_lease_are_refused() {
     let bench = one_job().await;
     let (mut holder, mut other) = (bench.worker("holder").await, bench.worker("other").await);
     let lease = holder.claim_one().await;
-    let unknown = Lease {
-        attempt_id: "1".repeat(32),
-        ..lease.clone()
-    };
-    let refused = other
-        .try_commit(&unknown, true)
-        .await
-        .expect_err("an unknown attempt");
+    let unknown = Lease { attempt_id: "1".repeat(32), ..lease.clone() };
+    let refused = other.try_commit(&unknown, true).await.expect_err("an unknown attempt");
     assert_eq!(refused.code(), Code::NotFound);
-    let release = ReleaseRequest {
-        attempt_id: unknown.attempt_id.clone(),
-        ..ReleaseRequest::default()
-    };
+    let release =
+        ReleaseRequest { attempt_id: unknown.attempt_id.clone(), ..ReleaseRequest::default() };
     let refused = other.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
     // A worker cannot renew the lease of another worker.
@@ -320,10 +295,7 @@ async fn one_broken_machine_quarantines_no_rollout_while_another_is_alive() {
     }
     bench.advance(PAST_BACKOFF_SECS).await;
     sound.heartbeat(&[], 0).await;
-    assert!(
-        broken.claim(1).await.is_empty(),
-        "the job is left to the other worker"
-    );
+    assert!(broken.claim(1).await.is_empty(), "the job is left to the other worker");
     let lease = sound.claim_one().await;
     assert_eq!(sound.commit(&lease, true).await, Verdict::Accepted);
 }
@@ -370,11 +342,7 @@ async fn five_consecutive_failures_stop_a_worker() {
     }
     let released = worker.release(&leases[9], Reason::MachineError).await;
     for word in ["5 times in a row", "simulated failure"] {
-        assert!(
-            released.stop_leasing.contains(word),
-            "{}",
-            released.stop_leasing
-        );
+        assert!(released.stop_leasing.contains(word), "{}", released.stop_leasing);
     }
     let refused = worker.try_claim(0.0, "").await.expect_err("stopped");
     assert_eq!(refused.code(), Code::FailedPrecondition);
@@ -421,15 +389,10 @@ async fn a_report_refused_by_the_database_affects_no_other_report() {
          BEGIN SELECT RAISE (ABORT, 'on purpose'); END",
         leases[1].job_id
     );
-    let created = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse))
-        .execute(&pool)
-        .await;
+    let created = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse)).execute(&pool).await;
     created.expect("a trigger");
     // While this transaction is open, the reports wait, and then share the next transaction.
-    let mut writing = pool
-        .begin_with("BEGIN IMMEDIATE")
-        .await
-        .expect("a transaction");
+    let mut writing = pool.begin_with("BEGIN IMMEDIATE").await.expect("a transaction");
     let mut reports = tokio::task::JoinSet::new();
     for (number, lease) in leases.iter().enumerate() {
         let mut worker = worker.clone();
@@ -437,10 +400,7 @@ async fn a_report_refused_by_the_database_affects_no_other_report() {
         reports.spawn(async move { (number, worker.service.commit(report).await) });
     }
     tokio::time::sleep(std::time::Duration::from_millis(300)).await;
-    sqlx::query("UPDATE campaign SET name = name")
-        .execute(&mut *writing)
-        .await
-        .expect("done");
+    sqlx::query("UPDATE campaign SET name = name").execute(&mut *writing).await.expect("done");
     writing.commit().await.expect("ended");
     for (number, answer) in reports.join_all().await {
         match (number, answer) {

@@ -30,10 +30,8 @@ async fn commit_all_but_combination(outcome: bool) -> (Bench, Worker, wire::Leas
 }
 
 async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
-    let request = wire::NextFilmRequest {
-        asset_pack_digest: sha(pack),
-        mujoco_version: "3.3.7".to_owned(),
-    };
+    let request =
+        wire::NextFilmRequest { asset_pack_digest: sha(pack), mujoco_version: "3.3.7".to_owned() };
     let answer = worker.service.next_film(request).await;
     answer.expect("an answer").into_inner()
 }
@@ -61,10 +59,7 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
     for outcome in [true, false] {
         let (bench, mut worker, combination) = commit_all_but_combination(outcome).await;
-        assert!(
-            take_films(&mut worker).await.is_empty(),
-            "the combination has no outcome"
-        );
+        assert!(take_films(&mut worker).await.is_empty(), "the combination has no outcome");
         worker.commit(&combination, !outcome).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
         let all = take_films(&mut worker).await;
@@ -87,12 +82,7 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
 async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
     let (bench, mut worker, combination) = commit_all_but_combination(true).await;
     let steps = proto::MAX_MOTION_STEPS;
-    for (path, actions) in [
-        (7, 28),
-        (6, 27),
-        (6 * (steps + 2), 0),
-        (6, 28 * (steps + 1)),
-    ] {
+    for (path, actions) in [(7, 28), (6, 27), (6 * (steps + 2), 0), (6, 28 * (steps + 1))] {
         let mut report = worker.report(&combination, false);
         let motion = report.motion.as_mut().expect("a motion");
         (motion.path, motion.actions) = (vec![0; path], vec![0; actions]);

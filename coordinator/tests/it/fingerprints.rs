@@ -15,9 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Returns the texts on fingerprints in the campaign's status and in its report.
 async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
-    let request = wire::ReportRequest {
-        campaign: "mixed".to_owned(),
-    };
+    let request = wire::ReportRequest { campaign: "mixed".to_owned() };
     let parts = bench.operator().await.report(request).await;
     let mut parts = parts.expect("a report").into_inner();
     let mut json = Vec::new();
@@ -28,10 +26,7 @@ async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
     let document = report::Document::new(vec![subject]).expect("no duplicates");
     let report = document.text();
     let report: Vec<&str> = report.split_whitespace().collect();
-    [
-        bench.status("mixed").await.mixed_fingerprints,
-        report.join(" "),
-    ]
+    [bench.status("mixed").await.mixed_fingerprints, report.join(" ")]
 }
 
 /// Asserts that status and report contain all `parts`, and waits until the page contains them.
@@ -98,11 +93,7 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
         let counts = counts.map(|(digest, count)| format!("{count} of {}", &digest[..12]));
         counts.join(", ")
     };
-    let words = [
-        "2 fingerprints",
-        &counts(2, 1),
-        "no configuration mixes them",
-    ];
+    let words = ["2 fingerprints", &counts(2, 1), "no configuration mixes them"];
     check(&bench, &words).await;
 
     for leases in &leases[1..] {

@@ -92,14 +92,7 @@ impl Bench {
             };
             coordinator.serve(listener, shutdown).await.expect("serves");
         });
-        Bench {
-            folder,
-            clock,
-            queue,
-            url: format!("http://{address}"),
-            stop,
-            served,
-        }
+        Bench { folder, clock, queue, url: format!("http://{address}"), stop, served }
     }
 
     /// Shuts the coordinator down gracefully.
@@ -146,10 +139,8 @@ impl Bench {
     /// Registers a worker of the `primitives` pack on a named machine.
     pub(crate) async fn worker_at(&self, machine: &str, id: &str) -> Worker {
         let mut worker = self.worker(id).await;
-        let registration = wire::RegisterRequest {
-            machine: machine.to_owned(),
-            ..registration(id, "primitives")
-        };
+        let registration =
+            wire::RegisterRequest { machine: machine.to_owned(), ..registration(id, "primitives") };
         let registered = worker.service.register(registration).await;
         registered.expect("registers");
         worker
@@ -185,9 +176,7 @@ impl Bench {
     }
 
     pub(crate) async fn operator(&self) -> OperatorServiceClient<Channel> {
-        OperatorServiceClient::connect(self.url.clone())
-            .await
-            .expect("a connection")
+        OperatorServiceClient::connect(self.url.clone()).await.expect("a connection")
     }
 
     pub(crate) async fn create(
@@ -202,24 +191,15 @@ impl Bench {
         spec: &Value,
         priority: i32,
     ) -> Result<wire::CreateCampaignResponse, Status> {
-        let request = wire::CreateCampaignRequest {
-            spec: spec.to_string(),
-            priority,
-        };
+        let request = wire::CreateCampaignRequest { spec: spec.to_string(), priority };
         let created = self.operator().await.create_campaign(request).await?;
         Ok(created.into_inner())
     }
 
     pub(crate) async fn status(&self, campaign: &str) -> wire::CampaignStatus {
-        let request = wire::GetCampaignRequest {
-            campaign: campaign.to_owned(),
-        };
+        let request = wire::GetCampaignRequest { campaign: campaign.to_owned() };
         let response = self.operator().await.get_campaign(request).await;
-        response
-            .expect("a status")
-            .into_inner()
-            .status
-            .expect("a status")
+        response.expect("a status").into_inner().status.expect("a status")
     }
 
     /// Pauses, resumes or cancels a campaign.
@@ -228,10 +208,8 @@ impl Bench {
         campaign: &str,
         change: Change,
     ) -> Result<wire::campaign_status::State, Status> {
-        let request = wire::ChangeCampaignRequest {
-            campaign: campaign.to_owned(),
-            change: change.into(),
-        };
+        let request =
+            wire::ChangeCampaignRequest { campaign: campaign.to_owned(), change: change.into() };
         let response = self.operator().await.change_campaign(request).await?;
         Ok(response.into_inner().state())
     }
@@ -507,9 +485,7 @@ fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
         let values = values.as_object().expect("parameters").values();
         wire::RealisedAxis {
             axis: name.to_owned(),
-            parameters: values
-                .map(|value| value.as_f64().expect("a number"))
-                .collect(),
+            parameters: values.map(|value| value.as_f64().expect("a number")).collect(),
             elements: vec![0.5],
         }
     };
@@ -517,10 +493,7 @@ fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
     match row["axis"].as_str().expect("a condition") {
         "clean" | "language" => Vec::new(),
         name if names.contains(&name) => vec![axis(name, parameters)],
-        _ => names
-            .iter()
-            .filter_map(|name| Some(axis(name, parameters.get(name)?)))
-            .collect(),
+        _ => names.iter().filter_map(|name| Some(axis(name, parameters.get(name)?))).collect(),
     }
 }
 
@@ -534,10 +507,7 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
     let pool = open_database(folder).await;
     let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
                       AND name NOT LIKE 'sqlite_%' ORDER BY name";
-    let tables: Vec<String> = sqlx::query_scalar(tables)
-        .fetch_all(&pool)
-        .await
-        .expect("tables");
+    let tables: Vec<String> = sqlx::query_scalar(tables).fetch_all(&pool).await.expect("tables");
     let mut rows = Vec::new();
     for table in tables {
         let columns = format!(
@@ -549,10 +519,8 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
             .await
             .expect("columns");
         let query = format!("SELECT '{table}: ' || {columns} FROM {table} ORDER BY 1");
-        let table_rows: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
-            .fetch_all(&pool)
-            .await
-            .expect("rows");
+        let table_rows: Vec<String> =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(query)).fetch_all(&pool).await.expect("rows");
         rows.extend(table_rows);
     }
     pool.close().await;
@@ -562,8 +530,5 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
 /// Returns the SHA-256 of a text, in place of a real digest.
 pub(crate) fn sha(text: &str) -> String {
     use sha2::{Digest, Sha256};
-    Sha256::digest(text.as_bytes())
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }

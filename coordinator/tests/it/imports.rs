@@ -26,10 +26,7 @@ async fn alter(archive: &Path, into: &Path, sql: &'static str) {
     let pool = open_database(folder.path()).await;
     let result = sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
     assert!(result.rows_affected() > 0, "{sql}");
-    sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)")
-        .execute(&pool)
-        .await
-        .expect("one file");
+    sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)").execute(&pool).await.expect("one file");
     pool.close().await;
     *rows = std::fs::read(&database).expect("a database");
     write(into, &altered, true);
@@ -102,10 +99,7 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
             "UPDATE worker SET slots = 1099511627776",
             &["its `slots` is 1099511627776", "1 to 65536"],
         ),
-        (
-            "UPDATE worker SET cores = 65537",
-            &["its `cores` is 65537", "1 to 65536"],
-        ),
+        ("UPDATE worker SET cores = 65537", &["its `cores` is 65537", "1 to 65536"]),
         (
             "PRAGMA foreign_keys = OFF; UPDATE result SET worker_id = 'a b';
              UPDATE worker SET id = 'a b'",
@@ -155,10 +149,7 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
     source.succeed(&["thresholds", "moved", "--create"]);
     let began = Instant::now();
     while source.worker.claim(1).await.is_empty() {
-        assert!(
-            began.elapsed() < Duration::from_secs(30),
-            "no rollout was derived"
-        );
+        assert!(began.elapsed() < Duration::from_secs(30), "no rollout was derived");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     let (source_archive, file) = (source.archive("moved"), source.archive(name));
@@ -203,9 +194,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     source.run(520, "").await;
     let filmed = source.worker.claim_one().await;
     assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
-    put(&mut source.worker, &filmed, "video.mp4", &[vec![7; 99]])
-        .await
-        .expect("stored");
+    put(&mut source.worker, &filmed, "video.mp4", &[vec![7; 99]]).await.expect("stored");
     let (_, jobs) = counts(source.folder.path()).await;
     assert!(jobs > 1_000, "{jobs}");
     let file = source.archive("large");
@@ -218,10 +207,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     assert!(!output.status.success(), "the interrupted import succeeded");
     let began = Instant::now();
     while killed.ended().is_none() {
-        assert!(
-            began.elapsed() < Duration::from_secs(30),
-            "the coordinator still runs"
-        );
+        assert!(began.elapsed() < Duration::from_secs(30), "the coordinator still runs");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     drop(killed);
@@ -233,11 +219,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     let restarted = Serve::start(target.path());
     let listed = restarted.command(&["campaign", "list", "--json"]);
     let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
-    assert_eq!(
-        listed["campaigns"],
-        json!([]),
-        "an incomplete campaign is listed"
-    );
+    assert_eq!(listed["campaigns"], json!([]), "an incomplete campaign is listed");
     while counts(target.path()).await != (0, 0) {
         assert!(began.elapsed() < Duration::from_secs(60), "jobs are left");
         tokio::time::sleep(Duration::from_millis(50)).await;
@@ -246,10 +228,8 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     let imported = restarted.command(&["campaign", "import", &path]);
     assert!(imported.status.success());
     assert_eq!(std::fs::read_dir(&films).expect("films").count(), 1);
-    for arguments in [
-        &["export", "large", "--format", "jsonl"][..],
-        &["report", "large", "--json"],
-    ] {
+    for arguments in [&["export", "large", "--format", "jsonl"][..], &["report", "large", "--json"]]
+    {
         assert_eq!(
             crate::process::text(&restarted.command(arguments).stdout),
             source.succeed(arguments)

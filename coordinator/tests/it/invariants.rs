@@ -22,16 +22,8 @@ const BREACHES: [(&str, &str, &str); 20] = [
         "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
         "never used",
     ),
-    (
-        "schema_is_the_programs",
-        "DROP INDEX job_queued",
-        "index job_queued is missing",
-    ),
-    (
-        "references_hold",
-        "UPDATE campaign SET policy_id = 99",
-        "refers to no row of policy",
-    ),
+    ("schema_is_the_programs", "DROP INDEX job_queued", "index job_queued is missing"),
+    ("references_hold", "UPDATE campaign SET policy_id = 99", "refers to no row of policy"),
     (
         "expansion_is_whole",
         "DELETE FROM job WHERE state = 'queued'",
@@ -62,11 +54,7 @@ const BREACHES: [(&str, &str, &str); 20] = [
         "UPDATE job SET charged_attempts = 1 WHERE state = 'leased'",
         "1 charged attempts",
     ),
-    (
-        "losses_are_accounted_for",
-        "UPDATE job SET losses = 1 WHERE state = 'leased'",
-        "1 losses",
-    ),
+    ("losses_are_accounted_for", "UPDATE job SET losses = 1 WHERE state = 'leased'", "1 losses"),
     (
         "attempts_only_rise",
         "UPDATE failure SET attempt = attempt + 10",
@@ -160,19 +148,13 @@ async fn altered_copy(folder: &Path, statement: &'static str) -> TempDir {
             .await
             .expect("triggers");
     let run = async |connection: &mut _, sql: String| {
-        sqlx::raw_sql(sqlx::AssertSqlSafe(sql))
-            .execute(connection)
-            .await
-            .expect("done")
+        sqlx::raw_sql(sqlx::AssertSqlSafe(sql)).execute(connection).await.expect("done")
     };
     for (name, _) in &triggers {
         run(&mut connection, format!("DROP TRIGGER {name}")).await;
     }
     let result = run(&mut connection, statement.to_owned()).await;
-    assert!(
-        statement.starts_with("DROP") || result.rows_affected() > 0,
-        "{statement}"
-    );
+    assert!(statement.starts_with("DROP") || result.rows_affected() > 0, "{statement}");
     for (_, sql) in triggers {
         run(&mut connection, sql).await;
     }
@@ -189,24 +171,16 @@ async fn each_violated_invariant_is_reported_by_name() {
         let file = copy.path().join(DATABASE_FILE);
         let before = std::fs::read(&file).expect("a file");
         let violations = check(copy.path()).await.expect("a database");
-        let violation = violations
-            .iter()
-            .find(|violation| violation.invariant == invariant);
+        let violation = violations.iter().find(|violation| violation.invariant == invariant);
         let violation = violation.unwrap_or_else(|| panic!("{invariant}: {violations:?}"));
         assert!(violation.examples[0].contains(word), "{violation:?}");
-        assert_eq!(
-            std::fs::read(&file).expect("a file"),
-            before,
-            "`check` changed the database"
-        );
+        assert_eq!(std::fs::read(&file).expect("a file"), before, "`check` changed the database");
         let files = std::fs::read_dir(copy.path()).expect("a folder").count();
         assert_eq!(files, 1, "`check` left files");
     }
     let violated: Vec<&str> = BREACHES.iter().map(|(invariant, ..)| *invariant).collect();
     assert!(
-        violated
-            .into_iter()
-            .eq(INVARIANTS.map(|invariant| invariant.name)),
+        violated.into_iter().eq(INVARIANTS.map(|invariant| invariant.name)),
         "each invariant is violated once"
     );
 }
@@ -221,10 +195,7 @@ async fn the_program_names_violations_and_fails() {
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
     let printed = text(&output.stdout);
-    assert!(
-        printed.contains("committed_has_one_result: 2\n"),
-        "{printed}"
-    );
+    assert!(printed.contains("committed_has_one_result: 2\n"), "{printed}");
     assert!(text(&output.stderr).contains("3 of 20 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));

@@ -74,14 +74,7 @@ impl Printed {
 async fn json_output_has_the_documented_keys() {
     let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
-    let early = [
-        "--name",
-        "early",
-        "--stop",
-        "I excludes 0",
-        "--priority",
-        "-1",
-    ];
+    let early = ["--name", "early", "--stop", "I excludes 0", "--priority", "-1"];
     let early = [&CREATE[..2], &early, &CREATE[4..]].concat();
     succeed(serve.command(&early));
     let mut worker = serve.worker("a").await;
@@ -114,10 +107,7 @@ async fn json_output_has_the_documented_keys() {
     assert_eq!(jobs.0["is_truncated"], false);
     let jobs = jobs.0["jobs"].as_array().expect("a list").clone();
     assert_eq!(jobs.len(), 14);
-    let states: BTreeSet<&str> = jobs
-        .iter()
-        .filter_map(|job| job["state"].as_str())
-        .collect();
+    let states: BTreeSet<&str> = jobs.iter().filter_map(|job| job["state"].as_str()).collect();
     assert_eq!(states, BTreeSet::from(["committed", "leased", "queued"]));
     for job in &jobs {
         let is_leased = job["state"] == "leased";
@@ -134,11 +124,7 @@ async fn json_output_has_the_documented_keys() {
     let mut shown = BTreeSet::new();
     for job in &jobs {
         let id = job["rollout_id"].as_str().expect("an id");
-        keys(
-            &Printed::run(&serve, &["jobs", "show", "demo", id]).0,
-            "",
-            &mut shown,
-        );
+        keys(&Printed::run(&serve, &["jobs", "show", "demo", id]).0, "", &mut shown);
     }
     assert_eq!(shown, documented("jobs show"));
 
@@ -167,8 +153,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     let ids = |filters: &[&str]| -> Vec<String> {
         let printed = Printed::run(&serve, &[&["jobs", "list", "demo"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
-        jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned())
-            .collect()
+        jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned()).collect()
     };
     assert_eq!(ids(&[]).len(), 8);
     assert_eq!(ids(&["--outcome", "success"]).len(), 3);
@@ -185,10 +170,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let listed = ids(&["--condition", name]);
         assert_eq!(listed.len(), 2);
-        assert!(
-            listed.iter().all(|rollout| rollout.contains(id)),
-            "{listed:?}"
-        );
+        assert!(listed.iter().all(|rollout| rollout.contains(id)), "{listed:?}");
         assert_eq!(listed, ids(&["--condition", id]));
     }
     for (flag, value) in [
@@ -220,11 +202,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     assert_eq!(json.0["placebo_rollouts"], 30);
     let level = &json.0["planning"]["levels"][0];
     assert_eq!(
-        [
-            &level["level"],
-            &level["configurations"],
-            &level["floor_configurations"]
-        ],
+        [&level["level"], &level["configurations"], &level["floor_configurations"]],
         [&Value::from("L1"), &Value::from(20), &Value::from(10)]
     );
     let detectable = |level: &Value| level["new_tasks"]["r_d"].as_f64().expect("a number");
@@ -232,10 +210,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     assert!(level["these_tasks"]["r_d"].as_f64() < Some(detectable(level)));
     let words = serve.command(&dry);
     let words = text(&words.stdout);
-    assert!(
-        words.contains("including 30 rollouts at the placebo level L0"),
-        "{words}"
-    );
+    assert!(words.contains("including 30 rollouts at the placebo level L0"), "{words}");
     assert!(
         words
             .split_whitespace()
@@ -248,10 +223,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     // With other assumed outcomes, other differences are detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
     let from_example = Printed::run(&serve, &[&dry[..], &["--planning-from", example]].concat());
-    assert_ne!(
-        detectable(&from_example.0["planning"]["levels"][0]),
-        detectable(level)
-    );
+    assert_ne!(detectable(&from_example.0["planning"]["levels"][0]), detectable(level));
     let unknown = serve.command(&[&dry[..], &["--planning-from", "nowhere"]].concat());
     assert!(!unknown.status.success());
 
@@ -259,8 +231,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let ids = |filters: &[&str]| -> Vec<String> {
         let printed = Printed::run(&serve, &[&["jobs", "list", "floor"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
-        jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned())
-            .collect()
+        jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned()).collect()
     };
     assert_eq!(ids(&["--level", "L0"]).len(), 20 + 30);
     let placebo = ids(&["--level", "L0", "--condition", "language"]);

@@ -37,10 +37,7 @@ async fn latency_is_a_separate_condition() {
     let refused = serve.command(&[&CREATE[..], &["--execution", "hold:2"]].concat());
     assert_eq!(refused.status.code(), Some(2));
     let message = text(&refused.stderr);
-    assert!(
-        message.contains("axis `latency` with `execution` hold:2"),
-        "{message}"
-    );
+    assert!(message.contains("axis `latency` with `execution` hold:2"), "{message}");
     succeed(serve.command(&CREATE));
 
     // The result of a worker that does not delay the answers is refused.
@@ -51,20 +48,11 @@ async fn latency_is_a_separate_condition() {
         if !is_refused_once && id.condition() == Condition::Latency {
             is_refused_once = true;
             let mut report = worker.report(&lease, true);
-            let settings = &mut report
-                .provenance
-                .as_mut()
-                .expect("provenance")
-                .policy_settings;
-            settings
-                .remove("execution model")
-                .expect("an execution model");
+            let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
+            settings.remove("execution model").expect("an execution model");
             let (verdict, detail) = worker.commit_request(report).await;
             assert_eq!(verdict, Verdict::Unpaired, "{detail}");
-            assert!(
-                detail.contains("runs under execution model `overlap:"),
-                "{detail}"
-            );
+            assert!(detail.contains("runs under execution model `overlap:"), "{detail}");
             continue;
         }
         let success = outcome(&id) == Outcome::Success;
@@ -74,10 +62,7 @@ async fn latency_is_a_separate_condition() {
     let began = Instant::now();
     while !text(&serve.command(&["campaign", "status", "late"]).stdout).contains("finished") {
         run_all(&mut worker, outcome).await;
-        assert!(
-            began.elapsed() < PATIENCE,
-            "the refused rollout was not committed"
-        );
+        assert!(began.elapsed() < PATIENCE, "the refused rollout was not committed");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
 
@@ -87,15 +72,8 @@ async fn latency_is_a_separate_condition() {
     let latency_rows: Vec<Value> = rows.filter(|row| !row["execution"].is_null()).collect();
     assert_eq!(latency_rows.len(), 2 * 2 * 2);
     for row in latency_rows {
-        let expected = if row["level"] == "L1" {
-            "overlap:1"
-        } else {
-            "overlap:4"
-        };
-        assert_eq!(
-            (&row["axis"], &row["execution"]),
-            (&json!("latency"), &json!(expected))
-        );
+        let expected = if row["level"] == "L1" { "overlap:1" } else { "overlap:4" };
+        assert_eq!((&row["axis"], &row["execution"]), (&json!("latency"), &json!(expected)));
     }
 
     // The report counts the successes under latency, but leaves them out of the paired measures.
@@ -104,26 +82,18 @@ async fn latency_is_a_separate_condition() {
     for (cell, successes) in cells.iter().zip([4, 0]) {
         let count = json!({"successes": successes, "n": 4});
         assert_eq!(cell["latency"]["count"], count, "{cell}");
-        assert_eq!(
-            (&cell["paired"]["n"], &cell["paired"]["s_conj"]),
-            (&json!(4), &json!(1.0))
-        );
+        assert_eq!((&cell["paired"]["n"], &cell["paired"]["s_conj"]), (&json!(4), &json!(1.0)));
     }
     let notes = report["reports"][0]["notes"].to_string();
     assert!(!notes.contains("execution model"), "{notes}");
     let full = serve.command(&["report", "late", "--full"]);
-    let head = text(&full.stdout)
-        .lines()
-        .find(|line| line.contains("latency"));
+    let head = text(&full.stdout).lines().find(|line| line.contains("latency"));
     let words: Vec<&str> = head.expect("a column").split_whitespace().collect();
     assert_eq!(words, ["camera", "robot", "latency", "simultaneous"]);
     let page = http(&serve.url, "GET /campaigns/late").await.text();
     assert!(page.contains("latency"), "{page}");
-    let configuration = http(
-        &serve.url,
-        "GET /campaigns/late/configurations/object/t0/latency/L3/c00",
-    )
-    .await;
+    let configuration =
+        http(&serve.url, "GET /campaigns/late/configurations/object/t0/latency/L3/c00").await;
     let configuration = configuration.text();
     assert!(configuration.contains("overlap:4"), "{configuration}");
 }
@@ -144,18 +114,11 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
         assert!(began.elapsed() < PATIENCE, "{findings}");
         tokio::time::sleep(Duration::from_millis(50)).await;
     };
-    assert_eq!(
-        (&findings["looked_for"], &findings["found"]),
-        (&json!(4), &json!(4))
-    );
+    assert_eq!((&findings["looked_for"], &findings["found"]), (&json!(4), &json!(4)));
     for threshold in findings["thresholds"].as_array().expect("a list") {
         assert_eq!(threshold["condition"], "latency");
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
-        assert_eq!(
-            bracket,
-            [&json!(6.0), &json!(8.0)],
-            "delays of 3 and 4 control steps"
-        );
+        assert_eq!(bracket, [&json!(6.0), &json!(8.0)], "delays of 3 and 4 control steps");
     }
     let output = serve.command(&["thresholds", "late"]);
     let words: Vec<&str> = text(&output.stdout).split_whitespace().collect();

@@ -20,14 +20,7 @@ fn programs() -> tempfile::TempDir {
 
 fn launch(programs: &Path, arguments: &[&str]) -> Output {
     let programs = programs.to_str().expect("UTF-8");
-    let common = [
-        "launch",
-        "slurm",
-        "--assets",
-        "primitives",
-        "--programs",
-        programs,
-    ];
+    let common = ["launch", "slurm", "--assets", "primitives", "--programs", programs];
     coordinator(&[&common, arguments].concat())
 }
 
@@ -49,13 +42,7 @@ fn scripts_are_shown_and_written_only_with_into() {
         assert!(scripts.contains(words), "no {words:?} in {scripts}");
     }
     // A flag that is not given adds no line, and without a policy there is no gateway.
-    for words in [
-        "{{",
-        "--partition",
-        "--time",
-        "ROLLOUT_TOKEN_FILE",
-        "gateway",
-    ] {
+    for words in ["{{", "--partition", "--time", "ROLLOUT_TOKEN_FILE", "gateway"] {
         assert!(!scripts.contains(words), "{words:?} in {scripts}");
     }
 }
@@ -108,10 +95,7 @@ fn written_scripts_are_valid_bash_for_any_values() {
     let edited = Path::new(into).join("workers.sbatch");
     std::fs::write(&edited, "mine").expect("edited");
     let message = &fail(launch(programs.path(), &arguments), 1);
-    assert!(
-        message.contains("workers.sbatch: the file exists with other content"),
-        "{message}"
-    );
+    assert!(message.contains("workers.sbatch: the file exists with other content"), "{message}");
     assert_eq!(read("workers.sbatch"), "mine");
 }
 
@@ -140,25 +124,14 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
     let worker_token = file("worker-token", &format!("worker {secret}\n"));
     let more = ["--worker-token-file", &worker_token];
     let scripts = &succeed(launch(programs.path(), &[&guarded[..], &more].concat()));
-    let (servers, workers) = scripts
-        .split_once("workers.sbatch")
-        .expect("the workers' script");
+    let (servers, workers) = scripts.split_once("workers.sbatch").expect("the workers' script");
     let named = |file: &str| format!("ROLLOUT_TOKEN_FILE={file}\n");
     assert!(servers.contains(&named(&tokens)), "{scripts}");
     assert!(workers.contains(&named(&worker_token)), "{scripts}");
     assert!(!workers.contains(&named(&tokens)), "{scripts}");
-    assert!(
-        scripts.contains(&format!("ROLLOUT_CA={pem}\n")),
-        "{scripts}"
-    );
-    assert!(
-        scripts.contains(&format!("--tls-cert {pem} --tls-key {pem}")),
-        "{scripts}"
-    );
-    assert!(
-        !scripts.contains(secret) && !scripts.contains("--insecure"),
-        "{scripts}"
-    );
+    assert!(scripts.contains(&format!("ROLLOUT_CA={pem}\n")), "{scripts}");
+    assert!(scripts.contains(&format!("--tls-cert {pem} --tls-key {pem}")), "{scripts}");
+    assert!(!scripts.contains(secret) && !scripts.contains("--insecure"), "{scripts}");
 }
 
 #[test]
@@ -171,16 +144,10 @@ fn wrong_flags_are_refused_with_the_remedy() {
         assert!(message.contains(words), "{arguments:?}: {message}");
         assert!(output.stdout.is_empty());
     };
-    refused(
-        &["--connect", "http://login1:7411"],
-        "--insecure if only trusted",
-    );
+    refused(&["--connect", "http://login1:7411"], "--insecure if only trusted");
     refused(&["--connect", "http://login1", "--insecure"], "login1:7411");
     refused(&["--connect", "https://login1:1", "--insecure"], "http://");
-    refused(
-        &["--connect", "http://127.0.0.1:7411", "--insecure"],
-        "no other machine",
-    );
+    refused(&["--connect", "http://127.0.0.1:7411", "--insecure"], "no other machine");
     let more = |arguments: &[&'static str], words: &str| {
         refused(&[&INSECURE[..], arguments].concat(), words);
     };
@@ -189,14 +156,8 @@ fn wrong_flags_are_refused_with_the_remedy() {
     more(&["--partition", "a b"], "--partition");
     more(&["--gpus", "1"], "--policy");
     more(&["--policy", "mine"], "NAME=BACKEND");
-    more(
-        &["--policy", "a=b", "--policy-server", "a\nb"],
-        "on one line",
-    );
-    more(
-        &["--worker-sbatch", "avx2"],
-        "--worker-sbatch=--constraint=avx2",
-    );
+    more(&["--policy", "a=b", "--policy-server", "a\nb"], "on one line");
+    more(&["--worker-sbatch", "avx2"], "--worker-sbatch=--constraint=avx2");
     more(&["--submit"], "--into");
     more(&["--programs", "/nowhere"], "--programs");
 }

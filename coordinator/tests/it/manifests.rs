@@ -11,21 +11,14 @@ use crate::process::{Serve, coordinator, fail, succeed, text};
 
 fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
     let path = folder.join(name);
-    let output = [
-        "manifest",
-        "expand",
-        "--output",
-        path.to_str().expect("UTF-8"),
-    ];
+    let output = ["manifest", "expand", "--output", path.to_str().expect("UTF-8")];
     succeed(coordinator(&[&output, more].concat()));
     path
 }
 
 fn rows(path: &Path) -> Vec<Value> {
     let text = std::fs::read_to_string(path).expect("readable");
-    let rows = text
-        .lines()
-        .map(|line| serde_json::from_str(line).expect("JSON"));
+    let rows = text.lines().map(|line| serde_json::from_str(line).expect("JSON"));
     rows.collect()
 }
 
@@ -45,21 +38,15 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let split = |split| {
         let name = format!("{split}.jsonl");
-        expand(
-            folder.path(),
-            &name,
-            &["--version", "v0.1", "--split", split],
-        )
+        expand(folder.path(), &name, &["--version", "v0.1", "--split", split])
     };
     let (clean, eval, all) = (split("clean"), split("eval"), split("all"));
     let counts = [&clean, &eval, &all].map(|path| rows(path).len());
     assert_eq!(counts, [2_000, 8_400, 10_400]);
 
     let all = rows(&all);
-    let ids: BTreeSet<&str> = all
-        .iter()
-        .map(|row| row["rollout_id"].as_str().expect("text"))
-        .collect();
+    let ids: BTreeSet<&str> =
+        all.iter().map(|row| row["rollout_id"].as_str().expect("text")).collect();
     assert_eq!(ids.len(), all.len());
     assert!(ids.contains("spatial/t0/clean/i07"));
     let row = |id: &str| all.iter().find(|row| row["rollout_id"] == id).expect(id);
@@ -93,15 +80,10 @@ fn the_nominal_rows_of_liberos_family_are_those_of_unperturbed_tasks() {
     let path = folder.path().join("spec.json");
     std::fs::write(&path, spec.to_string()).expect("written");
     let spec = ["--spec", path.to_str().expect("UTF-8"), "--split"];
-    for (split, expected) in [
-        ("nominal", "goal/t8/plus:unperturbed/i00"),
-        ("eval", "goal/t8/plus:noise_30/i00"),
-    ] {
-        let rows = rows(&expand(
-            folder.path(),
-            split,
-            &[&spec[..], &[split]].concat(),
-        ));
+    for (split, expected) in
+        [("nominal", "goal/t8/plus:unperturbed/i00"), ("eval", "goal/t8/plus:noise_30/i00")]
+    {
+        let rows = rows(&expand(folder.path(), split, &[&spec[..], &[split]].concat()));
         assert_eq!(rows.len(), 1, "{split}");
         assert_eq!(rows[0]["rollout_id"], expected);
     }
@@ -138,11 +120,7 @@ fn a_custom_design_is_expanded_from_its_specification() {
 #[test]
 fn an_invalid_manifest_exits_with_1_and_an_invalid_command_with_2() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let path = expand(
-        folder.path(),
-        "v.jsonl",
-        &["--version", "v0.1", "--split", "eval"],
-    );
+    let path = expand(folder.path(), "v.jsonl", &["--version", "v0.1", "--split", "eval"]);
     let mut rows = rows(&path);
     rows.truncate(6);
     rows[1]["perturb"]["blur_sigma"] = json!(1.0);
@@ -182,11 +160,8 @@ fn an_invalid_manifest_exits_with_1_and_an_invalid_command_with_2() {
 #[test]
 fn differences_are_named_by_row_and_column() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let original = expand(
-        folder.path(),
-        "original.jsonl",
-        &["--version", "v0.1", "--split", "clean"],
-    );
+    let original =
+        expand(folder.path(), "original.jsonl", &["--version", "v0.1", "--split", "clean"]);
     let copy = folder.path().join("copy.jsonl");
     let mut changed = rows(&original);
     changed.reverse();
@@ -203,10 +178,7 @@ fn differences_are_named_by_row_and_column() {
     let printed = text(&output.stdout);
     assert!(printed.contains(", \"sing\" in the second\n"), "{printed}");
     let removed = removed["rollout_id"].as_str().expect("text");
-    assert!(
-        printed.contains(&format!("{removed}: only in the first manifest\n")),
-        "{printed}"
-    );
+    assert!(printed.contains(&format!("{removed}: only in the first manifest\n")), "{printed}");
     assert!(text(&output.stderr).contains("differ in 2 places"));
 }
 
@@ -221,11 +193,8 @@ async fn an_imported_manifest_is_run_unchanged() {
         let id = row["rollout_id"].as_str().expect("text");
         id == "goal/t7/language/L3/c02" || id.starts_with("goal/t7/clean/")
     });
-    let paired = rows
-        .iter()
-        .find(|row| row["axis"] == "language")
-        .expect("a row")["init_id"]
-        .clone();
+    let paired =
+        rows.iter().find(|row| row["axis"] == "language").expect("a row")["init_id"].clone();
     rows.retain(|row| row["init_id"] == paired);
     rows.sort_by_key(|row| row["axis"] == "clean");
     rows[0]["language"] = json!("kindle the stove");
@@ -238,18 +207,12 @@ async fn an_imported_manifest_is_run_unchanged() {
     let data = folder.path().join("data");
     let serve = Serve::start(&data);
     let create = |more: &[&str]| {
-        let create = [
-            "campaign", "create", "--name", "imported", "--policy", "expert",
-        ];
+        let create = ["campaign", "create", "--name", "imported", "--policy", "expert"];
         let endpoint = ["--endpoint", "http://127.0.0.1:50051", "--manifest", path];
         serve.command(&[&create[..], &endpoint, more].concat())
     };
     let refused = create(&["--levels", "L1"]);
-    assert_eq!(
-        refused.status.code(),
-        Some(2),
-        "a flag that would be ignored"
-    );
+    assert_eq!(refused.status.code(), Some(2), "a flag that would be ignored");
     let created = create(&["--replicates", "2"]);
     assert_eq!(
         text(&created.stdout),

@@ -12,10 +12,7 @@ use crate::process::text;
 
 /// Runs `coordinator merge` on archives; returns its output or its error message.
 fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
-    let archives: Vec<String> = archives
-        .iter()
-        .map(|path| path.display().to_string())
-        .collect();
+    let archives: Vec<String> = archives.iter().map(|path| path.display().to_string()).collect();
     let output = output.display().to_string();
     let mut arguments = vec!["merge"];
     arguments.extend(archives.iter().map(String::as_str));
@@ -35,10 +32,7 @@ fn counts(message: &str) -> [u64; 2] {
         let (number, _) = rest.split_once(after).expect("the words after");
         number.parse().expect("a number")
     };
-    [
-        number("campaign moved: ", " rollout"),
-        number("with an outcome, ", " outcomes repeated"),
-    ]
+    [number("campaign moved: ", " rollout"), number("with an outcome, ", " outcomes repeated")]
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -50,13 +44,8 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     second.run(64, "L1").await;
     let filmed = second.worker.claim_one().await;
     let success = succeeds(&rollout_id(&filmed));
-    assert_eq!(
-        second.worker.commit(&filmed, success).await,
-        Verdict::Accepted
-    );
-    put(&mut second.worker, &filmed, "video.mp4", &[vec![5; 99]])
-        .await
-        .expect("stored");
+    assert_eq!(second.worker.commit(&filmed, success).await, Verdict::Accepted);
+    put(&mut second.worker, &filmed, "video.mp4", &[vec![5; 99]]).await.expect("stored");
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
     let merged = folder.path().join("whole.tar.gz");
@@ -80,10 +69,7 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     let merged_with_itself = folder.path().join("again.tar.gz");
     let message = merge(&[&finished, &finished], &merged_with_itself).expect("merged");
     assert_eq!(counts(&message), [13, 13], "{message}");
-    assert!(
-        message.contains("; 0 in quarantine, 0 still to run; "),
-        "{message}"
-    );
+    assert!(message.contains("; 0 in quarantine, 0 still to run; "), "{message}");
     let three = folder.path().join("three.tar.gz");
     let message = merge(&[&a, &b, &finished], &three).expect("merged");
     assert_eq!(counts(&message), [13, repeated + outcomes], "{message}");
@@ -100,10 +86,7 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     first.run(6, "").await;
     let lease = second.worker.claim_one().await;
     let (id, success) = (rollout_id(&lease), succeeds(&rollout_id(&lease)));
-    assert_eq!(
-        second.worker.commit(&lease, !success).await,
-        Verdict::Accepted
-    );
+    assert_eq!(second.worker.commit(&lease, !success).await, Verdict::Accepted);
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
     let merged = folder.path().join("whole.tar.gz");

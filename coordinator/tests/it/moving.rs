@@ -48,11 +48,7 @@ impl Bench {
         // Worker ids must be unique.
         let number = WORKERS.fetch_add(1, Ordering::Relaxed);
         let worker = serve.worker(&format!("w{number}")).await;
-        Bench {
-            folder,
-            serve,
-            worker,
-        }
+        Bench { folder, serve, worker }
     }
 
     pub(crate) async fn with(spec: &Value) -> Bench {
@@ -164,11 +160,7 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], recompute_conten
         header.set_cksum();
         tar.append(&header, bytes.as_slice()).expect("written");
     }
-    let mut out = tar
-        .into_inner()
-        .expect("finished")
-        .finish()
-        .expect("finished");
+    let mut out = tar.into_inner().expect("finished").finish().expect("finished");
     out.flush().expect("written");
 }
 
@@ -178,14 +170,9 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     source.run(5, "").await;
     let filmed = source.worker.claim_one().await;
     let success = succeeds(&rollout_id(&filmed));
-    assert_eq!(
-        source.worker.commit(&filmed, success).await,
-        Verdict::Accepted
-    );
+    assert_eq!(source.worker.commit(&filmed, success).await, Verdict::Accepted);
     let film = [vec![7; 1_500_000]];
-    put(&mut source.worker, &filmed, "video.mp4", &film)
-        .await
-        .expect("stored");
+    put(&mut source.worker, &filmed, "video.mp4", &film).await.expect("stored");
     let failed = source.worker.claim_one().await;
     source.worker.release(&failed, Reason::SimulatorError).await;
     // One rollout is in progress while the campaign is archived.
@@ -209,10 +196,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
 
     let mut target = Bench::empty().await;
     let message = target.import(&file);
-    assert!(
-        message.contains("13 rollouts, 6 results and 1 film"),
-        "{message}"
-    );
+    assert!(message.contains("13 rollouts, 6 results and 1 film"), "{message}");
     target.assert_invariants().await;
     assert_eq!(target.report("moved"), source.report("moved"));
     assert_eq!(
@@ -239,10 +223,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
 
     // Both campaigns continue and end with the same report.
     let success = succeeds(&rollout_id(&held));
-    assert_eq!(
-        source.worker.commit(&held, success).await,
-        Verdict::Accepted
-    );
+    assert_eq!(source.worker.commit(&held, success).await, Verdict::Accepted);
     for bench in [&mut source, &mut target] {
         tokio::time::sleep(Duration::from_millis(1_200)).await;
         bench.run(13, "").await;
@@ -257,17 +238,12 @@ async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
     source.run(4, "").await;
     let filmed = source.worker.claim_one().await;
     assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
-    put(&mut source.worker, &filmed, "video.mp4", &[vec![1; 10]])
-        .await
-        .expect("stored");
+    put(&mut source.worker, &filmed, "video.mp4", &[vec![1; 10]]).await.expect("stored");
     let file = source.archive("moved");
     let before = source.rows().await;
     let path = file.display().to_string();
     let message = source.refused(&["campaign", "import", &path]);
-    assert!(
-        message.contains("`moved`") && message.contains("--as NAME"),
-        "{message}"
-    );
+    assert!(message.contains("`moved`") && message.contains("--as NAME"), "{message}");
     assert_eq!(source.rows().await, before);
 
     // A copy beside the original shares no attempt id with it.
@@ -363,9 +339,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     // member 4 the database.
     let mut report = sound.clone();
     let text = String::from_utf8(report[3].1.clone()).expect("JSON");
-    report[3].1 = text
-        .replacen("\"policy\": \"expert\"", "\"policy\": \"other\"", 1)
-        .into();
+    report[3].1 = text.replacen("\"policy\": \"expert\"", "\"policy\": \"other\"", 1).into();
     assert_ne!(report[3].1, sound[3].1);
     write(&bad, &report, true);
     refused(&["report.json", "differs", ".policy"]);
@@ -385,10 +359,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
             "DELETE FROM job WHERE state = 'queued'",
             &["expansion_is_whole", "coordinator.sqlite"][..],
         ),
-        (
-            "CREATE TABLE mine (number INTEGER)",
-            &["schema_is_the_programs", "mine"][..],
-        ),
+        ("CREATE TABLE mine (number INTEGER)", &["schema_is_the_programs", "mine"][..]),
         (
             "CREATE TRIGGER mine AFTER UPDATE ON job BEGIN DELETE FROM artifact; END",
             &["schema_is_the_programs", "mine"][..],
@@ -408,10 +379,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         std::fs::write(&database, &sound[4].1).expect("written");
         let pool = open_database(folder.path()).await;
         sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
-        sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)")
-            .execute(&pool)
-            .await
-            .expect("one file");
+        sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)").execute(&pool).await.expect("one file");
         pool.close().await;
         let mut altered = sound.clone();
         altered[4].1 = std::fs::read(&database).expect("a database");
@@ -429,11 +397,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         refused(&[what, "use that release or a later one"]);
     }
 
-    assert_eq!(
-        target.rows().await,
-        before,
-        "a refused archive changed rows"
-    );
+    assert_eq!(target.rows().await, before, "a refused archive changed rows");
     assert!(!target.folder.path().join("artifacts").exists());
     let missing = target.refused(&["campaign", "import", "nowhere.tar.gz"]);
     assert!(missing.contains("nowhere.tar.gz"), "{missing}");
@@ -465,27 +429,19 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
         for (name, bytes) in &sound[..place] {
             let mut header = tar::Header::new_gnu();
             header.set_size(bytes.len() as u64);
-            tar.append_data(&mut header, name, bytes.as_slice())
-                .expect("written");
+            tar.append_data(&mut header, name, bytes.as_slice()).expect("written");
         }
         let mut header = tar::Header::new_gnu();
         header.set_entry_type(tar::EntryType::GNULongName);
         header.set_size(UNPACKED_BYTES);
         header.set_cksum();
-        tar.append(&header, std::io::repeat(b'n').take(UNPACKED_BYTES))
-            .expect("written");
-        tar.into_inner()
-            .expect("finished")
-            .finish()
-            .expect("finished");
+        tar.append(&header, std::io::repeat(b'n').take(UNPACKED_BYTES)).expect("written");
+        tar.into_inner().expect("finished").finish().expect("finished");
         refused(&["bad.tar.gz"]);
     }
     // A film of zeros that the table of contents lists correctly.
     let mut large = sound.clone();
-    large.push((
-        "artifacts/moved/film.mp4".to_owned(),
-        vec![0; UNPACKED_BYTES as usize],
-    ));
+    large.push(("artifacts/moved/film.mp4".to_owned(), vec![0; UNPACKED_BYTES as usize]));
     write(&bad, &large, true);
     refused(&["archive.json", "it claims 192 MiB of members"]);
     // The same film, listed with a size of one byte.
@@ -494,18 +450,14 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
     list["members"].as_array_mut().expect("members").push(film);
     large[0].1 = list.to_string().into_bytes();
     write(&bad, &large, false);
-    refused(&[
-        "artifacts/moved/film.mp4",
-        "it has 201326592 bytes instead of 1",
-    ]);
+    refused(&["artifacts/moved/film.mp4", "it has 201326592 bytes instead of 1"]);
     // Endless padding after the last member.
     let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
     let mut tar = tar::Builder::new(out);
     for (name, bytes) in &sound {
         let mut header = tar::Header::new_gnu();
         header.set_size(bytes.len() as u64);
-        tar.append_data(&mut header, name, bytes.as_slice())
-            .expect("written");
+        tar.append_data(&mut header, name, bytes.as_slice()).expect("written");
     }
     let mut out = tar.into_inner().expect("finished");
     std::io::copy(&mut std::io::repeat(0).take(UNPACKED_BYTES), &mut out).expect("written");
@@ -531,22 +483,13 @@ async fn a_derived_campaign_is_imported_after_its_source() {
         if let Some(lease) = source.worker.claim(1).await.pop() {
             break lease;
         }
-        assert!(
-            began.elapsed() < Duration::from_secs(30),
-            "no rollout was derived"
-        );
+        assert!(began.elapsed() < Duration::from_secs(30), "no rollout was derived");
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
     assert_eq!(source.worker.commit(&lease, true).await, Verdict::Accepted);
     // The background task also adds jobs that are derived from this outcome.
     tokio::time::sleep(Duration::from_secs(1)).await;
-    assert!(
-        source
-            .succeed(&["export", name, "--format", "jsonl"])
-            .lines()
-            .count()
-            > 0
-    );
+    assert!(source.succeed(&["export", name, "--format", "jsonl"]).lines().count() > 0);
     let source_archive = source.archive("moved");
     let file = source.archive(name);
 

@@ -15,10 +15,7 @@ use crate::harness::{Bench, Worker, small_spec, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Result<u64, Status> {
-    let name = |id: &&str| wire::JobName {
-        rollout_id: (*id).to_owned(),
-        replicate: 0,
-    };
+    let name = |id: &&str| wire::JobName { rollout_id: (*id).to_owned(), replicate: 0 };
     let request = wire::RetryJobsRequest {
         campaign: campaign.to_owned(),
         jobs: jobs.iter().map(name).collect(),
@@ -39,11 +36,7 @@ async fn quarantined(bench: &Bench) -> Worker {
     let spec = with(small_spec("one"), changes);
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
-    for expected in [
-        Released::Requeued,
-        Released::Requeued,
-        Released::Quarantined,
-    ] {
+    for expected in [Released::Requeued, Released::Requeued, Released::Quarantined] {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::SlotCrashed).await;
         assert_eq!(released.verdict(), expected);
@@ -114,20 +107,14 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     assert!(worker.claim(4).await.is_empty());
     let status = bench.status("ended").await;
     assert_eq!((status.committed, status.leased, status.queued), (1, 0, 3));
-    assert_eq!(
-        bench.count("SELECT sum(charged_attempts) FROM job").await,
-        0
-    );
+    assert_eq!(bench.count("SELECT sum(charged_attempts) FROM job").await, 0);
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
     for change in [Change::Pause, Change::Resume] {
         let refused = bench.change("ended", change).await.expect_err("final");
         assert_eq!(refused.code(), Code::FailedPrecondition);
         assert!(refused.message().contains("final"), "{refused}");
     }
-    bench
-        .change("ended", Change::Cancel)
-        .await
-        .expect("cancelled again");
+    bench.change("ended", Change::Cancel).await.expect("cancelled again");
     assert_invariants(&bench).await;
 }
 
@@ -144,10 +131,7 @@ async fn cancelling_a_campaign_frees_the_policy_probe() {
     let probe = worker.claim_one().await;
     assert!(worker.claim(4).await.is_empty(), "one probe at a time");
     assert_eq!(probe.campaign, "first");
-    bench
-        .change("first", Change::Cancel)
-        .await
-        .expect("cancelled");
+    bench.change("first", Change::Cancel).await.expect("cancelled");
     assert_invariants(&bench).await;
     assert_eq!(worker.claim_one().await.campaign, "second");
 }
@@ -199,21 +183,13 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
     assert_eq!(unknown.expect_err("unknown").code(), Code::NotFound);
+    assert_eq!(bench.status("one").await.quarantined, 1, "neither or both are requeued");
     assert_eq!(
-        bench.status("one").await.quarantined,
-        1,
-        "neither or both are requeued"
-    );
-    assert_eq!(
-        retry(&bench, "one", &[CAMERA, CAMERA], false)
-            .await
-            .expect("requeued"),
+        retry(&bench, "one", &[CAMERA, CAMERA], false).await.expect("requeued"),
         1,
         "a job that is named twice counts once"
     );
-    let again = retry(&bench, "one", &[CAMERA], false)
-        .await
-        .expect_err("a queued job");
+    let again = retry(&bench, "one", &[CAMERA], false).await.expect_err("a queued job");
     assert_eq!(again.code(), Code::FailedPrecondition);
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
@@ -245,10 +221,7 @@ async fn a_job_is_shown_with_all_its_attempts() {
     worker.heartbeat(&[&lease], 42).await;
     let job = || wire::GetJobRequest {
         campaign: "one".to_owned(),
-        job: Some(wire::JobName {
-            rollout_id: CAMERA.to_owned(),
-            replicate: 0,
-        }),
+        job: Some(wire::JobName { rollout_id: CAMERA.to_owned(), replicate: 0 }),
     };
     let shown = bench.operator().await.get_job(job()).await.expect("shown");
     let shown = shown.into_inner();
@@ -258,15 +231,8 @@ async fn a_job_is_shown_with_all_its_attempts() {
         ("leased", 4, 32),
         "the policy's steps, without the ten in which the scene settles"
     );
-    assert_eq!(
-        (line.lease_owner.as_str(), line.lease_left_secs),
-        ("a", 30.0)
-    );
-    let attempts: Vec<u32> = shown
-        .failures
-        .iter()
-        .map(|failure| failure.attempt)
-        .collect();
+    assert_eq!((line.lease_owner.as_str(), line.lease_left_secs), ("a", 30.0));
+    let attempts: Vec<u32> = shown.failures.iter().map(|failure| failure.attempt).collect();
     assert_eq!(attempts, [3, 2, 1]);
     assert_eq!(shown.failures[0].reason, "slot_crashed");
     assert!(shown.failures.iter().all(|failure| failure.charged));
@@ -292,21 +258,13 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
             limit,
             ..wire::ListJobsRequest::default()
         };
-        operator
-            .list_jobs(request)
-            .await
-            .expect("a page")
-            .into_inner()
-            .jobs
+        operator.list_jobs(request).await.expect("a page").into_inner().jobs
     };
     let first = list("", 0, 3).await;
     assert_eq!(first.len(), 3);
     assert_eq!(list("", first[2].job_id, 3).await.len(), 1);
     assert_eq!(list("queued", 0, 64).await.len(), 3);
-    assert_eq!(
-        list("leased", 0, 64).await[0].rollout_id,
-        "object/t0/clean/i16"
-    );
+    assert_eq!(list("leased", 0, 64).await[0].rollout_id, "object/t0/clean/i16");
     let request = wire::ListJobsRequest {
         campaign: "paged".to_owned(),
         state: "lost".to_owned(),
@@ -333,21 +291,11 @@ async fn workers_are_listed_with_their_leases_and_stop_reasons() {
     let request = wire::ListWorkersRequest {};
     let list = bench.operator().await.list_workers(request).await;
     let list = list.expect("a list").into_inner().workers;
-    let worker = |id: &str| {
-        list.iter()
-            .find(|worker| worker.worker_id == id)
-            .expect("listed")
-    };
-    assert_eq!(
-        (worker("gone").alive, worker("gone").silent_secs),
-        (false, 100.0)
-    );
+    let worker = |id: &str| list.iter().find(|worker| worker.worker_id == id).expect("listed");
+    assert_eq!((worker("gone").alive, worker("gone").silent_secs), (false, 100.0));
     assert_eq!((worker("sound").alive, worker("sound").leases), (true, 2));
     assert_eq!((worker("sound").filming, worker("broken").filming), (3, 0));
-    assert_eq!(
-        (worker("broken").charged_in_a_row, worker("broken").leases),
-        (5, 0)
-    );
+    assert_eq!((worker("broken").charged_in_a_row, worker("broken").leases), (5, 0));
     assert!(worker("broken").stopped_reason.contains("5 times in a row"));
 }
 
@@ -383,11 +331,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let run = |arguments: &[&str], code: i32, words: &[&str]| {
         let output = serve.command(arguments);
         let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(
-            output.status.code(),
-            Some(code),
-            "{arguments:?}: {output_text}"
-        );
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
         for word in words {
             assert!(output_text.contains(word), "{arguments:?}: {output_text}");
         }
@@ -400,68 +344,25 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     worker.claim_one().await;
     worker.report_filming(2).await;
-    let busy = [
-        "slow-1 on bench: 1/2 slots busy",
-        "\n  filming 2 rollouts\n",
-    ];
+    let busy = ["slow-1 on bench: 1/2 slots busy", "\n  filming 2 rollouts\n"];
     run(&["workers"], 0, &busy);
-    run(
-        &["jobs", "list", "demo", "--limit", "1"],
-        0,
-        &["success after 120", "more: --limit"],
-    );
-    run(
-        &["jobs", "list", "demo", "--state", "leased"],
-        0,
-        &["running on slow-1"],
-    );
-    run(
-        &["jobs", "show", "demo", "object/t0/clean/i16"],
-        0,
-        &["attempt 1 by slow-1 on bench"],
-    );
-    run(
-        &["jobs", "show", "demo", "object/t0/clean/i16#rx"],
-        2,
-        &["#r1"],
-    );
-    run(
-        &["jobs", "show", "demo", "object/t9/clean/i1"],
-        1,
-        &["no such rollout"],
-    );
+    run(&["jobs", "list", "demo", "--limit", "1"], 0, &["success after 120", "more: --limit"]);
+    run(&["jobs", "list", "demo", "--state", "leased"], 0, &["running on slow-1"]);
+    run(&["jobs", "show", "demo", "object/t0/clean/i16"], 0, &["attempt 1 by slow-1 on bench"]);
+    run(&["jobs", "show", "demo", "object/t0/clean/i16#rx"], 2, &["#r1"]);
+    run(&["jobs", "show", "demo", "object/t9/clean/i1"], 1, &["no such rollout"]);
     run(&["jobs", "retry", "demo"], 2, &["<ROLLOUTS>"]);
-    run(
-        &["jobs", "retry", "demo", "--all"],
-        0,
-        &["nothing is in quarantine"],
-    );
+    run(&["jobs", "retry", "demo", "--all"], 0, &["nothing is in quarantine"]);
     run(&["campaign", "pause", "demo"], 0, &["demo is paused"]);
     run(&["campaign", "status", "demo"], 0, &["paused, 1 running"]);
     run(&["campaign", "resume", "demo"], 0, &["demo is running"]);
     run(&["campaign", "delete", "demo"], 2, &["--confirm demo"]);
-    run(
-        &["campaign", "delete", "demo", "--confirm", "dmeo"],
-        2,
-        &["nothing was deleted"],
-    );
-    run(
-        &["campaign", "delete", "demo", "--confirm", "demo"],
-        1,
-        &["cancel it first"],
-    );
+    run(&["campaign", "delete", "demo", "--confirm", "dmeo"], 2, &["nothing was deleted"]);
+    run(&["campaign", "delete", "demo", "--confirm", "demo"], 1, &["cancel it first"]);
     run(&["campaign", "cancel", "demo"], 0, &["its results stay"]);
-    run(
-        &["campaign", "status", "--watch"],
-        0,
-        &["ETA: ", "1/14 7%  cancelled"],
-    );
+    run(&["campaign", "status", "--watch"], 0, &["ETA: ", "1/14 7%  cancelled"]);
     run(&["campaign", "resume", "demo"], 1, &["final"]);
-    run(
-        &["campaign", "delete", "demo", "--confirm", "demo"],
-        0,
-        &["14 rollouts, 1 result and"],
-    );
+    run(&["campaign", "delete", "demo", "--confirm", "demo"], 0, &["14 rollouts, 1 result and"]);
     run(&["campaign", "list"], 0, &["no campaigns yet"]);
 }
 
@@ -483,10 +384,7 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
 
     let lost_leases = slot.heartbeat(&[&old, &new], 9).await;
     assert_eq!(lost_leases, std::slice::from_ref(&old.attempt_id));
-    let refused = slot
-        .try_commit(&old, true)
-        .await
-        .expect_err("a deleted campaign");
+    let refused = slot.try_commit(&old, true).await.expect_err("a deleted campaign");
     assert_eq!(refused.code(), Code::NotFound);
     let release = wire::ReleaseRequest {
         attempt_id: old.attempt_id.clone(),
@@ -494,11 +392,7 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
         error: "too late".to_owned(),
         ..wire::ReleaseRequest::default()
     };
-    let refused = slot
-        .service
-        .release(release)
-        .await
-        .expect_err("a deleted campaign");
+    let refused = slot.service.release(release).await.expect_err("a deleted campaign");
     assert_eq!(refused.code(), Code::NotFound);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);

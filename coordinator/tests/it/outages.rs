@@ -19,22 +19,13 @@ const PAST_FIRST_SECS: u64 = 2;
 
 fn spec_of(name: &str, policy: &str) -> serde_json::Value {
     let policy = json!({"name": policy, "endpoint": "http://127.0.0.1:50051"});
-    with(
-        small_spec(name),
-        json!({"policy": policy, "configs": [0, 1]}),
-    )
+    with(small_spec(name), json!({"policy": policy, "configs": [0, 1]}))
 }
 
 async fn two_campaigns() -> Bench {
     let bench = Bench::start().await;
-    bench
-        .create_with_priority(&spec_of("first", "fragile"), 1)
-        .await
-        .expect("created");
-    bench
-        .create(&spec_of("second", "sound"))
-        .await
-        .expect("created");
+    bench.create_with_priority(&spec_of("first", "fragile"), 1).await.expect("created");
+    bench.create(&spec_of("second", "sound")).await.expect("created");
     bench
 }
 
@@ -52,25 +43,14 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
     let status = bench.status("first").await;
     assert!(status.policy_paused);
     assert_eq!(status.policy_pause_reason, "simulated failure");
-    assert_eq!(
-        bench
-            .count("SELECT outages FROM policy WHERE name = 'fragile'")
-            .await,
-        1
-    );
-    assert_eq!(
-        bench.count("SELECT max(charged_attempts) FROM job").await,
-        0
-    );
+    assert_eq!(bench.count("SELECT outages FROM policy WHERE name = 'fragile'").await, 1);
+    assert_eq!(bench.count("SELECT max(charged_attempts) FROM job").await, 0);
 
     let sound_leases = worker.claim(64).await;
     assert_eq!(sound_leases.len(), 8);
     assert!(sound_leases.iter().all(|lease| lease.policy == "sound"));
     let idle = worker.claim_response("").await.idle_reason;
-    assert!(
-        idle.contains("`fragile`") && idle.contains("simulated failure"),
-        "{idle}"
-    );
+    assert!(idle.contains("`fragile`") && idle.contains("simulated failure"), "{idle}");
 }
 
 /// Regression: an operator could not report that the policy is available again.
@@ -98,19 +78,10 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_its_other_job
     worker.release(&lease, Reason::PolicyUnavailable).await;
     bench.advance(PAST_FIRST_SECS).await;
     let leases = worker.claim(4).await;
-    let fragile: Vec<_> = leases
-        .iter()
-        .filter(|lease| lease.policy == "fragile")
-        .collect();
+    let fragile: Vec<_> = leases.iter().filter(|lease| lease.policy == "fragile").collect();
     assert_eq!(fragile.len(), 1, "only one probe is leased");
     let probe = fragile[0].clone();
-    assert!(
-        worker
-            .claim(64)
-            .await
-            .iter()
-            .all(|lease| lease.policy == "sound")
-    );
+    assert!(worker.claim(64).await.iter().all(|lease| lease.policy == "sound"));
 
     // The ten settling steps need no policy; the eleventh step does.
     worker.heartbeat(&[&probe], 10).await;
@@ -137,11 +108,7 @@ async fn a_failed_probe_doubles_the_pause_and_a_crashed_probe_is_replaced() {
         probe = worker.claim(1).await.remove(0);
     }
     let last = worker.release(&probe, Reason::PolicyUnavailable).await;
-    assert!(
-        last.backoff_secs > 4.0 * first.backoff_secs,
-        "{}",
-        last.backoff_secs
-    );
+    assert!(last.backoff_secs > 4.0 * first.backoff_secs, "{}", last.backoff_secs);
     let now_ms = bench.clock.now().0;
     let paused = "SELECT max(resume_ms) FROM policy WHERE name = 'fragile'";
     let paused_secs = (bench.count(paused).await - now_ms) as f64 / 1e3;
@@ -155,10 +122,7 @@ async fn a_failed_probe_doubles_the_pause_and_a_crashed_probe_is_replaced() {
     assert_eq!(probe.policy, "fragile");
     worker.release(&probe, Reason::SlotCrashed).await;
     let next = worker.claim(1).await.remove(0);
-    assert_eq!(
-        next.policy, "fragile",
-        "a crash is no evidence about the policy"
-    );
+    assert_eq!(next.policy, "fragile", "a crash is no evidence about the policy");
     assert_ne!(next.job_id, probe.job_id);
 }
 
@@ -173,10 +137,7 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
     worker.heartbeat(&[&probe, &leases[1]], 11).await;
     assert!(!bench.status("first").await.policy_paused);
     worker.release(&leases[1], Reason::PolicyUnavailable).await;
-    assert!(
-        !bench.status("first").await.policy_paused,
-        "the lease is older than the recovery"
-    );
+    assert!(!bench.status("first").await.policy_paused, "the lease is older than the recovery");
 }
 
 #[tokio::test]
@@ -211,12 +172,7 @@ async fn run_with_killer(answered_queries: u32) -> Bench {
         let has_killer = leases.iter().any(is_killer);
         for lease in &leases {
             match (has_killer, is_killer(lease)) {
-                (true, true) => {
-                    worker
-                        .lose_policy(lease, answered_queries)
-                        .await
-                        .backoff_secs
-                }
+                (true, true) => worker.lose_policy(lease, answered_queries).await.backoff_secs,
                 (true, false) => worker.lose_policy(lease, 5).await.backoff_secs,
                 (false, _) => {
                     assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
@@ -247,12 +203,7 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
                 AND j.charged_attempts = 0 AND f.reason = 'takes_policy_down'
                 AND f.error LIKE '%takes its policy down%simulated failure'";
         assert_eq!(bench.count(query).await, 1);
-        assert_eq!(
-            bench
-                .count("SELECT count(*) FROM failure WHERE charged")
-                .await,
-            0
-        );
+        assert_eq!(bench.count("SELECT count(*) FROM failure WHERE charged").await, 0);
         let folder = bench.stop().await;
         assert_eq!(check(folder.path()).await.expect("a database"), []);
     }
@@ -261,10 +212,7 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
 #[tokio::test]
 async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_time() {
     let bench = Bench::start().await;
-    bench
-        .create(&spec_of("first", "fragile"))
-        .await
-        .expect("created");
+    bench.create(&spec_of("first", "fragile")).await.expect("created");
     let mut worker = bench.worker("a").await;
     // All rollouts had reached the policy when it went down.
     for lease in worker.claim(8).await {
@@ -322,10 +270,7 @@ async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
         .finish();
     let logging = tracing::subscriber::set_default(subscriber);
     let name = CampaignName::parse("some").expect("a name");
-    let job = queue::ids::JobName {
-        rollout_id: rollout_id(&lease),
-        replicate: 0,
-    };
+    let job = queue::ids::JobName { rollout_id: rollout_id(&lease), replicate: 0 };
     let skipped = bench.queue.skip_jobs(&name, &[job]).await;
     drop(logging);
     assert_eq!(skipped.expect("skipped"), 1);
@@ -333,10 +278,7 @@ async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
     let mut lines = logged.lines();
     let line = lines.find(|line| line.contains("an operator skipped this rollout"));
     let line = line.expect("a line about the job");
-    assert!(
-        line.contains(" INFO ") && !line.contains("attempt"),
-        "{line}"
-    );
+    assert!(line.contains(" INFO ") && !line.contains("attempt"), "{line}");
 }
 
 #[tokio::test]
@@ -346,10 +288,7 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let name = |rollout_id: String| JobName {
-        rollout_id,
-        replicate: 0,
-    };
+    let name = |rollout_id: String| JobName { rollout_id, replicate: 0 };
     let id = |condition: &str| format!("object/t0/{condition}/L1/c00");
     let mut operator = bench.operator().await;
     let mut skip = async |rollouts: &[String]| {
@@ -364,15 +303,9 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;
     let refused = refused.expect_err("a committed rollout");
     assert!(refused.message().contains("it is committed"), "{refused}");
+    assert_eq!(bench.status("some").await.leased, 1, "neither or both are skipped");
     assert_eq!(
-        bench.status("some").await.leased,
-        1,
-        "neither or both are skipped"
-    );
-    assert_eq!(
-        skip(&[running.clone(), id("combination"), running])
-            .await
-            .expect("skipped"),
+        skip(&[running.clone(), id("combination"), running]).await.expect("skipped"),
         2,
         "a job that is named twice counts once"
     );
@@ -380,20 +313,13 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     let card = "GET /campaigns/some/configurations/object/t0/combination/L1/c00";
     let page = http(&bench.url, card).await.text();
     assert!(page.contains("skipped by an operator"), "{page}");
-    assert_eq!(
-        bench.count("SELECT sum(charged_attempts) FROM job").await,
-        0
-    );
+    assert_eq!(bench.count("SELECT sum(charged_attempts) FROM job").await, 0);
     let lost_leases = worker.heartbeat(&[&leases[1]], 5).await;
     assert_eq!(lost_leases, std::slice::from_ref(&leases[1].attempt_id));
     let last = worker.claim(4).await;
     assert_eq!(last.len(), 1, "the skipped jobs are not leased");
     assert_eq!(worker.commit(&last[0], true).await, Verdict::Accepted);
-    let request = RetryJobsRequest {
-        campaign: "some".to_owned(),
-        jobs: Vec::new(),
-        all: true,
-    };
+    let request = RetryJobsRequest { campaign: "some".to_owned(), jobs: Vec::new(), all: true };
     let retried = operator.retry_jobs(request).await.expect("retried");
     assert_eq!(retried.into_inner().jobs, 2);
     assert_eq!(worker.claim(4).await.len(), 2);

@@ -58,17 +58,11 @@ fn send(url: &str, request: &str) -> Answer {
     stream.write_all(text.as_bytes()).expect("sent");
     let mut bytes = Vec::new();
     stream.read_to_end(&mut bytes).expect("an answer");
-    let end = bytes
-        .windows(4)
-        .position(|w| w == b"\r\n\r\n")
-        .expect("a head");
+    let end = bytes.windows(4).position(|w| w == b"\r\n\r\n").expect("a head");
     let head = String::from_utf8_lossy(&bytes[..end]).into_owned();
     let code = head.split(' ').nth(1).and_then(|code| code.parse().ok());
-    let mut answer = Answer {
-        code: code.expect("a status"),
-        head,
-        body: bytes[end + 4..].to_vec(),
-    };
+    let mut answer =
+        Answer { code: code.expect("a status"), head, body: bytes[end + 4..].to_vec() };
     if answer.header("transfer-encoding") == Some("chunked") {
         answer.body = join_chunks(&answer.body);
     }
@@ -110,10 +104,7 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
     let bench = half_finished().await;
     let configuration = "/campaigns/begun/configurations/object/t0/combination/L1/c00";
     for (address, words) in [
-        (
-            "/",
-            &["Campaigns", "begun", "50 %", "2 of 4 rollouts", "expert"][..],
-        ),
+        ("/", &["Campaigns", "begun", "50 %", "2 of 4 rollouts", "expert"][..]),
         (
             "/campaigns/begun",
             &[
@@ -140,32 +131,16 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
                 "llvmpipe",
             ],
         ),
-        (
-            "/campaigns/begun/rollouts?state=committed",
-            &["object/t0/", "success after 120 steps"],
-        ),
-        (
-            "/campaigns/begun/rollouts?id=object/t0/camera/L1/c00",
-            &["object/t0/camera/L1/c00"],
-        ),
-        (
-            "/workers",
-            &["bench", "0 of 2", "primitives", "MuJoCo 3.3.7"],
-        ),
-        (
-            "/policies",
-            &["expert", "available", "http://127.0.0.1:50051", "begun"],
-        ),
+        ("/campaigns/begun/rollouts?state=committed", &["object/t0/", "success after 120 steps"]),
+        ("/campaigns/begun/rollouts?id=object/t0/camera/L1/c00", &["object/t0/camera/L1/c00"]),
+        ("/workers", &["bench", "0 of 2", "primitives", "MuJoCo 3.3.7"]),
+        ("/policies", &["expert", "available", "http://127.0.0.1:50051", "begun"]),
         ("/quarantine", &["Nothing is in quarantine"]),
     ] {
         let answer = http(&bench.url, &format!("GET {address}")).await;
         assert_eq!(answer.code, 200, "{address}: {}", answer.text());
         for word in words {
-            assert!(
-                answer.text().contains(word),
-                "no `{word}` in {address}:\n{}",
-                answer.text()
-            );
+            assert!(answer.text().contains(word), "no `{word}` in {address}:\n{}", answer.text());
         }
         let policy = answer.header("content-security-policy").expect("a policy");
         assert!(policy.starts_with("default-src 'none'"), "{policy}");
@@ -224,19 +199,10 @@ async fn invalid_addresses_give_error_pages_with_a_remedy() {
         ("/campaigns/deleted", 404),
         ("/campaigns/..%2f..%2fsecret", 404),
         ("/campaigns/%3Cscript%3E", 404),
-        (
-            "/campaigns/begun/configurations/object/t0/camera/L1/c99",
-            404,
-        ),
+        ("/campaigns/begun/configurations/object/t0/camera/L1/c99", 404),
         ("/campaigns/begun/configurations/%00", 404),
-        (
-            "/campaigns/begun/configurations/object/t0/camera/L1/c00?replicate=-1",
-            400,
-        ),
-        (
-            "/campaigns/begun/configurations/object/t0/camera/L1/c00?replicate=7",
-            404,
-        ),
+        ("/campaigns/begun/configurations/object/t0/camera/L1/c00?replicate=-1", 400),
+        ("/campaigns/begun/configurations/object/t0/camera/L1/c00?replicate=7", 404),
         ("/campaigns/begun/rollouts?state=all&after=x", 400),
         ("/campaigns/begun/rollouts?state=committed'--", 400),
         ("/campaigns/begun/videos/object/t0/camera/L1/c00", 404),
@@ -249,10 +215,7 @@ async fn invalid_addresses_give_error_pages_with_a_remedy() {
         let text = answer.text();
         assert_eq!(answer.code, code, "{address}: {text}");
         assert!(text.contains("All campaigns"), "{address}: {text}");
-        assert!(
-            !text.contains("<script>") && !text.contains("hunter2"),
-            "{text}"
-        );
+        assert!(!text.contains("<script>") && !text.contains("hunter2"), "{text}");
         assert!(text.len() < 4_000, "{address} is echoed");
     }
     let posted = http(&bench.url, "POST /campaigns/begun\n\nstate=cancelled").await;
@@ -266,10 +229,7 @@ async fn text_from_workers_is_escaped_in_pages() {
     let mut worker = bench.worker("<script>alert(1)</script>").await;
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::SimulatorError).await;
-    for address in [
-        "/workers",
-        "/campaigns/tricked/configurations/object/t0/clean/i16",
-    ] {
+    for address in ["/workers", "/campaigns/tricked/configurations/object/t0/clean/i16"] {
         let page = http(&bench.url, &format!("GET {address}")).await.text();
         assert!(page.contains("&lt;script&gt;alert"), "{page}");
         assert!(!page.contains("<script>alert"), "{page}");
@@ -283,38 +243,18 @@ async fn a_video_is_sent_whole_and_in_ranges() {
     let (mut worker, lease) = bench.worker_with_lease("w").await;
     worker.commit(&lease, true).await;
     let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();
-    put(
-        &mut worker,
-        &lease,
-        "video.mp4",
-        std::slice::from_ref(&film),
-    )
-    .await
-    .expect("stored");
+    put(&mut worker, &lease, "video.mp4", std::slice::from_ref(&film)).await.expect("stored");
     let address = "/campaigns/filmed/videos/object/t0/clean/i16?replicate=0";
     let whole = http(&bench.url, &format!("GET {address}")).await;
-    assert_eq!(
-        (whole.code, whole.header("accept-ranges")),
-        (200, Some("bytes"))
-    );
+    assert_eq!((whole.code, whole.header("accept-ranges")), (200, Some("bytes")));
     assert_eq!(whole.header("content-type"), Some("video/mp4"));
     assert_eq!(whole.header("x-content-type-options"), Some("nosniff"));
     let policy = whole.header("content-security-policy").expect("a policy");
-    assert!(
-        policy.starts_with("sandbox; default-src 'none'"),
-        "{policy}"
-    );
+    assert!(policy.starts_with("sandbox; default-src 'none'"), "{policy}");
     assert_eq!(whole.body, film);
-    let part = http(
-        &bench.url,
-        &format!("GET {address}\nrange: bytes=100000-100009"),
-    )
-    .await;
+    let part = http(&bench.url, &format!("GET {address}\nrange: bytes=100000-100009")).await;
     assert_eq!(part.code, 206);
-    assert_eq!(
-        part.header("content-range"),
-        Some("bytes 100000-100009/200000")
-    );
+    assert_eq!(part.header("content-range"), Some("bytes 100000-100009/200000"));
     assert_eq!(part.body, film[100_000..100_010]);
     let beyond_end = http(&bench.url, &format!("GET {address}\nrange: bytes=200000-")).await;
     assert_eq!(
@@ -344,10 +284,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
 async fn metrics_are_valid_prometheus_text() {
     let bench = half_finished().await;
     let answer = http(&bench.url, "GET /metrics").await;
-    assert_eq!(
-        answer.header("content-type"),
-        Some("text/plain; version=0.0.4; charset=utf-8")
-    );
+    assert_eq!(answer.header("content-type"), Some("text/plain; version=0.0.4; charset=utf-8"));
     let text = answer.text();
     for line in [
         "rollout_jobs{campaign=\"begun\",state=\"committed\"} 2",
@@ -366,10 +303,7 @@ async fn metrics_are_valid_prometheus_text() {
     let mut family = "";
     let mut families = Vec::new();
     for line in text.lines() {
-        match line
-            .strip_prefix("# TYPE ")
-            .and_then(|line| line.split(' ').next())
-        {
+        match line.strip_prefix("# TYPE ").and_then(|line| line.split(' ').next()) {
             Some(name) => {
                 family = name;
                 families.push(name);
@@ -396,9 +330,7 @@ async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
         stream.write_all(request.as_bytes()).expect("sent");
         let mut buffer = [0; 4_096];
         loop {
-            let count = stream
-                .read(&mut buffer)
-                .expect("an event or the end of the stream");
+            let count = stream.read(&mut buffer).expect("an event or the end of the stream");
             let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
             if count == 0 || sender.send(text).is_err() {
                 return;
@@ -455,55 +387,31 @@ async fn pages_need_a_login_and_refuse_worker_tokens() {
     let url = guarded.url();
     let redirected = http(url, "GET /campaigns/a?b=c\naccept: text/html").await;
     assert_eq!(redirected.code, 303);
-    assert_eq!(
-        redirected.header("location"),
-        Some("/login?next=/campaigns/a%3Fb%3Dc")
-    );
+    assert_eq!(redirected.header("location"), Some("/login?next=/campaigns/a%3Fb%3Dc"));
     let form = http(url, "GET /login?next=/workers\naccept: text/html").await;
-    assert!(
-        form.code == 200 && form.text().contains("value=\"/workers\""),
-        "{}",
-        form.text()
-    );
+    assert!(form.code == 200 && form.text().contains("value=\"/workers\""), "{}", form.text());
 
     let log_in = |token: &str| format!("POST /login\n\nnext=%2Fworkers&token={token}");
     for refused in ["wrong-secret-0123456789", WORKER, ""] {
         let answer = http(url, &log_in(refused)).await;
         assert_eq!((answer.code, answer.header("set-cookie")), (401, None));
-        assert!(
-            answer.text().contains("no token of a viewer"),
-            "{}",
-            answer.text()
-        );
+        assert!(answer.text().contains("no token of a viewer"), "{}", answer.text());
     }
     let answer = http(url, &log_in(VIEWER)).await;
-    assert_eq!(
-        (answer.code, answer.header("location")),
-        (303, Some("/workers"))
-    );
+    assert_eq!((answer.code, answer.header("location")), (303, Some("/workers")));
     let cookie = answer.header("set-cookie").expect("a cookie");
     assert!(cookie.contains("HttpOnly; SameSite=Strict"), "{cookie}");
     assert!(cookie.contains("Max-Age=43200"), "{cookie}");
     let cookie = cookie.split(';').next().expect("a pair");
     let hex: String = VIEWER.bytes().map(|byte| format!("{byte:02x}")).collect();
-    assert!(
-        !cookie.contains(VIEWER) && !cookie.contains(&hex),
-        "{cookie}"
-    );
+    assert!(!cookie.contains(VIEWER) && !cookie.contains(&hex), "{cookie}");
     let page = http(url, &format!("GET /workers\ncookie: {cookie}")).await;
-    assert!(
-        page.code == 200 && page.text().contains("Log out"),
-        "{}",
-        page.text()
-    );
+    assert!(page.code == 200 && page.text().contains("Log out"), "{}", page.text());
 
     // A client that may not read pages is refused. A token in a header replaces the login.
-    for (token, code) in [
-        (None, 401),
-        (Some(WORKER), 403),
-        (Some(VIEWER), 200),
-        (Some(OPERATOR), 200),
-    ] {
+    for (token, code) in
+        [(None, 401), (Some(WORKER), 403), (Some(VIEWER), 200), (Some(OPERATOR), 200)]
+    {
         let bearer = token.map(|token| format!("\nauthorization: Bearer {token}"));
         let answer = http(url, &format!("GET /metrics{}", bearer.unwrap_or_default())).await;
         assert_eq!(answer.code, code, "{token:?}");
@@ -514,11 +422,7 @@ async fn pages_need_a_login_and_refuse_worker_tokens() {
     let answer = http(url, &call).await;
     assert_ne!(answer.header("grpc-status"), Some("0"));
     let logout = http(url, &format!("POST /logout\ncookie: {cookie}\n\n")).await;
-    assert!(
-        logout
-            .header("set-cookie")
-            .is_some_and(|set| set.contains("Max-Age=0"))
-    );
+    assert!(logout.header("set-cookie").is_some_and(|set| set.contains("Max-Age=0")));
     // The session has ended, even for a client that kept its id.
     let page = http(url, &format!("GET /workers\ncookie: {cookie}")).await;
     assert_eq!(page.code, 401, "{}", page.text());
@@ -534,11 +438,7 @@ async fn pages_of_other_sites_can_neither_read_nor_call() {
     assert_eq!(rebound.code, 403);
     assert!(!rebound.text().contains("begun"), "{}", rebound.text());
     let delete = "POST /rollout.coordinator.v1.OperatorService/DeleteCampaign";
-    let call = http(
-        &bench.url,
-        &format!("{delete}\ncontent-type: application/grpc"),
-    )
-    .await;
+    let call = http(&bench.url, &format!("{delete}\ncontent-type: application/grpc")).await;
     assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
     // A body that a page may send without a preflight request: a complete message as plain text.
     let message = "\0\0\0\0\x0e\n\x05begun\x12\x05begun";
@@ -589,9 +489,7 @@ async fn concurrent_page_requests_do_not_block_each_other() {
         // Waiting for a connection fails after 30 s.
         let answers =
             tokio::time::timeout(READ_TIMEOUT / 2, futures_util::future::join_all(requests));
-        let codes = answers
-            .await
-            .expect("requests that do not block each other");
+        let codes = answers.await.expect("requests that do not block each other");
         assert_eq!(codes, [200; TABS]);
     }
 }

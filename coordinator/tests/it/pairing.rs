@@ -48,11 +48,7 @@ async fn another_scene_than_the_siblings_is_refused_with_the_difference_named() 
 async fn another_initial_state_than_the_siblings_is_refused() {
     let other = sha("another state");
     let words = ["initial-state digest", &other];
-    check_unpaired(
-        |provenance| provenance.init_state_digest = other.clone(),
-        &words,
-    )
-    .await;
+    check_unpaired(|provenance| provenance.init_state_digest = other.clone(), &words).await;
 }
 
 #[tokio::test]
@@ -97,11 +93,7 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
     assert_eq!(worker.commit_request(other).await.0, Verdict::Accepted);
     // Replicate 1 of the first rollout.
     let mut replicate = worker.report(&leases[2], true);
-    replicate
-        .provenance
-        .as_mut()
-        .expect("provenance")
-        .scene_digest = sha("moved");
+    replicate.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
     assert_eq!(worker.commit_request(replicate).await.0, Verdict::Unpaired);
 }
 
@@ -147,11 +139,7 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
     let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "sensor", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    for word in [
-        "realisation of axis sensor",
-        "object/t0/sensor/L1/c00",
-        "worker `a`",
-    ] {
+    for word in ["realisation of axis sensor", "object/t0/sensor/L1/c00", "worker `a`"] {
         assert!(detail.contains(word), "{detail} lacks {word}");
     }
 }
@@ -185,11 +173,7 @@ async fn a_replicate_with_other_realised_values_is_refused() {
 
 #[tokio::test]
 async fn a_rollout_without_its_perturbation_is_refused() {
-    let words = [
-        "set of perturbed axes",
-        "`none` here",
-        "`sensor` in its manifest row",
-    ];
+    let words = ["set of perturbed axes", "`none` here", "`sensor` in its manifest row"];
     check_unpaired(|provenance| provenance.realised.clear(), &words).await;
 }
 
@@ -216,19 +200,12 @@ async fn conditions_without_visual_perturbation_must_have_the_nominal_first_fram
         leases_of(json!({"axes": ["camera", "actuation", "language"]})).await;
     let mut commit_frame = async |lease: &wire::Lease, frame: &str| {
         let frame = sha(frame);
-        commit_altered(&mut worker, lease, |provenance| {
-            provenance.first_frame_digest = frame
-        })
-        .await
+        commit_altered(&mut worker, lease, |provenance| provenance.first_frame_digest = frame).await
     };
     let [clean, camera, actuation, language, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
     };
-    for (lease, frame) in [
-        (clean, "nominal"),
-        (camera, "moved"),
-        (actuation, "nominal"),
-    ] {
+    for (lease, frame) in [(clean, "nominal"), (camera, "moved"), (actuation, "nominal")] {
         assert_eq!(commit_frame(lease, frame).await.0, Verdict::Accepted);
     }
     let (verdict, detail) = commit_frame(language, "moved").await;
@@ -244,11 +221,9 @@ async fn conditions_without_visual_perturbation_must_have_the_nominal_first_fram
 /// as inconsistent with each other.
 #[tokio::test]
 async fn last_bit_differences_of_processors_are_accepted_and_stored() {
-    for (by, expected) in [
-        (1e-9, Verdict::Accepted),
-        (-1e-9, Verdict::Accepted),
-        (1e-6, Verdict::Unpaired),
-    ] {
+    for (by, expected) in
+        [(1e-9, Verdict::Accepted), (-1e-9, Verdict::Accepted), (1e-6, Verdict::Unpaired)]
+    {
         let (bench, mut worker, leases) = leases_of(json!({})).await;
         for lease in &leases[..3] {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
@@ -312,57 +287,29 @@ async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     check(&|request| request.provenance = None, "provenance").await;
     check(&|request| request.result = None, "result").await;
     check(&|request| request.attempt_id.clear(), "attempt id").await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().scene_digest.clear(),
-        "scene_digest",
-    )
-    .await;
+    check(&|request| request.provenance.as_mut().unwrap().scene_digest.clear(), "scene_digest")
+        .await;
     check(
         &|request| request.provenance.as_mut().unwrap().init_state_digest = "0".repeat(63),
         "SHA-256",
     )
     .await;
     check(
-        &|request| {
-            request.provenance.as_mut().unwrap().realised[0]
-                .elements
-                .push(f64::NAN)
-        },
+        &|request| request.provenance.as_mut().unwrap().realised[0].elements.push(f64::NAN),
         "`realised` of axis `sensor`",
     )
     .await;
+    check(&|request| request.provenance.as_mut().unwrap().renderer.clear(), "`renderer`").await;
     check(
-        &|request| request.provenance.as_mut().unwrap().renderer.clear(),
-        "`renderer`",
-    )
-    .await;
-    check(
-        &|request| {
-            request
-                .provenance
-                .as_mut()
-                .unwrap()
-                .fingerprint
-                .truncate(16)
-        },
+        &|request| request.provenance.as_mut().unwrap().fingerprint.truncate(16),
         "`fingerprint`",
     )
     .await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().host = "x".repeat(1 << 20),
-        "`host`",
-    )
-    .await;
-    check(
-        &|request| request.result.as_mut().unwrap().wall_secs = f64::NAN,
-        "not finite",
-    )
-    .await;
-    check(
-        &|request| request.result.as_mut().unwrap().ik_residual_mm = Some(-1.0),
-        "negative",
-    )
-    .await;
+    check(&|request| request.provenance.as_mut().unwrap().host = "x".repeat(1 << 20), "`host`")
+        .await;
+    check(&|request| request.result.as_mut().unwrap().wall_secs = f64::NAN, "not finite").await;
+    check(&|request| request.result.as_mut().unwrap().ik_residual_mm = Some(-1.0), "negative")
+        .await;
     assert_eq!(bench.status("paired").await.leased, 1, "the lease is kept");
 }
 
@@ -372,18 +319,8 @@ async fn a_result_with_missing_or_invalid_provenance_is_refused() {
 async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
     for (steps, clipped, verdict, words) in [
         (280, 280, Verdict::Accepted, ""),
-        (
-            281,
-            0,
-            Verdict::Unpaired,
-            "281 control steps, and its manifest row allows 280",
-        ),
-        (
-            280,
-            281,
-            Verdict::Unpaired,
-            "281 clipped actions in 280 control steps",
-        ),
+        (281, 0, Verdict::Unpaired, "281 control steps, and its manifest row allows 280"),
+        (280, 281, Verdict::Unpaired, "281 clipped actions in 280 control steps"),
     ] {
         let (bench, mut worker, lease) = commit_siblings().await;
         let mut report = worker.report(&lease, false);

@@ -47,15 +47,12 @@ async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
     let coordinator = Coordinator::open(config).await.expect("a coordinator");
     let mut served = JoinSet::new();
     served.spawn(coordinator.serve(listener, std::future::pending()));
-    let mut worker = WorkerServiceClient::connect(format!("http://{address}"))
-        .await
-        .expect("a connection");
+    let mut worker =
+        WorkerServiceClient::connect(format!("http://{address}")).await.expect("a connection");
     let registered = worker.register(registration("a", "primitives")).await;
     registered.expect("registers");
-    let mut claim = wire::ClaimRequest {
-        worker_id: "a".to_owned(),
-        ..wire::ClaimRequest::default()
-    };
+    let mut claim =
+        wire::ClaimRequest { worker_id: "a".to_owned(), ..wire::ClaimRequest::default() };
     for number in 1.. {
         claim.claim_id = format!("{number:032x}");
         let claimed = worker.claim(claim.clone()).await.expect("an answer");
@@ -66,16 +63,11 @@ async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
     }
 
     clock.broken.store(true, Ordering::SeqCst);
-    let heartbeat = wire::HeartbeatRequest {
-        worker_id: "a".to_owned(),
-        ..wire::HeartbeatRequest::default()
-    };
+    let heartbeat =
+        wire::HeartbeatRequest { worker_id: "a".to_owned(), ..wire::HeartbeatRequest::default() };
     worker.heartbeat(heartbeat).await.expect_err("no writer");
     let ended = tokio::time::timeout(Duration::from_secs(20), served.join_next());
-    let ended = ended
-        .await
-        .expect("an end of the coordinator")
-        .expect("a task");
+    let ended = ended.await.expect("an end of the coordinator").expect("a task");
     let error = ended.expect("no panic").expect_err("an error");
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
 }
@@ -129,9 +121,7 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
 /// Returns the names that a source file gives to its background tasks.
 fn tasks_of(source: &str) -> Vec<&str> {
     let calls = source.split("spawn(").skip(1);
-    calls
-        .filter_map(|call| Some(call.trim_start().strip_prefix('"')?.split_once('"')?.0))
-        .collect()
+    calls.filter_map(|call| Some(call.trim_start().strip_prefix('"')?.split_once('"')?.0)).collect()
 }
 
 #[test]
@@ -163,9 +153,6 @@ fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
         let output = child.wait_with_output().expect("finished");
         let error = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success(), "{name}: {error}");
-        assert!(
-            error.contains(&format!("{name} panicked")),
-            "{name}: {error}"
-        );
+        assert!(error.contains(&format!("{name} panicked")), "{name}: {error}");
     }
 }

@@ -14,9 +14,7 @@ const GL: &str = "llvmpipe";
 /// Registers a worker with this pack and renderer. Returns the reason in the response why the
 /// worker gets no jobs; empty if it may have jobs.
 async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
-    let mut worker = bench
-        .worker_with_renderer("candidate", pack, renderer)
-        .await;
+    let mut worker = bench.worker_with_renderer("candidate", pack, renderer).await;
     let mut request = registration("candidate", pack);
     renderer.clone_into(&mut request.renderer);
     let answer = worker.service.register(request).await;
@@ -35,9 +33,7 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
     // The other worker's result is refused without a charge to its job or worker.
-    let (verdict, detail) = second
-        .commit_request(second.report(&other_lease, true))
-        .await;
+    let (verdict, detail) = second.commit_request(second.report(&other_lease, true)).await;
     assert_eq!(verdict, Verdict::Unpaired);
     let response = second.claim_response("").await;
     assert!(response.lease.is_none());
@@ -56,9 +52,7 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
     let mut first = bench.worker_with_renderer("a", "primitives", "one").await;
-    let mut second = bench
-        .worker_with_renderer("b", "primitives", "another")
-        .await;
+    let mut second = bench.worker_with_renderer("b", "primitives", "another").await;
     let lease = first.claim_one().await;
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     for warm in ["", "libero_object/0"] {
@@ -94,14 +88,8 @@ async fn a_result_that_is_refused_pins_nothing() {
 async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
     for (difference, replace) in [
         ("execute is `1` now and was `8`", replace_execute as Replace),
-        (
-            "image slots is `not given` now and was `image=agentview`",
-            remove_image_slots,
-        ),
-        (
-            "digest of the weights is `other` now and was ``",
-            replace_weights,
-        ),
+        ("image slots is `not given` now and was `image=agentview`", remove_image_slots),
+        ("digest of the weights is `other` now and was ``", replace_weights),
     ] {
         let bench = Bench::start().await;
         bench.create(&small_spec("pinned")).await.expect("created");
@@ -154,18 +142,11 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         let lease = worker.claim_one().await;
         assert_eq!(lease.execution, campaign_model.unwrap_or("wait"));
         let mut report = worker.report(&lease, true);
-        let settings = &mut report
-            .provenance
-            .as_mut()
-            .expect("provenance")
-            .policy_settings;
+        let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
         settings.retain(|name, _| name != "execution model");
         settings.extend(result_model.map(|model| ("execution model".to_owned(), model.to_owned())));
         let (verdict, detail) = worker.commit_request(report).await;
-        assert_eq!(
-            verdict, expected,
-            "{campaign_model:?} {result_model:?}: {detail}"
-        );
+        assert_eq!(verdict, expected, "{campaign_model:?} {result_model:?}: {detail}");
         if expected == Verdict::Unpaired {
             assert!(detail.contains("update the worker's program"), "{detail}");
         }
@@ -188,19 +169,12 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     let mut worker = bench.worker_on("a", "primitives").await;
     let lease = worker.claim_one().await;
     let mut report = worker.report(&lease, true);
-    let settings = &mut report
-        .provenance
-        .as_mut()
-        .expect("provenance")
-        .policy_settings;
+    let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
     settings.clear();
     let worker_settings = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
     let policy_settings = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
     settings.extend(
-        worker_settings
-            .into_iter()
-            .chain(policy_settings)
-            .map(|name| (name, "1".to_owned())),
+        worker_settings.into_iter().chain(policy_settings).map(|name| (name, "1".to_owned())),
     );
     settings.insert("execution model".to_owned(), execution.to_owned());
     let (verdict, detail) = worker.commit_request(report).await;
@@ -231,11 +205,7 @@ async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
     bench.create(&spec).await.expect("created");
     for (pack, renderer) in [("primitives", SOFTWARE), ("libero", GL)] {
         let reason = refusal_reason(&bench, pack, renderer).await;
-        for word in [
-            "`choosy` wants assets `libero` and renderer `software`",
-            pack,
-            renderer,
-        ] {
+        for word in ["`choosy` wants assets `libero` and renderer `software`", pack, renderer] {
             assert!(reason.contains(word), "{reason}");
         }
         // The campaign's status shows the same reason.

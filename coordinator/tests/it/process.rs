@@ -256,11 +256,7 @@ async fn a_stopping_coordinator_answers_waiting_claims_and_leaves_one_database_f
     assert_eq!(refused.code(), tonic::Code::Unavailable);
     let status = serve.child.wait().expect("an exit status");
     assert!(status.success(), "{status}");
-    assert!(
-        signalled.elapsed() < Duration::from_secs(8),
-        "{:?}",
-        signalled.elapsed()
-    );
+    assert!(signalled.elapsed() < Duration::from_secs(8), "{:?}", signalled.elapsed());
     assert!(!folder.path().join("coordinator.sqlite-wal").exists());
     open_database(folder.path()).await.close().await;
 }
@@ -281,16 +277,8 @@ async fn invalid_commands_exit_with_2_and_write_nothing() {
             assert!(stderr.contains(word), "{flag} {value}: {stderr}");
         }
     };
-    check(
-        "--tasks",
-        "libero_objects",
-        &["libero_objects", "libero_spatial, libero_object"],
-    );
-    check(
-        "--tasks",
-        "libero_object/10",
-        &["libero_object/10", "libero_object/9"],
-    );
+    check("--tasks", "libero_objects", &["libero_objects", "libero_spatial, libero_object"]);
+    check("--tasks", "libero_object/10", &["libero_object/10", "libero_object/9"]);
     check("--tasks", "libero_object/8-11", &["libero_object/10"]);
     check("--axes", "camrea", &["camrea", "camera, lighting, robot"]);
     check("--levels", "L9", &["L9", "L1, L2, L3"]);
@@ -306,9 +294,7 @@ async fn invalid_commands_exit_with_2_and_write_nothing() {
     check("--execution", "overlap:201", &["from 0 to 200"]);
     check("--nominal", "some", &["some", "eval"]);
 
-    let mut client = OperatorServiceClient::connect(serve.url.clone())
-        .await
-        .expect("connects");
+    let mut client = OperatorServiceClient::connect(serve.url.clone()).await.expect("connects");
     let list = client.list_campaigns(wire::ListCampaignsRequest {}).await;
     assert!(list.expect("a list").into_inner().campaigns.is_empty());
 }
@@ -324,18 +310,10 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
     let output = serve.command(&["campaign", "create", "--spec", path]);
     assert!(text(&output.stdout).contains("exists already"));
     let list = serve.command(&["campaign", "list"]);
-    assert!(
-        text(&list.stdout).starts_with("filed ░"),
-        "{}",
-        text(&list.stdout)
-    );
+    assert!(text(&list.stdout).starts_with("filed ░"), "{}", text(&list.stdout));
 
     let output = serve.command(&["campaign", "create", "--spec", path, "--levels", "L3"]);
-    assert_eq!(
-        output.status.code(),
-        Some(2),
-        "a flag that would be ignored"
-    );
+    assert_eq!(output.status.code(), Some(2), "a flag that would be ignored");
 
     std::fs::write(path, "{\"name\": \"x\", \"colour\": 1}").expect("written");
     let error = &fail(serve.command(&["campaign", "create", "--spec", path]), 2);
@@ -347,18 +325,12 @@ fn an_unreachable_coordinator_is_named_after_retries() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}", listener.local_addr().expect("an address"));
     drop(listener);
-    let stderr = &fail(
-        coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]),
-        1,
-    );
+    let stderr =
+        &fail(coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]), 1);
     assert!(stderr.contains("trying again for 2 s"), "{stderr}");
-    for word in [
-        "failed to reach",
-        url.as_str(),
-        "nothing listens there",
-        "coordinator serve",
-        "--connect",
-    ] {
+    for word in
+        ["failed to reach", url.as_str(), "nothing listens there", "coordinator serve", "--connect"]
+    {
         assert!(stderr.contains(word), "{stderr}");
     }
 }
@@ -369,20 +341,14 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
     let address = listener.local_addr().expect("an address").to_string();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().to_str().expect("UTF-8");
-    let error = &fail(
-        coordinator(&["serve", "--listen", &address, "--data", data]),
-        1,
-    );
+    let error = &fail(coordinator(&["serve", "--listen", &address, "--data", data]), 1);
     assert!(error.contains("--listen"), "{error}");
 
     let file = folder.path().join("file");
     std::fs::write(&file, "in the way").expect("written");
     let below = file.join("data");
     let below = below.to_str().expect("UTF-8");
-    let error = &fail(
-        coordinator(&["serve", "--listen", "127.0.0.1:0", "--data", below]),
-        1,
-    );
+    let error = &fail(coordinator(&["serve", "--listen", "127.0.0.1:0", "--data", below]), 1);
     assert!(error.contains("write to it"), "{error}");
 }
 
@@ -396,12 +362,7 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     let spec = folder.path().join("spec.json");
     std::fs::write(&spec, small_spec("hostile").to_string()).expect("written");
     let path = spec.to_str().expect("UTF-8");
-    assert!(
-        serve
-            .command(&["campaign", "create", "--spec", path])
-            .status
-            .success()
-    );
+    assert!(serve.command(&["campaign", "create", "--spec", path]).status.success());
     let mut worker = serve.worker("w").await;
     let lease = worker.claim_one().await;
     let request = wire::ReleaseRequest {
@@ -417,19 +378,11 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     };
     // Control sequences are not stored.
     let pool = open_database(folder.path()).await;
-    let stored: String = sqlx::query_scalar("SELECT error FROM failure")
-        .fetch_one(&pool)
-        .await
-        .expect("a failure");
-    assert!(
-        stored.contains("all is well") && !has_control_sequence(&stored),
-        "{stored:?}"
-    );
+    let stored: String =
+        sqlx::query_scalar("SELECT error FROM failure").fetch_one(&pool).await.expect("a failure");
+    assert!(stored.contains("all is well") && !has_control_sequence(&stored), "{stored:?}");
     // Control sequences that another program stored are not printed.
-    for update in [
-        "UPDATE failure SET error = ?",
-        "UPDATE policy SET pause_reason = ?",
-    ] {
+    for update in ["UPDATE failure SET error = ?", "UPDATE policy SET pause_reason = ?"] {
         let update = sqlx::query(update).bind(HOSTILE).execute(&pool).await;
         update.expect("altered");
     }

@@ -14,10 +14,7 @@ const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_
 
 fn spec() -> Value {
     let tasks = json!(["libero_object/0", "libero_object/1"]);
-    with(
-        small_spec("reported"),
-        json!({"tasks": tasks, "configs": [0, 1]}),
-    )
+    with(small_spec("reported"), json!({"tasks": tasks, "configs": [0, 1]}))
 }
 
 /// Returns the outcome of a deterministic policy, which fails only under the combination in task 0.
@@ -43,9 +40,7 @@ struct Report {
 
 /// Returns the report that `coordinator report` computes from the coordinator's answer.
 async fn report(bench: &Bench) -> Report {
-    let request = wire::ReportRequest {
-        campaign: "reported".to_owned(),
-    };
+    let request = wire::ReportRequest { campaign: "reported".to_owned() };
     let parts = bench.operator().await.report(request).await;
     let mut parts = parts.expect("a report").into_inner();
     let mut json = Vec::new();
@@ -83,10 +78,7 @@ async fn a_report_is_the_same_with_and_without_faults() {
     // again.
     let mut late = disturbed.worker("x").await;
     let success = outcome(&lost_leases[0]);
-    assert_eq!(
-        late.commit(&lost_leases[0], success).await,
-        Verdict::Duplicate
-    );
+    assert_eq!(late.commit(&lost_leases[0], success).await, Verdict::Duplicate);
 
     let (undisturbed, disturbed) = (report(&undisturbed).await, report(&disturbed).await);
     assert_eq!(undisturbed.table, disturbed.table);
@@ -105,21 +97,14 @@ async fn a_finished_campaign_has_its_paired_measures() {
     assert_eq!(json["realisation"], "matched");
     let paired = &report.json["paired"]["expert"]["L1"];
     assert_eq!(paired, &json["cells"][0]["paired"]);
-    assert_eq!(
-        (&paired["n"], &paired["b"], &paired["c"]),
-        (&json!(4), &json!(2), &json!(0))
-    );
+    assert_eq!((&paired["n"], &paired["b"], &paired["c"]), (&json!(4), &json!(2), &json!(0)));
     assert_eq!(paired["i"], json!(-0.5));
     assert_eq!(json["nominal"][0]["count"], json!({"successes": 4, "n": 4}));
     let head = "campaign reported\npolicy expert at http://127.0.0.1:50051\n";
     assert!(report.table.starts_with(head), "{}", report.table);
     let widest = report.table.lines().map(|line| line.chars().count()).max();
     assert!(widest <= Some(80), "{}", report.table);
-    assert!(
-        report.table.contains("say nothing about LIBERO"),
-        "{}",
-        report.table
-    );
+    assert!(report.table.contains("say nothing about LIBERO"), "{}", report.table);
     assert!(!report.table.contains("no result yet"), "{}", report.table);
 }
 
@@ -128,19 +113,13 @@ async fn the_report_of_an_unfinished_campaign_names_missing_rollouts() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let empty = report(&bench).await.table;
-    assert!(
-        empty.contains("16 of 16 rollouts have no result yet"),
-        "{empty}"
-    );
+    assert!(empty.contains("16 of 16 rollouts have no result yet"), "{empty}");
     let mut worker = bench.worker("a").await;
     for lease in worker.claim(4).await {
         worker.commit(&lease, outcome(&lease)).await;
     }
     let table = report(&bench).await.table;
-    assert!(
-        table.contains("12 of 16 rollouts have no result yet"),
-        "{table}"
-    );
+    assert!(table.contains("12 of 16 rollouts have no result yet"), "{table}");
     assert!(table.contains("incomplete L1"), "{table}");
 }
 
@@ -172,9 +151,7 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     run_all(&bench, &mut alone).await;
     let report = report(&bench).await;
     assert!(
-        report
-            .table
-            .contains("object/t1/sensor/L1/c01: simulated failure"),
+        report.table.contains("object/t1/sensor/L1/c01: simulated failure"),
         "{}",
         report.table
     );
@@ -184,10 +161,7 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     assert_eq!(json["cells"][0]["paired"]["n"], 3);
     let bounds = &json["cells"][0]["bounds"];
     assert_eq!((&bounds["n"], &bounds["affected"]), (&json!(4), &json!(1)));
-    assert_eq!(
-        json["cells"][0]["alone"]["sensor"]["count"],
-        json!({"successes": 3, "n": 3})
-    );
+    assert_eq!(json["cells"][0]["alone"]["sensor"]["count"], json!({"successes": 3, "n": 3}));
 }
 
 #[tokio::test]
@@ -296,18 +270,12 @@ fn the_default_report_is_short_sentences() {
     ] {
         assert!(flat.contains(part), "{part}: {brief}");
     }
-    assert!(
-        !brief.contains("R_e") && !brief.contains("S_conj"),
-        "{brief}"
-    );
+    assert!(!brief.contains("R_e") && !brief.contains("S_conj"), "{brief}");
     assert!(brief.lines().count() <= 24, "one screen: {brief}");
     fits_a_terminal(brief);
     let full = coordinator(&["report", "--from", EXAMPLE, "--full"]);
     let full = text(&full.stdout);
-    assert!(
-        full.contains("R_e = b/n") && full.contains("S_conj"),
-        "{full}"
-    );
+    assert!(full.contains("R_e = b/n") && full.contains("S_conj"), "{full}");
 }
 
 /// Regression: 500 rollouts of one suite could never decide a gate that needs 2,000.
@@ -318,46 +286,28 @@ fn a_rate_published_for_one_suite_has_its_own_gate() {
         let success = state != 0;
         format!("{{\"rollout_id\": \"goal/t{task}/clean/i{state:02}\", \"success\": {success}}}\n")
     };
-    let rows: String = (0..10)
-        .flat_map(|task| (0..50).map(move |state| row(task, state)))
-        .collect();
+    let rows: String =
+        (0..10).flat_map(|task| (0..50).map(move |state| row(task, state))).collect();
     std::fs::write(folder.path().join("rollouts.jsonl"), rows).expect("written");
     let from = folder.path().to_string_lossy().into_owned();
-    let name = folder
-        .path()
-        .file_name()
-        .expect("a name")
-        .to_string_lossy()
-        .into_owned();
+    let name = folder.path().file_name().expect("a name").to_string_lossy().into_owned();
     let verdict = |published: &str| {
         let published = published.replace("POLICY", &name);
         let output = coordinator(&["report", "--from", &from, "--published", &published]);
         assert!(output.status.success(), "{}", text(&output.stderr));
-        text(&output.stdout)
-            .split_whitespace()
-            .collect::<Vec<_>>()
-            .join(" ")
+        text(&output.stdout).split_whitespace().collect::<Vec<_>>().join(" ")
     };
     let verdict_text = verdict("libero_goal:POLICY=97");
     assert!(
         verdict_text.contains("gate of libero_goal: +1.00 points from the published 97.0 %"),
         "{verdict_text}"
     );
-    assert!(
-        verdict_text.contains("tolerance 5: passed"),
-        "{verdict_text}"
-    );
+    assert!(verdict_text.contains("tolerance 5: passed"), "{verdict_text}");
     let verdict_text = verdict("libero_goal:POLICY=80");
     assert!(verdict_text.contains("FAILED"), "{verdict_text}");
     let verdict_text = verdict("POLICY=97");
-    assert!(
-        verdict_text.contains("undecided: 500 of 2000 nominal rollouts"),
-        "{verdict_text}"
-    );
-    assert!(
-        verdict_text.contains("SUITE:POLICY=PERCENT"),
-        "{verdict_text}"
-    );
+    assert!(verdict_text.contains("undecided: 500 of 2000 nominal rollouts"), "{verdict_text}");
+    assert!(verdict_text.contains("SUITE:POLICY=PERCENT"), "{verdict_text}");
 }
 
 #[test]
@@ -374,15 +324,8 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         }
     };
     check(&["report"], &["CAMPAIGNS"]);
-    check(
-        &["report", "--from", &rows_folder],
-        &["1 line is bad", "line 2: "],
-    );
-    let table = folder
-        .path()
-        .join("table.xlsx")
-        .to_string_lossy()
-        .into_owned();
+    check(&["report", "--from", &rows_folder], &["1 line is bad", "line 2: "]);
+    let table = folder.path().join("table.xlsx").to_string_lossy().into_owned();
     check(
         &["report", "--from", EXAMPLE, "--table", &table],
         &["table.xlsx", "ends with .csv or .parquet"],
@@ -392,13 +335,7 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         &["--published oft", "valid are OpenVLA-OFT"],
     );
     check(
-        &[
-            "report",
-            "--from",
-            EXAMPLE,
-            "--published",
-            "OpenVLA-OFT=971",
-        ],
+        &["report", "--from", EXAMPLE, "--published", "OpenVLA-OFT=971"],
         &["`971` is no percentage"],
     );
     let files = std::fs::read_dir(folder.path()).expect("a folder");

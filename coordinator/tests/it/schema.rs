@@ -4,51 +4,21 @@ use crate::harness::{Bench, small_spec};
 
 /// Invalid statements, each with the constraint that refuses it.
 const INVALID_STATEMENTS: &[(&str, &str)] = &[
-    (
-        "UPDATE job SET state = 'lost' WHERE state = 'queued'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET state = 'queued' WHERE state = 'leased'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET lease_owner = 'a' WHERE state = 'queued'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET lease_owner = NULL WHERE state = 'leased'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET lease_expires_ms = NULL WHERE state = 'leased'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET attempt_id = NULL WHERE state = 'leased'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET attempt_id = 'short' WHERE state = 'leased'",
-        "CHECK",
-    ),
-    (
-        "UPDATE job SET claim_id = 'a' WHERE state = 'queued'",
-        "CHECK",
-    ),
+    ("UPDATE job SET state = 'lost' WHERE state = 'queued'", "CHECK"),
+    ("UPDATE job SET state = 'queued' WHERE state = 'leased'", "CHECK"),
+    ("UPDATE job SET lease_owner = 'a' WHERE state = 'queued'", "CHECK"),
+    ("UPDATE job SET lease_owner = NULL WHERE state = 'leased'", "CHECK"),
+    ("UPDATE job SET lease_expires_ms = NULL WHERE state = 'leased'", "CHECK"),
+    ("UPDATE job SET attempt_id = NULL WHERE state = 'leased'", "CHECK"),
+    ("UPDATE job SET attempt_id = 'short' WHERE state = 'leased'", "CHECK"),
+    ("UPDATE job SET claim_id = 'a' WHERE state = 'queued'", "CHECK"),
     (
         "INSERT INTO artifact VALUES (hex(zeroblob(16)), 'video', 'of no outcome', 1, 1)",
         "FOREIGN KEY",
     ),
-    (
-        "UPDATE job SET not_before_ms = NULL WHERE state = 'queued'",
-        "CHECK",
-    ),
+    ("UPDATE job SET not_before_ms = NULL WHERE state = 'queued'", "CHECK"),
     ("UPDATE job SET charged_attempts = attempt + 1", "CHECK"),
-    (
-        "UPDATE job SET attempt = attempt - 1 WHERE attempt > 0",
-        "only_rises",
-    ),
+    ("UPDATE job SET attempt = attempt - 1 WHERE attempt > 0", "only_rises"),
     (
         "UPDATE job SET state = 'queued', not_before_ms = 0 WHERE state = 'committed'",
         "job_committed_is_final",
@@ -59,10 +29,7 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
              lease_expires_ms = NULL, control_steps = NULL WHERE state = 'leased'",
         "job_committed_has_a_result",
     ),
-    (
-        "UPDATE job SET state = 'quarantined', not_before_ms = NULL WHERE state = 'queued'",
-        "CHECK",
-    ),
+    ("UPDATE job SET state = 'quarantined', not_before_ms = NULL WHERE state = 'queued'", "CHECK"),
     (
         "INSERT INTO job (campaign_id, rollout_id, replicate, task, init_id, unit_order,
              manifest_row, policy_seed)
@@ -85,10 +52,7 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
     ("UPDATE worker SET cores = 0", "CHECK"),
     ("UPDATE worker SET machine = ''", "CHECK"),
     ("UPDATE job SET losses = -1", "CHECK"),
-    (
-        "UPDATE job SET state = 'quarantined', not_before_ms = NULL WHERE attempt = 0",
-        "CHECK",
-    ),
+    ("UPDATE job SET state = 'quarantined', not_before_ms = NULL WHERE attempt = 0", "CHECK"),
     (
         "INSERT INTO failure VALUES (hex(zeroblob(16)), 1, 1, 'a', 0, 'draining', 1, 'charged',
              NULL, NULL)",
@@ -113,10 +77,7 @@ async fn rows_that_no_state_describes_cannot_be_stored() {
     worker.claim_one().await;
     let pool = bench.database().await;
     for (statement, refusal) in INVALID_STATEMENTS.iter().copied() {
-        let error = sqlx::query(statement)
-            .execute(&pool)
-            .await
-            .expect_err(statement);
+        let error = sqlx::query(statement).execute(&pool).await.expect_err(statement);
         assert!(error.to_string().contains(refusal), "{statement}: {error}");
     }
     pool.close().await;

@@ -11,18 +11,13 @@ use crate::harness::{Bench, rollout_id, small_spec, with};
 
 const REPLICATES: u32 = 3;
 /// Python's `zlib.crc32` of the id, and of the id with `#r1` and `#r2`.
-const CAMERA: (&str, [u64; 3]) = (
-    "object/t0/camera/L1/c00",
-    [2_407_598_533, 1_434_740_286, 3_431_806_852],
-);
+const CAMERA: (&str, [u64; 3]) =
+    ("object/t0/camera/L1/c00", [2_407_598_533, 1_434_740_286, 3_431_806_852]);
 /// `zlib.crc32` of the id of another condition of the same configuration.
 const COMBINATION: (&str, u64) = ("object/t0/combination/L1/c00", 2_351_656_207);
 
 fn spec(name: &str, realisation: &str) -> Value {
-    with(
-        small_spec(name),
-        json!({"replicates": REPLICATES, "realisation": realisation}),
-    )
+    with(small_spec(name), json!({"replicates": REPLICATES, "realisation": realisation}))
 }
 
 /// Creates a campaign of four rollouts in three replicates, commits all of its leases and returns
@@ -40,9 +35,7 @@ async fn run(bench: &Bench, spec: &Value) -> Vec<wire::Lease> {
 
 fn seeds(leases: &[wire::Lease]) -> BTreeMap<(String, u32), u64> {
     let seeds = leases.iter();
-    seeds
-        .map(|lease| ((rollout_id(lease), lease.replicate), lease.policy_seed))
-        .collect()
+    seeds.map(|lease| ((rollout_id(lease), lease.replicate), lease.policy_seed)).collect()
 }
 
 #[tokio::test]
@@ -71,9 +64,7 @@ async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
     let leases = run(&bench, &spec("thrice", "matched")).await;
     let first_replicates = leases.iter().filter(|lease| lease.replicate == 0);
     for first in first_replicates {
-        let replicates = leases
-            .iter()
-            .filter(|lease| rollout_id(lease) == rollout_id(first));
+        let replicates = leases.iter().filter(|lease| rollout_id(lease) == rollout_id(first));
         for lease in replicates {
             let expected = wire::Lease {
                 attempt_id: lease.attempt_id.clone(),

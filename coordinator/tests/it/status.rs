@@ -24,9 +24,7 @@ async fn a_worker_that_signs_off_is_no_longer_live() {
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
-    let sign_off = wire::SignOffRequest {
-        worker_id: "a".to_owned(),
-    };
+    let sign_off = wire::SignOffRequest { worker_id: "a".to_owned() };
     let signed_off_response = worker.service.sign_off(sign_off.clone()).await;
     signed_off_response.expect("an answer");
     let status = bench.status("watched").await;
@@ -41,9 +39,7 @@ async fn a_worker_that_signs_off_is_no_longer_live() {
     let again = worker.service.register(registration("a", "primitives"));
     again.await.expect("registers");
     assert_eq!(bench.status("watched").await.live_workers, 1);
-    let stranger = wire::SignOffRequest {
-        worker_id: "b".to_owned(),
-    };
+    let stranger = wire::SignOffRequest { worker_id: "b".to_owned() };
     let refused = worker.service.sign_off(stranger).await;
     assert_eq!(refused.expect_err("a stranger").code(), Code::NotFound);
 }
@@ -72,10 +68,7 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     let leases = worker.claim(2).await;
     bench.change("paced", Change::Pause).await.expect("changed");
     bench.advance(20).await;
-    bench
-        .change("paced", Change::Resume)
-        .await
-        .expect("changed");
+    bench.change("paced", Change::Resume).await.expect("changed");
     bench.clock.advance(std::time::Duration::from_millis(10));
     for lease in &leases {
         commit_after(&mut worker, lease, 20.0).await;
@@ -113,10 +106,7 @@ async fn the_policy_of_a_deleted_campaign_is_no_longer_listed() {
     bench.create(&deleted).await.expect("created");
     let listed = async || {
         let policies = bench.queue.view().await.expect("a view").policies().await;
-        let names = policies
-            .expect("policies")
-            .into_iter()
-            .map(|policy| policy.name);
+        let names = policies.expect("policies").into_iter().map(|policy| policy.name);
         names.collect::<Vec<_>>()
     };
     assert_eq!(listed().await, ["expert", "gone"]);
@@ -133,10 +123,7 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
     let printed = &succeed(coordinator(&nowhere));
     assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
-    assert!(
-        printed.contains("no forecast of its duration: failed to reach"),
-        "{printed}"
-    );
+    assert!(printed.contains("no forecast of its duration: failed to reach"), "{printed}");
 
     // Workers must count as alive even if this machine is slow.
     let lease = ["--lease-secs", "3600"];
@@ -166,20 +153,11 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     );
     assert!(printed.contains("2 recent rollouts of expert"), "{printed}");
     // Each rollout waits for nearly all of its minute, although every slot has a core.
-    assert!(
-        printed.contains("a rollout takes 60.0 s: physics 1 %"),
-        "{printed}"
-    );
-    assert!(
-        printed.contains("mean of 2 rollouts bottleneck: slots"),
-        "{printed}"
-    );
+    assert!(printed.contains("a rollout takes 60.0 s: physics 1 %"), "{printed}");
+    assert!(printed.contains("mean of 2 rollouts bottleneck: slots"), "{printed}");
     // 30 queries per rollout, at one query per second.
     let printed = forecast_with(&["--policy-rate", "1"]);
-    assert!(
-        printed.contains("about 7m00s on the 2 workers"),
-        "{printed}"
-    );
+    assert!(printed.contains("about 7m00s on the 2 workers"), "{printed}");
     let bottleneck = "bottleneck: the policy's server, which answers no faster. More slots do not \
                  help; 2 slots would suffice";
     assert!(printed.contains(bottleneck), "{printed}");
@@ -196,23 +174,15 @@ async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
     bench.worker("old").await;
     let list = |arguments: &[&str]| {
         let connection = ["--connect", bench.url.as_str()];
-        succeed(coordinator(
-            &[&["workers"], arguments, &connection].concat(),
-        ))
+        succeed(coordinator(&[&["workers"], arguments, &connection].concat()))
     };
     bench.clock.advance(Duration::from_secs(6 * 86_400));
     bench.worker("new").await;
     let printed = list(&["--all"]);
-    assert!(
-        printed.contains("old on ") && printed.contains("new on "),
-        "{printed}"
-    );
+    assert!(printed.contains("old on ") && printed.contains("new on "), "{printed}");
     bench.clock.advance(Duration::from_secs(2 * 86_400));
     let printed = list(&["--all"]);
-    assert!(
-        !printed.contains("old on ") && printed.contains("new on "),
-        "{printed}"
-    );
+    assert!(!printed.contains("old on ") && printed.contains("new on "), "{printed}");
     assert!(
         printed.contains("1 worker without a call for a week or more: --all --json lists them too"),
         "{printed}"
@@ -220,8 +190,5 @@ async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
     let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
     assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
     let printed = list(&[]);
-    assert!(
-        printed.contains("1 departed: --all shows them"),
-        "{printed}"
-    );
+    assert!(printed.contains("1 departed: --all shows them"), "{printed}");
 }

@@ -176,11 +176,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
          ({percent} %)"
     );
     let output = serve.command(&["campaign", "status", "early"]);
-    assert!(
-        text(&output.stdout).contains(&words),
-        "{}",
-        text(&output.stdout)
-    );
+    assert!(text(&output.stdout).contains(&words), "{}", text(&output.stdout));
     let page = folder.path().join("report.html");
     let page_name = page.to_string_lossy();
     let output = serve.command(&["report", "early", "--full", "--html", &page_name]);
@@ -200,10 +196,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     }
     let page = http(&serve.url, "GET /campaigns/early").await.text();
     let words = words.replace('<', "&lt;");
-    assert!(
-        page.contains(&words),
-        "the campaign's page lacks the early stop"
-    );
+    assert!(page.contains(&words), "the campaign's page lacks the early stop");
 
     // Figures cover the same configurations as the intervals.
     let report = printed(&serve, &["report", "early", "--json"]);
@@ -214,10 +207,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     assert_eq!(sequential["has_stopped"], true);
     assert_eq!(sequential["saved"], saved);
     let [low, high] = [0, 1].map(|end| &sequential["levels"]["L2"]["S_sim"][end]);
-    let width = high
-        .as_f64()
-        .zip(low.as_f64())
-        .map(|(high, low)| high - low);
+    let width = high.as_f64().zip(low.as_f64()).map(|(high, low)| high - low);
     assert!(width.is_some_and(|width| width < 0.7), "{width:?}");
     let violations = invariants::check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
@@ -261,10 +251,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     let report = printed(&serve, &["report", "early", "--json"]);
     let emergent = |level: &str| report["paired"]["p"][level]["b"].as_u64().expect("a count");
     let compensated = |level: &str| report["paired"]["p"][level]["c"].as_u64().expect("a count");
-    let changed: u64 = ["L1", "L2"]
-        .map(|level| emergent(level) + compensated(level))
-        .iter()
-        .sum();
+    let changed: u64 = ["L1", "L2"].map(|level| emergent(level) + compensated(level)).iter().sum();
     assert!(changed > 0);
     assert_eq!(explained["transitions"], changed);
     #[rustfmt::skip]
@@ -322,21 +309,12 @@ fn an_invalid_stop_rule_is_refused_before_creation() {
     let rule = ["--stop", "I excludes 0"];
     create(&["--stop", "soon"], "valid are width(M) < X");
     create(&["--stop", "difference excludes 0"], "valid are S_sim, R_e");
-    create(
-        &[&rule[..], &["--axes", "camera"]].concat(),
-        "two axes or more",
-    );
-    create(
-        &[&rule[..], &["--replicates", "2"]].concat(),
-        "with 2 `replicates`",
-    );
+    create(&[&rule[..], &["--axes", "camera"]].concat(), "two axes or more");
+    create(&[&rule[..], &["--replicates", "2"]].concat(), "with 2 `replicates`");
     create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
     // The reason why a design is refused is also given only once.
     create(&["--placebo-configs", "0"], "add L0 to `levels`");
-    create(
-        &["--levels", "L0,L1", "--placebo-configs", "77"],
-        "`placebo_configs` has 77",
-    );
+    create(&["--levels", "L0,L1", "--placebo-configs", "77"], "`placebo_configs` has 77");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -411,10 +389,7 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     let cells = sequential["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 4);
     for cell in cells {
-        assert_eq!(
-            (&cell["used"], &cell["configurations"]),
-            (&json!(20), &json!(40))
-        );
+        assert_eq!((&cell["used"], &cell["configurations"]), (&json!(20), &json!(40)));
         // In each of the twenty observed configurations, A succeeds and B fails. The outcomes of the
         // other twenty configurations are unknown.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
@@ -425,10 +400,7 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     // The text contains the sequential comparison even without `--sequential`.
     let comparison = serve.command(&["compare", "strong", "weak"]);
     let words = text(&comparison.stdout);
-    assert!(
-        words.contains("20 of 40") && words.contains("seed 7"),
-        "{words}"
-    );
+    assert!(words.contains("20 of 40") && words.contains("seed 7"), "{words}");
     fits_a_terminal(words);
 
     create(&serve, folder.path(), &shuffled("elsewhere", 8));
@@ -443,10 +415,7 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
         ("undrawn", "create both campaigns with `--stop`"),
         ("fewer", "the same tasks and configurations"),
     ] {
-        let error = &fail(
-            serve.command(&["compare", "weak", other, "--sequential"]),
-            2,
-        );
+        let error = &fail(serve.command(&["compare", "weak", other, "--sequential"]), 2);
         assert!(error.contains(remedy), "{error}");
         let plain = printed(&serve, &["compare", "weak", other, "--json"]);
         assert!(plain.get("sequential").is_none(), "{other}");

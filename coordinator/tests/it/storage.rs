@@ -50,8 +50,7 @@ impl Bucket {
         let (_, body) = http(self.address, "GET", "/films?list-type=2", "");
         let body = String::from_utf8(body).expect("XML");
         let keys = body.split("<Key>").skip(1);
-        keys.filter_map(|entry| Some(entry.split_once("</Key>")?.0.to_owned()))
-            .collect()
+        keys.filter_map(|entry| Some(entry.split_once("</Key>")?.0.to_owned())).collect()
     }
 }
 
@@ -118,19 +117,14 @@ fn run(serve: &Serve, arguments: &[&str]) -> String {
 fn create(serve: &Serve, folder: &TempDir) {
     let file = folder.path().join("spec.json");
     std::fs::write(&file, small_spec("filmed").to_string()).expect("written");
-    run(
-        serve,
-        &["campaign", "create", "--spec", &file.display().to_string()],
-    );
+    run(serve, &["campaign", "create", "--spec", &file.display().to_string()]);
 }
 
 /// Commits a rollout and uploads its film. Returns the rollout's id.
 async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    put(worker, &lease, "video.mp4", &[bytes.to_vec()])
-        .await
-        .expect("stored");
+    put(worker, &lease, "video.mp4", &[bytes.to_vec()]).await.expect("stored");
     rollout_id(&lease)
 }
 
@@ -143,10 +137,7 @@ fn local_films(folder: &TempDir) -> usize {
 async fn wait_until(event: &str, has_happened: impl Fn() -> bool) {
     let began = Instant::now();
     while !has_happened() {
-        assert!(
-            began.elapsed() < PATIENCE,
-            "timed out waiting until {event}"
-        );
+        assert!(began.elapsed() < PATIENCE, "timed out waiting until {event}");
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
 }
@@ -181,9 +172,7 @@ fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
 }
 
 fn some_film(seed: u8) -> Vec<u8> {
-    (0..300_000_u32)
-        .map(|index| (index / 7) as u8 ^ seed)
-        .collect()
+    (0..300_000_u32).map(|index| (index / 7) as u8 ^ seed).collect()
 }
 
 /// Stores, serves, archives, imports and deletes films at `place`; `stored` counts the films there.
@@ -200,10 +189,7 @@ async fn check_film_lifecycle(
     let first_rollout = film(&mut worker, &first).await;
     assert_served(&coordinator, &first_rollout, &first);
     let second_rollout = film(&mut worker, &second).await;
-    wait_until("both films are stored", || {
-        local_films(&folder) == 0 && stored() == 2
-    })
-    .await;
+    wait_until("both films are stored", || local_films(&folder) == 0 && stored() == 2).await;
     assert_served(&coordinator, &first_rollout, &first);
     assert_served(&coordinator, &second_rollout, &second);
 
@@ -213,10 +199,7 @@ async fn check_film_lifecycle(
     let coordinator = serve(folder.path(), place, variables);
     assert_served(&coordinator, &second_rollout, &second);
     let archive = folder.path().join("filmed.tar.gz").display().to_string();
-    run(
-        &coordinator,
-        &["campaign", "archive", "filmed", "--output", &archive],
-    );
+    run(&coordinator, &["campaign", "archive", "filmed", "--output", &archive]);
     let other_folder = tempfile::tempdir().expect("a folder");
     let other_coordinator = Serve::start(other_folder.path());
     let message = run(&other_coordinator, &["campaign", "import", &archive]);
@@ -272,10 +255,7 @@ async fn films_and_archives_are_stored_in_a_bucket() {
     let done = run(&["campaign", "import", address, "--as", "again"]);
     assert!(done.0, "{}", done.1);
     let (done, message) = run(&["campaign", "import", "s3://films/nowhere.tar.gz"]);
-    assert!(
-        !done && message.contains("there is no such object"),
-        "{message}"
-    );
+    assert!(!done && message.contains("there is no such object"), "{message}");
     let (done, message) = run(&["campaign", "import", "s3://films"]);
     assert!(!done && message.contains("s3://BUCKET/FOLDER"), "{message}");
 }

@@ -65,27 +65,19 @@ async fn planted_thresholds_are_found_again() {
     let output = serve.command(&["thresholds", "first", "--create"]);
     let message = text(&output.stderr);
     assert!(message.contains("rollouts without an outcome"), "{message}");
-    assert_eq!(
-        findings(&serve, "thresholds", &[])["complete"],
-        json!(false)
-    );
+    assert_eq!(findings(&serve, "thresholds", &[])["complete"], json!(false));
 
     let findings_json = measured(&serve, &[]).await;
     let mut printed = BTreeSet::new();
     keys(&findings_json, "", &mut printed);
     assert_eq!(printed, documented("thresholds"));
-    assert_eq!(
-        [&findings_json["looked_for"], &findings_json["found"]],
-        [30, 30]
-    );
+    assert_eq!([&findings_json["looked_for"], &findings_json["found"]], [30, 30]);
     for threshold in list(&findings_json, "thresholds") {
         let number = |key: &str| threshold[key].as_f64();
         let [condition, task] = ["condition", "task"].map(|key| threshold[key].as_str());
         let (condition, task) = (condition.expect("a name"), task.expect("a name"));
         let suite = task.replace("libero_object/", "object/t");
-        let id = format!("{suite}/{condition}/L2/c00")
-            .parse()
-            .expect("an id");
+        let id = format!("{suite}/{condition}/L2/c00").parse().expect("an id");
         let from = failure_radius(&id);
         let is_robot = condition == "robot";
         let recovers = is_robot && task == "libero_object/1";
@@ -98,10 +90,7 @@ async fn planted_thresholds_are_found_again() {
                 assert_eq!(kind, "between", "{id}");
                 let [low, high] =
                     ["succeeds_at", "fails_at"].map(|key| number(key).expect("a radius"));
-                assert!(
-                    low < from && from <= high,
-                    "{id}: {low} to {high} for {from}"
-                );
+                assert!(low < from && from <= high, "{id}: {low} to {high} for {from}");
                 assert!(high - low <= 0.5, "{id}: {low} to {high}");
             }
         }
@@ -124,14 +113,9 @@ async fn planted_thresholds_are_found_again() {
     let jobs = serve.command(&["jobs", "list", "first-thresholds", "--json"]);
     let jobs: Value = serde_json::from_slice(&jobs.stdout).expect("JSON");
     let ids = list(&jobs, "jobs").iter();
-    let ids: BTreeSet<&str> = ids
-        .map(|job| job["rollout_id"].as_str().expect("an id"))
-        .collect();
+    let ids: BTreeSet<&str> = ids.map(|job| job["rollout_id"].as_str().expect("an id")).collect();
     assert_eq!(ids.len(), list(&jobs, "jobs").len());
-    assert!(
-        ids.iter()
-            .all(|id| !id.contains("/L2/") && !id.contains("t9"))
-    );
+    assert!(ids.iter().all(|id| !id.contains("/L2/") && !id.contains("t9")));
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
     // Creating the same campaign again adds no rollout; text and figures show the same findings.
@@ -161,18 +145,11 @@ async fn planted_thresholds_are_found_again() {
     assert!(text(&report.stdout).contains(words.trim()), "{report:?}");
     let csv = std::fs::read_to_string(&path).expect("written");
     assert_eq!(csv.lines().count(), 1 + 30, "{csv}");
-    assert!(
-        csv.contains("robot,libero_object,0,0,beyond,16,,false,true"),
-        "{csv}"
-    );
+    assert!(csv.contains("robot,libero_object,0,0,beyond,16,,false,true"), "{csv}");
     let page = http(&serve.url, "GET /campaigns/first-thresholds").await;
     let page = page.text();
-    for words in [
-        "<h2>Thresholds</h2>",
-        "30 of 30 found in ",
-        "libero_object/1",
-        "class=\"curve\"",
-    ] {
+    for words in ["<h2>Thresholds</h2>", "30 of 30 found in ", "libero_object/1", "class=\"curve\""]
+    {
         assert!(page.contains(words), "{words}");
     }
     // At L1 this task fails under both axes only, but a derived campaign cannot be explained.
@@ -198,11 +175,8 @@ async fn language_is_measured_at_its_own_levels_only() {
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/4",
         "--levels", "L2", "--configs", "0", "--axes", "camera,language",
     ]));
-    let findings_json = measured(
-        &serve,
-        &["--axes", "language,simultaneous", "--tolerance", "0.1"],
-    )
-    .await;
+    let findings_json =
+        measured(&serve, &["--axes", "language,simultaneous", "--tolerance", "0.1"]).await;
     assert_eq!(findings_json["rollouts"], 4);
     let jobs = serve.command(&["jobs", "list", "first-thresholds"]);
     for level in ["L1", "L3"] {
@@ -213,10 +187,7 @@ async fn language_is_measured_at_its_own_levels_only() {
     }
     let words = serve.command(&["thresholds", "first"]);
     let words = text(&words.stdout);
-    assert!(
-        words.contains("there are wordings at L1, L2 and L3"),
-        "{words}"
-    );
+    assert!(words.contains("there are wordings at L1, L2 and L3"), "{words}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -236,10 +207,7 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     refused(&first(&["--tolerance", "0"]), "write a radius, 0.01 to 100");
     refused(&first(&["--max-radius", "far"]), "write a radius, 2 to 100");
     for wrong in ["camrea", "clean", ""] {
-        refused(
-            &first(&["--axes", wrong]),
-            "write axes such as camera,robot",
-        );
+        refused(&first(&["--axes", wrong]), "write axes such as camera,robot");
     }
     let missing_condition =
         "it does not run the condition sensor; its conditions are camera, robot, simultaneous";
@@ -250,24 +218,13 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
         "--axes", "camera", "--nominal", "none",
     ]].concat();
     succeed(serve.command(&without_nominal));
-    refused(
-        &["thresholds", "bare", "--create"],
-        "it has no nominal rollouts",
-    );
+    refused(&["thresholds", "bare", "--create"], "it has no nominal rollouts");
 
-    assert!(
-        serve
-            .command(&["thresholds", "first", "--create"])
-            .status
-            .success()
-    );
+    assert!(serve.command(&["thresholds", "first", "--create"]).status.success());
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     let deleted = serve.command(&delete);
     let error = text(&deleted.stderr);
-    assert!(
-        error.contains("`first-thresholds` is derived from it"),
-        "{error}"
-    );
+    assert!(error.contains("`first-thresholds` is derived from it"), "{error}");
     let output = serve.command(&first(&["--tolerance", "2"]));
     let error = text(&output.stderr);
     assert!(error.contains("they differ in `thresholds`"), "{error}");
@@ -283,15 +240,9 @@ async fn thresholds_stay_within_their_budget() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let findings_json = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
-    assert!(
-        findings_json["rollouts"].as_u64() <= Some(100),
-        "{findings_json}"
-    );
+    assert!(findings_json["rollouts"].as_u64() <= Some(100), "{findings_json}");
     // Four configurations, each with three conditions and at most 24 rollouts.
-    assert_eq!(
-        [&findings_json["found"], &findings_json["beyond_budget"]],
-        [12, 18]
-    );
+    assert_eq!([&findings_json["found"], &findings_json["beyond_budget"]], [12, 18]);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -23,10 +23,7 @@ async fn send_in_one_batch<T: Send + 'static>(
     requests: Vec<impl Future<Output = T> + Send + 'static>,
 ) -> Vec<T> {
     let database = bench.database().await;
-    let lock = database
-        .begin_with("BEGIN IMMEDIATE")
-        .await
-        .expect("a write lock");
+    let lock = database.begin_with("BEGIN IMMEDIATE").await.expect("a write lock");
     let mut answers = JoinSet::new();
     for (index, request) in requests.into_iter().enumerate() {
         answers.spawn(async move { (index, request.await) });
@@ -67,11 +64,7 @@ async fn batched_reports_each_get_their_own_verdict() {
         .map(|lease| (worker.report(lease, true), Verdict::Accepted))
         .collect();
     let mut unpaired = worker.report(&leases[3], true);
-    unpaired
-        .provenance
-        .as_mut()
-        .expect("provenance")
-        .scene_digest = sha("moved");
+    unpaired.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
     worker.release(&leases[9], Reason::Draining).await;
     let stale = worker.report(&leases[9], true);
     let duplicate = worker.report(&leases[0], true);

@@ -42,14 +42,10 @@ const NOW_MS: i64 = 1_700_000_000_000;
 async fn first_schema(folder: &Path) -> SqlitePool {
     let migrations = tempfile::tempdir().expect("a temporary folder");
     let released = Path::new(env!("CARGO_MANIFEST_DIR")).join("../migrations");
-    std::fs::copy(
-        released.join(FIRST_MIGRATION),
-        migrations.path().join(FIRST_MIGRATION),
-    )
-    .expect("copied");
-    let options = SqliteConnectOptions::new()
-        .filename(folder.join(DATABASE_FILE))
-        .create_if_missing(true);
+    std::fs::copy(released.join(FIRST_MIGRATION), migrations.path().join(FIRST_MIGRATION))
+        .expect("copied");
+    let options =
+        SqliteConnectOptions::new().filename(folder.join(DATABASE_FILE)).create_if_missing(true);
     let pool = SqlitePool::connect_with(options).await.expect("a database");
     let migrator = Migrator::new(migrations.path()).await.expect("a migration");
     migrator.run(&pool).await.expect("schema 1");
@@ -62,10 +58,7 @@ async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&st
     let spec = small_spec(name).to_string();
     let campaign = NewCampaign::from_json(&spec).expect("a campaign");
     let run = async |statement: String| {
-        sqlx::raw_sql(sqlx::AssertSqlSafe(statement))
-            .execute(pool)
-            .await
-            .expect("stored")
+        sqlx::raw_sql(sqlx::AssertSqlSafe(statement)).execute(pool).await.expect("stored")
     };
     run(format!(
         "INSERT OR IGNORE INTO policy (id, endpoint, name, available_ms)
@@ -128,11 +121,7 @@ async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&st
             state = sha(&format!("{task}/{}", row["init_id"])),
             perturbation = match row["axis"].as_str() {
                 Some("clean") => String::new(),
-                axis => format!(
-                    "{}:{}",
-                    axis.expect("an axis"),
-                    sha(&row["perturb"].to_string())
-                ),
+                axis => format!("{}:{}", axis.expect("an axis"), sha(&row["perturb"].to_string())),
             },
         ))
         .await;
@@ -170,30 +159,20 @@ async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
     let pin = |name: &str, renderer: Option<&str>| (name.to_owned(), renderer.map(Into::into), 2);
     assert_eq!(
         pins,
-        [
-            pin("drawn", Some("llvmpipe")),
-            pin("blind", None),
-            pin("mixed", Some("NVIDIA")),
-        ],
+        [pin("drawn", Some("llvmpipe")), pin("blind", None), pin("mixed", Some("NVIDIA")),],
         "pinned to the renderer of the first drawn result"
     );
     let renderer_count = |renderer: &str, results| (Some(renderer.to_owned()), results);
     assert_eq!(
         renderers,
-        [
-            renderer_count("", 3),
-            renderer_count("NVIDIA", 1),
-            renderer_count("llvmpipe", 2)
-        ]
+        [renderer_count("", 3), renderer_count("NVIDIA", 1), renderer_count("llvmpipe", 2)]
     );
     assert_eq!(bench.count("SELECT count(*) FROM job").await, 12);
     assert_eq!(bench.count("SELECT count(*) FROM motion").await, 6);
     assert_eq!(bench.status("drawn").await.committed, 2);
 
     // Only the campaign for which no frame was drawn accepts any renderer.
-    let mut worker = bench
-        .worker_with_renderer("new", "primitives", "software")
-        .await;
+    let mut worker = bench.worker_with_renderer("new", "primitives", "software").await;
     let leases = worker.claim(64).await;
     let campaigns: Vec<&str> = leases.iter().map(|lease| lease.campaign.as_str()).collect();
     assert_eq!(campaigns, ["blind"; 2]);
@@ -201,26 +180,14 @@ async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
     let idle = worker.claim_response("").await.idle_reason;
-    for word in [
-        "`drawn`",
-        "renderer `llvmpipe`",
-        "`mixed`",
-        "renderer `NVIDIA`",
-    ] {
+    for word in ["`drawn`", "renderer `llvmpipe`", "`mixed`", "renderer `NVIDIA`"] {
         assert!(idle.contains(word), "{idle}");
     }
-    let mut older = bench
-        .worker_with_renderer("gl", "primitives", "llvmpipe")
-        .await;
+    let mut older = bench.worker_with_renderer("gl", "primitives", "llvmpipe").await;
     let lease = older.claim_one().await;
     assert_eq!(lease.campaign, "drawn");
     assert_eq!(older.commit(&lease, true).await, Verdict::Accepted);
-    assert_eq!(
-        bench
-            .count("SELECT count(*) FROM campaign WHERE renderer = 'software'")
-            .await,
-        1
-    );
+    assert_eq!(bench.count("SELECT count(*) FROM campaign WHERE renderer = 'software'").await, 1);
 
     let folder = bench.stop().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
@@ -286,20 +253,13 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         std::fs::copy(folder.path().join(DATABASE_FILE), database).expect("copied");
         let refused = queue::Portable::open(archived.path()).await;
         let refused = refused.expect_err("several campaigns").to_string();
-        assert!(
-            refused.contains("campaigns, not one"),
-            "schema {version}: {refused}"
-        );
+        assert!(refused.contains("campaigns, not one"), "schema {version}: {refused}");
         let before = count_kept_rows(folder.path()).await;
         assert!(before.iter().all(|(_, count)| *count > 0), "{before:?}");
 
         let clock = Arc::new(ManualClock::at(UnixMillis(now)));
         let bench = Bench::start_in(folder, clock.clone()).await;
-        assert_eq!(
-            count_kept_rows(bench.folder.path()).await,
-            before,
-            "schema {version}"
-        );
+        assert_eq!(count_kept_rows(bench.folder.path()).await, before, "schema {version}");
         // In the dumps from schema 5 on, one campaign explains another.
         let derived = bench.count("SELECT count(*) FROM derivation").await;
         assert_eq!(derived, i64::from(version >= 5), "schema {version}");
@@ -319,9 +279,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
             .await
             .expect("a renderer");
         pool.close().await;
-        let mut worker = bench
-            .worker_with_renderer("new", "primitives", &renderer)
-            .await;
+        let mut worker = bench.worker_with_renderer("new", "primitives", &renderer).await;
         let open = "SELECT count(*) FROM job j JOIN campaign c ON c.id = j.campaign_id
              WHERE j.state = 'queued' AND c.state = 'running'";
         let open = usize::try_from(bench.count(open).await).expect("few");

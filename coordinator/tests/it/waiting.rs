@@ -42,9 +42,7 @@ fn status(serve: &Serve, name: &str) -> Value {
 async fn run_one(worker: &mut Worker) {
     for lease in worker.claim(1).await {
         let id = rollout_id(&lease).parse().expect("an id");
-        worker
-            .commit(&lease, outcome(&id) == Outcome::Success)
-            .await;
+        worker.commit(&lease, outcome(&id) == Outcome::Success).await;
     }
 }
 

@@ -14,10 +14,7 @@ fn main() -> std::io::Result<()> {
             let path = entry?.path();
             if path.is_dir() {
                 folders.push(path);
-            } else if path
-                .extension()
-                .is_some_and(|ending| ending == "xml" || ending == "png")
-            {
+            } else if path.extension().is_some_and(|ending| ending == "xml" || ending == "png") {
                 files.push(path);
             }
         }
@@ -29,11 +26,7 @@ fn main() -> std::io::Result<()> {
             .strip_prefix(&pack)
             .expect("the file was listed below the folder")
             .to_string_lossy();
-        let _ = writeln!(
-            table,
-            "    ({inside:?}, include_bytes!({:?})),",
-            path.display()
-        );
+        let _ = writeln!(table, "    ({inside:?}, include_bytes!({:?})),", path.display());
     }
     table.push_str("];\n");
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by cargo"));

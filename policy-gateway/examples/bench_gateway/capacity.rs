@@ -70,9 +70,7 @@ pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
     }
     let mut answers = Vec::new();
     while let Some(ended) = running.join_next().await {
-        let counted = ended??
-            .into_iter()
-            .filter(|(answered_at, _)| *answered_at >= counted_from);
+        let counted = ended??.into_iter().filter(|(answered_at, _)| *answered_at >= counted_from);
         answers.extend(counted);
     }
     let mut seconds = vec![0.0; slots.secs as usize];

@@ -22,11 +22,7 @@ use crate::{
 const SLOTS: u32 = 64;
 
 pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
-    let options = simulated::Options {
-        batch_millis: 0,
-        max_batch: 1,
-        stalled: false,
-    };
+    let options = simulated::Options { batch_millis: 0, max_batch: 1, stalled: false };
     let server = Running::simulated(&options).await?;
     let gateway = Running::gateway(&server).await?;
     let direct = Slot::open_all(&server.address, "", SLOTS).await?;
@@ -45,14 +41,10 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     let counted = &rounds[1..];
     let percentile_summary = |share: f64| {
         let percentile = |latencies: &[Duration]| percentile_millis(latencies, share);
-        let direct: Vec<_> = counted
-            .iter()
-            .map(|(direct_latencies, _)| percentile(direct_latencies))
-            .collect();
-        let through: Vec<_> = counted
-            .iter()
-            .map(|(_, gateway_latencies)| percentile(gateway_latencies))
-            .collect();
+        let direct: Vec<_> =
+            counted.iter().map(|(direct_latencies, _)| percentile(direct_latencies)).collect();
+        let through: Vec<_> =
+            counted.iter().map(|(_, gateway_latencies)| percentile(gateway_latencies)).collect();
         let pairs = direct.iter().zip(&through);
         let added: Vec<_> = pairs.map(|(direct, through)| through - direct).collect();
         json!({

@@ -87,10 +87,7 @@ impl Slot {
 
     /// Sends one query.
     pub(crate) async fn query(&self, query_index: u32) -> Result<(), Status> {
-        let query = InferRequest {
-            query_index,
-            ..self.query.clone()
-        };
+        let query = InferRequest { query_index, ..self.query.clone() };
         self.client.clone().infer(query).await.map(drop)
     }
 }
@@ -109,9 +106,7 @@ pub(crate) fn percentile_millis(latencies: &[Duration], share: f64) -> f64 {
     let mut sorted = latencies.to_vec();
     sorted.sort_unstable();
     let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted
-        .get(rank.max(1) - 1)
-        .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
+    sorted.get(rank.max(1) - 1).map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
 }
 
 /// Returns minimum, median and maximum of several measurements.

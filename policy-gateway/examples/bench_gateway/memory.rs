@@ -16,21 +16,13 @@ const CONNECTIONS: u32 = 64;
 const QUIET: Duration = Duration::from_secs(2);
 
 pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
-    let options = simulated::Options {
-        batch_millis: 0,
-        max_batch: 1,
-        stalled: true,
-    };
+    let options = simulated::Options { batch_millis: 0, max_batch: 1, stalled: true };
     let server = Running::simulated(&options).await?;
     let gateway = Running::gateway(&server).await?;
     let slots = Slot::open_all(&gateway.address, "", CONNECTIONS).await?;
     let mut waiting = Vec::new();
     for number in 0..measure.stalled_queries {
-        waiting.push(
-            slots[(number % CONNECTIONS) as usize]
-                .open_another(number)
-                .await?,
-        );
+        waiting.push(slots[(number % CONNECTIONS) as usize].open_another(number).await?);
     }
     let before = gateway.memory_mib("VmRSS")?;
     let mut queries_in_flight = JoinSet::new();

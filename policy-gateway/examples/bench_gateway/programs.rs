@@ -30,10 +30,7 @@ impl Running {
         let line = BufReader::new(stdout).lines().next_line().await?;
         let line = line.with_context(|| format!("read an address: {program} ended"))?;
         let address = line.strip_prefix("listening on ").unwrap_or(&line);
-        Ok(Self {
-            address: address.to_owned(),
-            child,
-        })
+        Ok(Self { address: address.to_owned(), child })
     }
 
     /// Starts this program as a simulated server.
@@ -60,10 +57,7 @@ impl Running {
     /// Returns a memory size of the process from `/proc`, MiB: `VmRSS`, the current size, or
     /// `VmHWM`, the peak.
     pub(crate) fn memory_mib(&self, size: &str) -> Result<f64> {
-        let pid = self
-            .child
-            .id()
-            .context("find the process id: the process has ended")?;
+        let pid = self.child.id().context("find the process id: the process has ended")?;
         let path = format!("/proc/{pid}/status");
         let status = std::fs::read_to_string(&path).with_context(|| format!("read {path}"))?;
         let mut lines = status.lines().filter_map(|line| line.split_once(':'));

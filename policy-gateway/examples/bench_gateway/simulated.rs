@@ -49,11 +49,8 @@ pub(crate) fn observation_bytes() -> u32 {
 pub(crate) async fn serve(options: Options) -> Result<()> {
     let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?;
     println!("listening on {}", listener.local_addr()?);
-    let policies = PolicyServer::new(Simulated {
-        options,
-        busy_until: Mutex::new(Instant::now()),
-    })
-    .max_decoding_message_size(proto::MAX_MESSAGE_BYTES);
+    let policies = PolicyServer::new(Simulated { options, busy_until: Mutex::new(Instant::now()) })
+        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES);
     Server::builder()
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
@@ -79,10 +76,8 @@ impl Simulated {
             std::future::pending::<()>().await;
         }
         let done = {
-            let mut busy_until = self
-                .busy_until
-                .lock()
-                .expect("no code panics while it holds the lock");
+            let mut busy_until =
+                self.busy_until.lock().expect("no code panics while it holds the lock");
             let began = Instant::now().max(*busy_until);
             *busy_until = began + Duration::from_millis(self.options.batch_millis);
             *busy_until
@@ -94,10 +89,7 @@ impl Simulated {
 }
 
 fn answer() -> InferResponse {
-    InferResponse {
-        actions: vec![0.0; 7],
-        action_width: 7,
-    }
+    InferResponse { actions: vec![0.0; 7], action_width: 7 }
 }
 
 #[tonic::async_trait]
@@ -106,16 +98,9 @@ impl Policy for Simulated {
         &self,
         _: Request<DescribeRequest>,
     ) -> Result<Response<DescribeResponse>, Status> {
-        let cameras = CAMERAS.map(|name| CameraRequest {
-            name: name.to_owned(),
-            width: SIDE,
-            height: SIDE,
-        });
-        let state = [
-            StateField::EefPos,
-            StateField::EefAxisAngle,
-            StateField::GripperPos,
-        ];
+        let cameras =
+            CAMERAS.map(|name| CameraRequest { name: name.to_owned(), width: SIDE, height: SIDE });
+        let state = [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos];
         Ok(Response::new(DescribeResponse {
             protocol_version: proto::PROTOCOL_VERSION,
             name: "simulated".to_owned(),
@@ -143,11 +128,7 @@ impl Policy for Simulated {
     ) -> Result<Response<InferBatchResponse>, Status> {
         let queries = request.into_inner().queries.len();
         self.compute().await;
-        let result = InferResult {
-            result: Some(infer_result::Result::Response(answer())),
-        };
-        Ok(Response::new(InferBatchResponse {
-            results: vec![result; queries],
-        }))
+        let result = InferResult { result: Some(infer_result::Result::Response(answer())) };
+        Ok(Response::new(InferBatchResponse { results: vec![result; queries] }))
     }
 }

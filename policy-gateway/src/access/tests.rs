@@ -29,11 +29,7 @@ fn paths() -> Vec<(String, bool)> {
     ];
     let other_paths = other_paths.map(|path| (path.to_owned(), false));
     let paths: Vec<_> = policy.chain(health).chain(other_paths).collect();
-    assert_eq!(
-        paths.len(),
-        13,
-        "five calls, two health checks and six other paths"
-    );
+    assert_eq!(paths.len(), 13, "five calls, two health checks and six other paths");
     paths
 }
 
@@ -47,17 +43,12 @@ async fn no_combination_of_headers_calls_a_policy_without_a_token_of_a_worker_or
     for (security, cookie) in [(&open(), None), (&guarded, Some(cookie.as_str()))] {
         for (path, is_public) in paths() {
             let table = |request: &Request<()>, sender, content: Option<&str>, credentials| {
-                let is_allowed = matches!(
-                    credentials,
-                    Credentials::Token(Role::Worker | Role::Operator)
-                );
+                let is_allowed =
+                    matches!(credentials, Credentials::Token(Role::Worker | Role::Operator));
                 is_call(request, sender, content) && (cookie.is_none() || is_public || is_allowed)
             };
             combinations += walk(&path, TABLE, security, cookie, table).await;
         }
     }
-    assert!(
-        combinations > 100_000,
-        "only {combinations} combinations were checked"
-    );
+    assert!(combinations > 100_000, "only {combinations} combinations were checked");
 }

@@ -74,11 +74,7 @@ impl Batcher {
         {
             let mut queue = self.shared.queue();
             queue.1 = size;
-            let query = Query {
-                request,
-                is_sent: Arc::clone(&is_sent),
-                answer,
-            };
+            let query = Query { request, is_sent: Arc::clone(&is_sent), answer };
             queue
                 .0
                 .push(query, Instant::now())
@@ -182,10 +178,7 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
         }
         Ok(Err(error)) => fail(callers, &error),
         Err(NoAnswer) => {
-            let error = BackendError::TimedOut {
-                backend: shared.backend.to_string(),
-                limit,
-            };
+            let error = BackendError::TimedOut { backend: shared.backend.to_string(), limit };
             let waiting = shared.queue().0.drain();
             fail(waiting.into_iter().map(|query| query.answer), &error);
             fail(callers, &error);

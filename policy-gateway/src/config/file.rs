@@ -60,26 +60,18 @@ struct Table {
 /// If the file cannot be read or its content is invalid; the error names the
 /// file.
 pub fn read(path: &Path) -> Result<Config, ConfigError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Unreadable {
-        path: path.to_owned(),
-        source,
-    })?;
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
     let document = toml::from_str::<Document>(&text).map_err(|error| ConfigError::Toml {
         path: path.to_owned(),
         line: line_of(&text, error.span().map_or(0, |span| span.start)),
         problem: plain_words(error.message()),
     })?;
-    let routes = document
-        .policy
-        .into_iter()
-        .map(|(name, table)| route(&name, table));
+    let routes = document.policy.into_iter().map(|(name, table)| route(&name, table));
     routes
         .collect::<Result<_, _>>()
         .and_then(Config::new)
-        .map_err(|source| ConfigError::InFile {
-            path: path.to_owned(),
-            source: source.into(),
-        })
+        .map_err(|source| ConfigError::InFile { path: path.to_owned(), source: source.into() })
 }
 
 /// Returns the line number of a byte, from 1.
@@ -110,10 +102,7 @@ fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
         checkpoints,
         batching: table.batching,
         answer_within,
-        access: AccessFiles {
-            ca: table.ca,
-            token_file: table.token_file,
-        },
+        access: AccessFiles { ca: table.ca, token_file: table.token_file },
         record: None,
     })
 }

@@ -26,9 +26,7 @@ impl FromStr for RouteName {
         if (1..=MAX_ROUTE_NAME_BYTES).contains(&text.len()) && text.bytes().all(allowed) {
             Ok(Self(text.to_owned()))
         } else {
-            Err(RouteNameError {
-                name: text.to_owned(),
-            })
+            Err(RouteNameError { name: text.to_owned() })
         }
     }
 }

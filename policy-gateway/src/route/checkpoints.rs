@@ -23,9 +23,7 @@ impl Checkpoints {
     ) -> Result<Self, UnusableBackend> {
         let access = spec.access.read()?;
         let replica = |backend: &BackendSpec| {
-            let unchanged = existing
-                .iter()
-                .find(|replica| replica.has_settings(backend, spec));
+            let unchanged = existing.iter().find(|replica| replica.has_settings(backend, spec));
             match unchanged {
                 Some(replica) => Ok(Arc::clone(replica)),
                 None => Replica::new(backend, &access, spec).map(Arc::new),
@@ -78,10 +76,9 @@ impl Checkpoints {
     pub(super) fn replicas(&self) -> Vec<Arc<Replica>> {
         match self {
             Self::One(pool) => pool.replicas().to_vec(),
-            Self::PerSuite(pools) => pools
-                .values()
-                .flat_map(|pool| pool.replicas().iter().cloned())
-                .collect(),
+            Self::PerSuite(pools) => {
+                pools.values().flat_map(|pool| pool.replicas().iter().cloned()).collect()
+            }
         }
     }
 }

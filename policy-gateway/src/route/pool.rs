@@ -82,20 +82,13 @@ impl Pool {
     /// Returns the longest wait of a Reset for another session to end: 20 s if answers may take 50
     /// s, which leaves the Reset itself 40 s of a worker's time limit of 60 s.
     pub fn reset_timeout(&self) -> Duration {
-        let longest = self
-            .replicas
-            .iter()
-            .map(|replica| replica.answer_within())
-            .max();
+        let longest = self.replicas.iter().map(|replica| replica.answer_within()).max();
         longest.unwrap_or_default() * 2 / 5
     }
 
     /// Returns the time per query of the slowest replica.
     pub fn per_query(&self) -> Option<Duration> {
-        self.replicas
-            .iter()
-            .filter_map(|replica| replica.per_query())
-            .max()
+        self.replicas.iter().filter_map(|replica| replica.per_query()).max()
     }
 
     /// Returns true if the sessions of both pools count towards the same capacity, as those of a
@@ -122,9 +115,9 @@ impl Pool {
         tried: &[Arc<Replica>],
     ) -> Option<Arc<Replica>> {
         let chosen = match self.batching {
-            Batching::Deterministic => self
-                .replica_of_seed(seed)
-                .filter(|replica| !contains(tried, replica)),
+            Batching::Deterministic => {
+                self.replica_of_seed(seed).filter(|replica| !contains(tried, replica))
+            }
             Batching::Dynamic | Batching::Single => self.least_loaded(session, tried, &[]),
         };
         if let Some(replica) = chosen {
@@ -160,10 +153,7 @@ impl Pool {
         tried: &[Arc<Replica>],
         open_on: &[Arc<Replica>],
     ) -> Option<&Arc<Replica>> {
-        let untried = self
-            .replicas
-            .iter()
-            .filter(|replica| !contains(tried, replica));
+        let untried = self.replicas.iter().filter(|replica| !contains(tried, replica));
         untried.min_by_key(|replica| {
             let is_out = !replica.would_admit(Call::InSession(session));
             let is_new = !contains(open_on, replica);
@@ -182,11 +172,8 @@ impl Pool {
         replica: &Replica,
         call: Call<'_>,
     ) -> Result<Arc<DescribeResponse>, BackendError> {
-        let mut described = replica
-            .describe(call, &self.suite, |described| {
-                self.agree(replica, described)
-            })
-            .await?;
+        let mut described =
+            replica.describe(call, &self.suite, |described| self.agree(replica, described)).await?;
         // If the replica is another gateway, it has set the actual batch mode already.
         if described.batch_mode.is_empty() {
             let batch_size = description::batch_size(&described);

@@ -101,11 +101,7 @@ impl Replica {
         access: &Access,
         route: &RouteSpec,
     ) -> Result<Self, UnusableBackend> {
-        let RouteSpec {
-            answer_within,
-            batching,
-            ..
-        } = *route;
+        let RouteSpec { answer_within, batching, .. } = *route;
         let backend = open(spec, access)?;
         let backend = match &route.record {
             Some(into) => Arc::new(Recorder::new(backend, into.clone())),
@@ -197,13 +193,9 @@ impl Replica {
         suite: &str,
         agrees: impl FnOnce(&DescribeResponse) -> Result<(), String>,
     ) -> Result<DescribeResponse, BackendError> {
-        let described = self
-            .call_within_limit(call, self.backend.describe(suite))
-            .await?;
-        policy_protocol::description(&described).map_err(|fault| BackendError::Description {
-            policy: described.name.clone(),
-            fault,
-        })?;
+        let described = self.call_within_limit(call, self.backend.describe(suite)).await?;
+        policy_protocol::description(&described)
+            .map_err(|fault| BackendError::Description { policy: described.name.clone(), fault })?;
         if let Err(difference) = agrees(&described) {
             let difference = shorten(&difference);
             self.record_outage(Cause::DescriptionDiffers(difference.clone()));
@@ -225,8 +217,7 @@ impl Replica {
     /// If the replica does not answer or refuses.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
-        self.call_within_limit(Call::InSession(&session), self.backend.reset(request))
-            .await?;
+        self.call_within_limit(Call::InSession(&session), self.backend.reset(request)).await?;
         self.answered(Answered::Other);
         Ok(())
     }
@@ -257,23 +248,17 @@ impl Replica {
         let guard = self.admit(call)?;
         let answer = match self.batch_size.load(Ordering::Relaxed) {
             1 => self.infer_alone(call, request).await,
-            size => {
-                self.batcher
-                    .infer(request, size, self.queue_timeout())
-                    .await
-            }
+            size => self.batcher.infer(request, size, self.queue_timeout()).await,
         };
         let answer = self.record_health(answer);
         if !matches!(&answer, Err(error) if is_no_evidence(error)) {
             guard.end();
         }
         let checked =
-            answer.and_then(
-                |response| match policy_protocol::actions(&response, horizon) {
-                    Ok(_) => Ok(response),
-                    Err(fault) => Err(BackendError::InvalidActions { fault }),
-                },
-            );
+            answer.and_then(|response| match policy_protocol::actions(&response, horizon) {
+                Ok(_) => Ok(response),
+                Err(fault) => Err(BackendError::InvalidActions { fault }),
+            });
         match checked {
             Ok(response) => {
                 self.answered(Answered::Query);
@@ -287,19 +272,14 @@ impl Replica {
     /// Attributes the error of a query to the query, or to the server if the server is out.
     fn attribute_error(&self, error: BackendError, task: &str) -> BackendError {
         let was_up = matches!(*self.health(), Health::Up(_));
-        let cause = self
-            .health()
-            .erred(&error.to_string(), task, Instant::now());
+        let cause = self.health().erred(&error.to_string(), task, Instant::now());
         match cause {
             None => error,
             Some(cause) => {
                 if was_up {
                     self.log_outage(&cause);
                 }
-                BackendError::Broken {
-                    backend: self.to_string(),
-                    cause,
-                }
+                BackendError::Broken { backend: self.to_string(), cause }
             }
         }
     }
@@ -312,10 +292,7 @@ impl Replica {
     ) -> Result<InferResponse, BackendError> {
         let patience = self.queue_timeout();
         let Ok(_turn) = tokio::time::timeout(patience, self.calls.acquire()).await else {
-            return Err(BackendError::Overloaded {
-                backend: self.to_string(),
-                waited: patience,
-            });
+            return Err(BackendError::Overloaded { backend: self.to_string(), waited: patience });
         };
         // The server may have failed while the query waited.
         self.admit(call)?.end();
@@ -342,11 +319,7 @@ impl Replica {
 
     fn admit<'a>(&'a self, call: Call<'a>) -> Result<CallGuard<'a>, BackendError> {
         let admitted = self.health().admit(call, Instant::now());
-        let guard = admitted.map(|()| CallGuard {
-            replica: self,
-            call,
-            has_ended: false,
-        });
+        let guard = admitted.map(|()| CallGuard { replica: self, call, has_ended: false });
         guard.map_err(|(cause, retry_in)| BackendError::OutOfService {
             backend: self.to_string(),
             cause,
@@ -360,10 +333,7 @@ impl Replica {
         answer: Result<Result<T, BackendError>, NoAnswer>,
     ) -> Result<T, BackendError> {
         answer.unwrap_or_else(|NoAnswer| {
-            Err(BackendError::TimedOut {
-                backend: self.to_string(),
-                limit: self.answer_within,
-            })
+            Err(BackendError::TimedOut { backend: self.to_string(), limit: self.answer_within })
         })
     }
 

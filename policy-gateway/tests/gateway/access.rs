@@ -122,9 +122,7 @@ async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
     let credentials = Credentials::new();
     let server = credentials.serve(2099);
     let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
-    send_query(&server, &ca, &token)
-        .await
-        .expect("valid credentials");
+    send_query(&server, &ca, &token).await.expect("valid credentials");
 
     credentials.write("other-token", &format!("worker {WRONG}\n"));
     let refused = send_query(&server, &ca, &credentials.path("other-token")).await;
@@ -148,19 +146,12 @@ async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
 async fn an_expired_certificate_is_named() {
     let credentials = Credentials::new();
     let server = credentials.serve(2020);
-    let expired = send_query(
-        &server,
-        &credentials.path("ca.pem"),
-        &credentials.path("token"),
-    )
-    .await;
+    let expired =
+        send_query(&server, &credentials.path("ca.pem"), &credentials.path("token")).await;
     let expired = expired.expect_err("expired");
     assert_eq!(expired.code(), Code::Unavailable);
     let text = expired.message();
-    assert!(
-        text.contains("expired") && text.contains("--tls-cert"),
-        "{text}"
-    );
+    assert!(text.contains("expired") && text.contains("--tls-cert"), "{text}");
     drop(server.log());
 }
 
@@ -213,12 +204,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
     let mut stdout = BufReader::new(child.stdout.take().expect("stdout is piped"));
     let mut line = String::new();
     stdout.read_line(&mut line).expect("a line");
-    let port = line
-        .trim_end()
-        .rsplit(':')
-        .next()
-        .expect("a port")
-        .to_owned();
+    let port = line.trim_end().rsplit(':').next().expect("a port").to_owned();
     let server = Server { child, port };
     for scheme in ["grpc", "ws", "vla-eval"] {
         let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));

@@ -17,14 +17,8 @@ async fn refusal(answer: Result<InferResponse, Status>) -> Status {
     let server = serve(Scripted::new(described, move |_| answer.clone())).await;
     let gateway = gateway(&[&format!("bent=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
-    client
-        .reset(reset("bent", "episode-1"))
-        .await
-        .expect("an episode");
-    let status = client
-        .infer(infer("bent", "episode-1", 3))
-        .await
-        .expect_err("a refusal");
+    client.reset(reset("bent", "episode-1")).await.expect("an episode");
+    let status = client.infer(infer("bent", "episode-1", 3)).await.expect_err("a refusal");
     let named = status.message().matches("route bent").count();
     assert_eq!(named, 1, "{status}");
     status
@@ -53,10 +47,7 @@ async fn invalid_actions_are_refused_with_route_query_and_remedy() {
 async fn an_error_of_the_policy_keeps_its_text_and_is_no_outage() {
     let status = refusal(Err(Status::internal("ValueError: bad shape"))).await;
     assert_eq!(status.code(), Code::Internal);
-    assert!(
-        status.message().contains("ValueError: bad shape"),
-        "{status}"
-    );
+    assert!(status.message().contains("ValueError: bad shape"), "{status}");
 
     let uncaught = refusal(Err(Status::unknown("KeyError: 'pick up the bowl'"))).await;
     assert_eq!(uncaught.code(), Code::Internal);
@@ -71,37 +62,21 @@ async fn a_retry_gets_the_same_actions_without_another_query() {
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
     let mut send_query = async |session: &str, query_index| {
-        let answer = client
-            .infer(infer("x", session, query_index))
-            .await
-            .expect("an answer");
+        let answer = client.infer(infer("x", session, query_index)).await.expect("an answer");
         answer.into_inner().actions[0]
     };
     assert_eq!(
-        [
-            send_query("s", 0).await,
-            send_query("s", 0).await,
-            send_query("s", 1).await
-        ],
+        [send_query("s", 0).await, send_query("s", 0).await, send_query("s", 1).await],
         [0.0, 0.0, 1.0]
     );
     assert_eq!(
-        [
-            send_query("t", 1).await,
-            send_query("s", 1).await,
-            send_query("t", 1).await
-        ],
+        [send_query("t", 1).await, send_query("s", 1).await, send_query("t", 1).await],
         [2.0, 1.0, 2.0]
     );
     assert_eq!(queries.load(Ordering::SeqCst), 3);
 
     // A restarted session has no answers yet.
-    gateway
-        .client()
-        .await
-        .reset(reset("x", "s"))
-        .await
-        .expect("an episode");
+    gateway.client().await.reset(reset("x", "s")).await.expect("an episode");
     assert_eq!(send_query("s", 1).await, 3.0);
 }
 
@@ -115,14 +90,8 @@ async fn invalid_answers_are_not_cached_for_retries() {
     let server = serve(Scripted::new(description("flaky", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
-    client
-        .infer(infer("x", "s", 0))
-        .await
-        .expect_err("infinite actions");
-    let answer = client
-        .infer(infer("x", "s", 0))
-        .await
-        .expect("good actions");
+    client.infer(infer("x", "s", 0)).await.expect_err("infinite actions");
+    let answer = client.infer(infer("x", "s", 0)).await.expect("good actions");
     assert_eq!(answer.get_ref().actions, [0.5; 7]);
 }
 
@@ -137,14 +106,9 @@ async fn concurrent_retries_query_the_policy_once() {
     let server = serve(Scripted::new(description("slow", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let (mut first, mut second) = (gateway.client().await, gateway.client().await);
-    let (first, second) = tokio::join!(
-        first.infer(infer("x", "s", 0)),
-        second.infer(infer("x", "s", 0))
-    );
-    assert_eq!(
-        first.expect("an answer").get_ref(),
-        second.expect("an answer").get_ref()
-    );
+    let (first, second) =
+        tokio::join!(first.infer(infer("x", "s", 0)), second.infer(infer("x", "s", 0)));
+    assert_eq!(first.expect("an answer").get_ref(), second.expect("an answer").get_ref());
     assert_eq!(queries.load(Ordering::SeqCst), 1);
 }
 
@@ -153,10 +117,7 @@ async fn a_stateful_builtin_answers_queries_in_order_only() {
     let gateway = gateway(&["expert=builtin:expert"]).await;
     let mut client = gateway.client().await;
     client.reset(reset("", "s")).await.expect("an episode");
-    let skipped = client
-        .infer(infer("", "s", 1))
-        .await
-        .expect_err("query 0 is next");
+    let skipped = client.infer(infer("", "s", 1)).await.expect_err("query 0 is next");
     assert_eq!(skipped.code(), Code::FailedPrecondition);
     assert!(skipped.message().contains("query 0 is next"), "{skipped}");
 }
@@ -166,10 +127,7 @@ async fn a_builtin_names_the_missing_input() {
     let gateway = gateway(&["expert=builtin:expert"]).await;
     let mut client = gateway.client().await;
     client.reset(reset("", "s")).await.expect("an episode");
-    let status = client
-        .infer(infer("", "s", 0))
-        .await
-        .expect_err("no privileged state");
+    let status = client.infer(infer("", "s", 0)).await.expect_err("no privileged state");
     assert_eq!(status.code(), Code::Internal);
     for part in ["route expert", "privileged"] {
         assert!(status.message().contains(part), "{part} in {status}");
@@ -182,26 +140,13 @@ async fn an_invalid_description_is_refused_with_its_fault() {
     newer.protocol_version = proto::PROTOCOL_VERSION + 1;
     let cases = [
         (description("", 1), Code::Internal, "no name".to_owned()),
-        (
-            description("p", 0),
-            Code::Internal,
-            "horizon is 0".to_owned(),
-        ),
-        (
-            newer,
-            Code::FailedPrecondition,
-            format!("version {}", proto::PROTOCOL_VERSION + 1),
-        ),
+        (description("p", 0), Code::Internal, "horizon is 0".to_owned()),
+        (newer, Code::FailedPrecondition, format!("version {}", proto::PROTOCOL_VERSION + 1)),
     ];
     for (described, code, expected) in cases {
         let server = serve(Scripted::new(described, |_| Ok(chunk(&[0.0; 7], 7)))).await;
         let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
-        let status = gateway
-            .client()
-            .await
-            .describe(describe("x"))
-            .await
-            .expect_err("wrong");
+        let status = gateway.client().await.describe(describe("x")).await.expect_err("wrong");
         assert_eq!(status.code(), code);
         for part in [expected.as_str(), "route x", &server.address.to_string()] {
             assert!(status.message().contains(part), "{part} in {status}");

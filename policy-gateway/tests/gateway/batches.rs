@@ -47,10 +47,7 @@ impl Policy for FixedSpeed {
         &self,
         _: Request<DescribeRequest>,
     ) -> Result<Response<DescribeResponse>, Status> {
-        Ok(Response::new(DescribeResponse {
-            max_batch: LARGEST,
-            ..description("simulated", 1)
-        }))
+        Ok(Response::new(DescribeResponse { max_batch: LARGEST, ..description("simulated", 1) }))
     }
 
     async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
@@ -62,9 +59,7 @@ impl Policy for FixedSpeed {
         request: Request<InferRequest>,
     ) -> Result<Response<InferResponse>, Status> {
         self.largest.fetch_max(1, Ordering::SeqCst);
-        answer(request.get_ref())
-            .map(Response::new)
-            .map_err(Status::internal)
+        answer(request.get_ref()).map(Response::new).map_err(Status::internal)
     }
 
     async fn infer_batch(
@@ -90,16 +85,10 @@ impl Policy for FixedSpeed {
 /// results record.
 async fn play(batching: Batching) -> (usize, String) {
     let largest = Arc::new(AtomicUsize::new(0));
-    let server = serve(FixedSpeed {
-        computing: Mutex::default(),
-        largest: Arc::clone(&largest),
-    })
-    .await;
+    let server =
+        serve(FixedSpeed { computing: Mutex::default(), largest: Arc::clone(&largest) }).await;
     let route = format!("x=grpc://{}", server.address);
-    let spec = RouteSpec {
-        batching,
-        ..route.parse().expect("a route")
-    };
+    let spec = RouteSpec { batching, ..route.parse().expect("a route") };
     let (gateway, _) = reloadable(vec![spec]).await;
     let described = gateway.client().await.describe(describe("x")).await;
     let batch_mode = described.expect("a description").into_inner().batch_mode;
@@ -108,10 +97,7 @@ async fn play(batching: Batching) -> (usize, String) {
         let mut client = gateway.client().await;
         playing.spawn(async move {
             let session = number.to_string();
-            client
-                .reset(reset("x", &session))
-                .await
-                .expect("an episode");
+            client.reset(reset("x", &session)).await.expect("an episode");
             for query_index in 0..3 {
                 let answer = client.infer(infer("x", &session, query_index)).await;
                 if number == 3 {
@@ -148,11 +134,7 @@ async fn with_batching_off_queries_are_sent_one_by_one() {
 /// An error text that does not fit the response's HTTP/2 header would count as an outage.
 #[tokio::test]
 async fn an_error_of_a_mebibyte_is_truncated_and_no_outage() {
-    let server = serve(FixedSpeed {
-        computing: Mutex::default(),
-        largest: Arc::default(),
-    })
-    .await;
+    let server = serve(FixedSpeed { computing: Mutex::default(), largest: Arc::default() }).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "99")).await.expect("an episode");

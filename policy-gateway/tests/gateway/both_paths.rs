@@ -64,10 +64,8 @@ fn descriptions() -> impl Strategy<Value = DescribeResponse> {
         width,
         height,
     });
-    let setting = mostly(&["execute", ""]).prop_map(|name| Setting {
-        name: name.to_owned(),
-        value: "5".to_owned(),
-    });
+    let setting = mostly(&["execute", ""])
+        .prop_map(|name| Setting { name: name.to_owned(), value: "5".to_owned() });
     (
         mostly(&[proto::PROTOCOL_VERSION, proto::PROTOCOL_VERSION + 1]),
         mostly(&["p", ""]),
@@ -77,19 +75,17 @@ fn descriptions() -> impl Strategy<Value = DescribeResponse> {
         prop::collection::vec(mostly(&[1, 0, 8, 9, -1]), 0..3),
         prop::collection::vec(setting, 0..3),
     )
-        .prop_map(
-            |(protocol_version, name, horizon, execute, cameras, state, settings)| {
-                DescribeResponse {
-                    protocol_version,
-                    horizon,
-                    execute,
-                    cameras,
-                    state,
-                    settings,
-                    ..description(name, horizon)
-                }
-            },
-        )
+        .prop_map(|(protocol_version, name, horizon, execute, cameras, state, settings)| {
+            DescribeResponse {
+                protocol_version,
+                horizon,
+                execute,
+                cameras,
+                state,
+                settings,
+                ..description(name, horizon)
+            }
+        })
 }
 
 /// Requires that both verdicts accept the same value if there is no `fault`, and otherwise that
@@ -144,18 +140,9 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
         *scripted.lock().expect("no panic") = response;
         let index = query.replace(query.get() + 1);
         let [direct, through] = workers.borrow_mut().each_mut().map(|worker| {
-            worker.infer(
-                SESSION,
-                index,
-                Observation::default(),
-                HORIZON as usize,
-                None,
-            )
+            worker.infer(SESSION, index, Observation::default(), HORIZON as usize, None)
         });
-        for error in [&direct, &through]
-            .into_iter()
-            .filter_map(|verdict| verdict.as_ref().err())
-        {
+        for error in [&direct, &through].into_iter().filter_map(|verdict| verdict.as_ref().err()) {
             let kind = FailureKind::from(error);
             prop_assert_eq!(kind, FailureKind::PolicyMisbehaved, "{}", error);
         }
@@ -172,9 +159,7 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
     let policy = Scripted::new(description("p", 1), |_| Ok(chunk(&[0.0; 7], 7)))
         .describing(move || described.lock().expect("no panic").clone());
     let server = runtime.block_on(serve(policy));
-    let route: RouteSpec = format!("p=grpc://{}", server.address)
-        .parse()
-        .expect("a route");
+    let route: RouteSpec = format!("p=grpc://{}", server.address).parse().expect("a route");
     let (gateway, handle) = runtime.block_on(reloadable(vec![route.clone()]));
     let config = Config::new(vec![route]).expect("one route");
 
@@ -184,14 +169,9 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
         *scripted.lock().expect("no panic") = description;
         // Drops the previous description, which the policy would otherwise have to match.
         handle.reload(&config).expect("the same route");
-        let [direct, through] = workers
-            .borrow_mut()
-            .each_mut()
-            .map(|worker| worker.describe(SESSION));
-        for error in [&direct, &through]
-            .into_iter()
-            .filter_map(|verdict| verdict.as_ref().err())
-        {
+        let [direct, through] =
+            workers.borrow_mut().each_mut().map(|worker| worker.describe(SESSION));
+        for error in [&direct, &through].into_iter().filter_map(|verdict| verdict.as_ref().err()) {
             let kind = FailureKind::from(error);
             prop_assert_eq!(kind, FailureKind::PolicyUnavailable, "{}", error);
         }

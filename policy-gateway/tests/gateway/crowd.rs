@@ -106,9 +106,8 @@ impl Policy for SlowServer {
     ) -> Result<Response<InferBatchResponse>, Status> {
         let queries = request.into_inner().queries.len();
         self.compute(queries).await;
-        let result = InferResult {
-            result: Some(infer_result::Result::Response(chunk(&[0.0; 7], 7))),
-        };
+        let result =
+            InferResult { result: Some(infer_result::Result::Response(chunk(&[0.0; 7], 7))) };
         let results = vec![result; queries];
         Ok(Response::new(InferBatchResponse { results }))
     }
@@ -117,10 +116,7 @@ impl Policy for SlowServer {
 /// Starts a gateway in front of a server, with this time limit for an answer.
 async fn gateway_for(server: &Running, answer_within: Duration) -> Running {
     let route = format!("slow=grpc://{}", server.address);
-    let spec = RouteSpec {
-        answer_within,
-        ..route.parse().expect("a route")
-    };
+    let spec = RouteSpec { answer_within, ..route.parse().expect("a route") };
     reloadable(vec![spec]).await.0
 }
 
@@ -137,10 +133,7 @@ async fn send_queries(
 }
 
 fn end(session: &str) -> EndRequest {
-    EndRequest {
-        policy: "slow".to_owned(),
-        session: session.to_owned(),
-    }
+    EndRequest { policy: "slow".to_owned(), session: session.to_owned() }
 }
 
 /// Regression: the time that a query waited for its turn counted toward the time limit of its
@@ -153,10 +146,7 @@ async fn many_slots_at_a_slow_server_finish_their_episodes() {
     let mut slots = vec![];
     for slot in 0..128 {
         let (mut client, session) = (client(gateway.address).await, format!("slot {slot}"));
-        client
-            .reset(reset("slow", &session))
-            .await
-            .expect("an episode");
+        client.reset(reset("slow", &session)).await.expect("an episode");
         slots.push((client, session));
     }
     let mut playing = JoinSet::new();
@@ -194,31 +184,21 @@ async fn a_query_whose_caller_has_disconnected_is_never_computed() {
         let mut callers = JoinSet::new();
         for slot in 0..8 {
             let session = format!("slot {slot}");
-            client
-                .reset(reset("slow", &session))
-                .await
-                .expect("an episode");
+            client.reset(reset("slow", &session)).await.expect("an episode");
             let mut client = client.clone();
             callers.spawn(async move { client.infer(infer("slow", &session, 0)).await });
         }
         wait_for_count(&awaited, calls).await;
         callers.shutdown().await;
         // Arrives after the ends of the other calls, on the same connection.
-        client
-            .reset(reset("slow", "last"))
-            .await
-            .expect("an episode");
+        client.reset(reset("slow", "last")).await.expect("an episode");
         // The gateway ends the streams of a connection in separate tasks, so that a caller that
         // gave up may still be in the server's queue for a moment after the Reset.
         let mut quiet_checks = 0;
         while quiet_checks < 50 {
             wait_for_count(&awaited, 0).await;
             tokio::time::sleep(Duration::from_millis(2)).await;
-            quiet_checks = if awaited.load(Ordering::SeqCst) == 0 {
-                quiet_checks + 1
-            } else {
-                0
-            };
+            quiet_checks = if awaited.load(Ordering::SeqCst) == 0 { quiet_checks + 1 } else { 0 };
         }
         let before = begun.load(Ordering::SeqCst);
         assert!((1..=max_batch as usize).contains(&before), "{before}");
@@ -236,26 +216,15 @@ async fn sessions_beyond_the_capacity_wait_for_another_to_end() {
     let gateway = gateway_for(&server, Duration::from_secs(1)).await;
     let mut client = gateway.client().await;
     // From these answers, the gateway learns the server's speed.
-    client
-        .reset(reset("slow", "first"))
-        .await
-        .expect("an episode");
-    send_queries(&mut client, "first", 8)
-        .await
-        .expect("answers");
+    client.reset(reset("slow", "first")).await.expect("an episode");
+    send_queries(&mut client, "first", 8).await.expect("answers");
     client.end(end("first")).await.expect("an end");
     for slot in 0..4 {
         let session = format!("slot {slot}");
-        client
-            .reset(reset("slow", &session))
-            .await
-            .expect("capacity");
+        client.reset(reset("slow", &session)).await.expect("capacity");
     }
     // An open session keeps its place.
-    client
-        .reset(reset("slow", "slot 0"))
-        .await
-        .expect("an open session");
+    client.reset(reset("slow", "slot 0")).await.expect("an open session");
     let refused = client.reset(reset("slow", "fifth")).await;
     let refused = refused.expect_err("no capacity");
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");

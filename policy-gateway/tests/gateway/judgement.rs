@@ -26,10 +26,7 @@ struct CommandOutput {
 async fn run_to_end(arguments: &[&str]) -> CommandOutput {
     let mut command = program(arguments);
     let output = tokio::task::spawn_blocking(move || command.output());
-    let output = output
-        .await
-        .expect("the program runs")
-        .expect("the program starts");
+    let output = output.await.expect("the program runs").expect("the program starts");
     CommandOutput {
         status: output.status.code(),
         stdout: String::from_utf8(output.stdout).expect("UTF-8"),
@@ -47,9 +44,7 @@ fn policy_with_flipped_frames() -> Planted {
 
 fn policy_with_shifted_gripper() -> Planted {
     Planted::sound().finishing(|actions| {
-        actions
-            .iter_mut()
-            .for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
+        actions.iter_mut().for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
     })
 }
 
@@ -62,24 +57,14 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
     );
     let (sound, flipped) = (url(&sound), url(&flipped));
     let cases: [(&[&str], i32, &str, &str); 4] = [
-        (
-            &["compare", &sound, &sound],
-            0,
-            "pass  the same",
-            "the same",
-        ),
+        (&["compare", &sound, &sound], 0, "pass  the same", "the same"),
         (
             &["compare", &sound, &flipped],
             1,
             "FAIL  frame orientation: B answers as A does",
             "not the same",
         ),
-        (
-            &["doctor", &sound],
-            0,
-            "pass  the gripper opens",
-            "no fault found",
-        ),
+        (&["doctor", &sound], 0, "pass  the gripper opens", "no fault found"),
         (
             &["doctor", &url(&never_opening), "--episodes", "3"],
             1,
@@ -89,17 +74,10 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
     ];
     for (arguments, status, expected_line, last) in cases {
         let ended = run_to_end(arguments).await;
-        let CommandOutput {
-            stdout: printed,
-            stderr,
-            ..
-        } = &ended;
+        let CommandOutput { stdout: printed, stderr, .. } = &ended;
         assert_eq!(ended.status, Some(status), "{printed}{stderr}");
         let lines: Vec<&str> = printed.lines().collect();
-        assert!(
-            lines.iter().any(|line| line.starts_with(expected_line)),
-            "{printed}"
-        );
+        assert!(lines.iter().any(|line| line.starts_with(expected_line)), "{printed}");
         assert_eq!(lines.last(), Some(&last), "{printed}");
         let widest = lines.iter().map(|line| line.chars().count()).max();
         assert!(widest <= Some(80), "{printed}");
@@ -114,11 +92,7 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     assert_eq!(unreachable.status, Some(1));
     assert!(unreachable.stdout.is_empty());
     let words = format!("failed to get an answer from {unused}");
-    assert!(
-        unreachable.stderr.contains(&words),
-        "{}",
-        unreachable.stderr
-    );
+    assert!(unreachable.stderr.contains(&words), "{}", unreachable.stderr);
     let invalid: [&[&str]; 4] = [
         &["compare", "builtin:noop"],
         &["compare", "builtin:noop", "http://h:1"],
@@ -139,9 +113,7 @@ fn documented(command: &str) -> BTreeSet<String> {
     let page = include_str!("../../../docs/JSON.md");
     let title = format!("`{command}`");
     let mut sections = page.split("\n## ");
-    let section = sections
-        .find(|section| section.starts_with(&title))
-        .expect("a section");
+    let section = sections.find(|section| section.starts_with(&title)).expect("a section");
     let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
     section.lines().filter_map(key).collect()
 }
@@ -191,10 +163,7 @@ async fn json_has_the_keys_that_are_documented() {
 async fn record(folder: &std::path::Path) {
     let server = serve(Planted::sound()).await;
     let route: RouteSpec = format!("x={}", url(&server)).parse().expect("a route");
-    let record = Some(RecordInto {
-        folder: folder.to_owned(),
-        max_bytes: 1 << 30,
-    });
+    let record = Some(RecordInto { folder: folder.to_owned(), max_bytes: 1 << 30 });
     let (gateway, handle) = reloadable(vec![RouteSpec { record, ..route }]).await;
     let mut client = gateway.client().await;
     for session in ["one", "two", "three"] {
@@ -224,10 +193,8 @@ async fn record(folder: &std::path::Path) {
                 ],
                 privileged: None,
             };
-            let query = InferRequest {
-                observation: Some(observation),
-                ..infer("x", session, query_index)
-            };
+            let query =
+                InferRequest { observation: Some(observation), ..infer("x", session, query_index) };
             client.infer(query).await.expect("an answer");
         }
     }
@@ -240,10 +207,8 @@ async fn recorded_observations_replace_synthetic_observations() {
     let folder = tempfile::tempdir().expect("a folder");
     record(folder.path()).await;
     let recorded = folder.path().to_str().expect("UTF-8");
-    let (sound, flipped) = (
-        serve(Planted::sound()).await,
-        serve(policy_with_flipped_frames()).await,
-    );
+    let (sound, flipped) =
+        (serve(Planted::sound()).await, serve(policy_with_flipped_frames()).await);
     let (sound, flipped) = (url(&sound), url(&flipped));
     let compared = run_to_end(&["compare", &sound, &flipped, "--recorded", recorded]).await;
     assert_eq!(compared.status, Some(1), "{}", compared.stderr);
@@ -267,10 +232,7 @@ fn hostile() -> Scripted {
     let described = DescribeResponse {
         name: HOSTILE.to_owned(),
         checkpoint: HOSTILE.to_owned(),
-        settings: vec![Setting {
-            name: HOSTILE.to_owned(),
-            value: HOSTILE.to_owned(),
-        }],
+        settings: vec![Setting { name: HOSTILE.to_owned(), value: HOSTILE.to_owned() }],
         ..description(HOSTILE, 1)
     };
     Scripted::new(described, |_| Err(Status::internal(HOSTILE)))
@@ -280,11 +242,8 @@ fn hostile() -> Scripted {
 async fn no_command_prints_control_sequences() {
     let (hostile, sound) = (serve(hostile()).await, serve(Planted::sound()).await);
     let (hostile, sound) = (url(&hostile), url(&sound));
-    let cases: [&[&str]; 3] = [
-        &["check", &hostile],
-        &["doctor", &hostile],
-        &["compare", &sound, &hostile],
-    ];
+    let cases: [&[&str]; 3] =
+        [&["check", &hostile], &["doctor", &hostile], &["compare", &sound, &hostile]];
     let mut printed = String::new();
     for arguments in cases {
         let ended = run_to_end(arguments).await;
@@ -295,8 +254,5 @@ async fn no_command_prints_control_sequences() {
         }
         printed += &ended.stdout;
     }
-    assert!(
-        printed.contains("\u{fffd}]52;c;"),
-        "the server's text is printed: {printed}"
-    );
+    assert!(printed.contains("\u{fffd}]52;c;"), "the server's text is printed: {printed}");
 }

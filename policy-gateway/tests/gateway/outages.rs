@@ -28,36 +28,22 @@ async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
     let outer = gateway(&[&format!("pi05=grpc://{address}")]).await;
     let mut client = outer.client().await;
 
-    let down = client
-        .reset(reset("pi05", "s"))
-        .await
-        .expect_err("nothing listens there");
+    let down = client.reset(reset("pi05", "s")).await.expect_err("nothing listens there");
     assert_eq!(down.code(), Code::Unavailable);
     for part in ["route pi05", &address.to_string(), "nothing listens there"] {
         assert!(down.message().contains(part), "{part} in {down}");
     }
     // The error is returned at once, without another attempt to connect.
-    let backing_off = client
-        .describe(describe("pi05"))
-        .await
-        .expect_err("still down");
+    let backing_off = client.describe(describe("pi05")).await.expect_err("still down");
     assert_eq!(backing_off.code(), Code::Unavailable);
-    assert!(
-        backing_off.message().contains("tried again in"),
-        "{backing_off}"
-    );
+    assert!(backing_off.message().contains("tried again in"), "{backing_off}");
 
     let queries = vec![infer("pi05", "s", 0)];
-    let batch = client
-        .infer_batch(InferBatchRequest { queries })
-        .await
-        .expect_err("still down");
+    let batch = client.infer_batch(InferBatchRequest { queries }).await.expect_err("still down");
     assert_eq!(batch.code(), Code::Unavailable);
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    describe_until_answered(&mut client)
-        .await
-        .expect("the policy came up");
+    describe_until_answered(&mut client).await.expect("the policy came up");
 }
 
 #[tokio::test]
@@ -70,16 +56,11 @@ async fn a_restarted_policy_is_used_again() {
     client.infer(infer("", "s", 0)).await.expect("an answer");
 
     inner.stop().await;
-    let down = client
-        .infer(infer("", "s", 1))
-        .await
-        .expect_err("the server has stopped");
+    let down = client.infer(infer("", "s", 1)).await.expect_err("the server has stopped");
     assert_eq!(down.code(), Code::Unavailable, "{down}");
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    describe_until_answered(&mut client)
-        .await
-        .expect("the policy came back");
+    describe_until_answered(&mut client).await.expect("the policy came back");
     // The server has lost the session, but keeps no state between queries: the gateway repeats the
     // session's Reset, and the session continues.
     let answer = client.infer(infer("", "s", 1)).await.expect("an answer");
@@ -94,10 +75,7 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     let mut client = outer.client().await;
     client.reset(reset("", "s")).await.expect("an episode");
     inner.stop().await;
-    client
-        .infer(infer("", "s", 0))
-        .await
-        .expect_err("the server has stopped");
+    client.infer(infer("", "s", 0)).await.expect_err("the server has stopped");
 
     // A server that accepts connections and never sends anything.
     let silent_listener = tokio::net::TcpListener::bind(address).await.expect("free");
@@ -110,9 +88,7 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     drop(silent_listener);
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
     let restarted_at = Instant::now();
-    describe_until_answered(&mut client)
-        .await
-        .expect("the policy is tried again");
+    describe_until_answered(&mut client).await.expect("the policy is tried again");
     assert!(restarted_at.elapsed() < WAITS.longest);
 }
 
@@ -121,21 +97,11 @@ async fn a_restarted_gateway_adopts_sessions_of_its_back_end() {
     let inner = gateway(&["noop=builtin:noop"]).await;
     let route = format!("noop=grpc://{}", inner.address);
     let outer = gateway(&[&route]).await;
-    outer
-        .client()
-        .await
-        .reset(reset("", "s"))
-        .await
-        .expect("an episode");
+    outer.client().await.reset(reset("", "s")).await.expect("an episode");
     let address = outer.address;
     outer.stop().await;
 
     let outer = gateway_at(address, &[&route]).await;
-    let answer = outer
-        .client()
-        .await
-        .infer(infer("", "s", 1))
-        .await
-        .expect("an answer");
+    let answer = outer.client().await.infer(infer("", "s", 1)).await.expect("an answer");
     assert_eq!(answer.get_ref().actions, NOOP_ACTION);
 }

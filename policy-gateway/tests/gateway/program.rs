@@ -15,10 +15,7 @@ use crate::support::{client, describe};
 
 pub(crate) fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_policy-gateway"));
-    command
-        .args(arguments)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
+    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
 
@@ -44,17 +41,10 @@ async fn the_program_names_its_port_serves_and_stops_on_sigterm() {
         .expect("the program starts");
     let address = address(&mut child);
     assert_ne!(address.port(), 0);
-    let described = client(address)
-        .await
-        .describe(describe("noop"))
-        .await
-        .expect("a description");
+    let described = client(address).await.describe(describe("noop")).await.expect("a description");
     assert_eq!(described.get_ref().name, "noop");
 
-    let killed = Command::new("kill")
-        .arg(child.id().to_string())
-        .status()
-        .expect("kill runs");
+    let killed = Command::new("kill").arg(child.id().to_string()).status().expect("kill runs");
     assert!(killed.success());
     assert!(child.wait().expect("the program ends").success());
 }
@@ -82,16 +72,10 @@ async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
 
     write("[policy.stand]\nreplicas = [\"nobody\"]");
     hang_up("failed to use");
-    client
-        .describe(describe("stand"))
-        .await
-        .expect("the earlier route");
+    client.describe(describe("stand")).await.expect("the earlier route");
     write("[policy.work]\nreplicas = [\"builtin:expert\"]");
     hang_up("again");
-    client
-        .describe(describe("work"))
-        .await
-        .expect("the new route");
+    client.describe(describe("work")).await.expect("the new route");
 
     child.kill().expect("the program runs");
     child.wait().expect("the program ends");
@@ -103,14 +87,8 @@ fn usage_errors_exit_with_2_and_name_the_remedy() {
         (&[], "--route"),
         (&["--route", "x"], "NAME=BACKEND"),
         (&["--route", "x=builtin:nope"], "noop, expert, student"),
-        (
-            &["--route", "x=builtin:noop", "--route", "x=builtin:expert"],
-            "two routes named x",
-        ),
-        (
-            &["--route", "x=builtin:noop", "--listen", "nowhere"],
-            "--listen",
-        ),
+        (&["--route", "x=builtin:noop", "--route", "x=builtin:expert"], "two routes named x"),
+        (&["--route", "x=builtin:noop", "--listen", "nowhere"], "--listen"),
     ];
     for (arguments, expected) in cases {
         let output = program(arguments).output().expect("the program runs");
@@ -130,17 +108,12 @@ async fn a_taken_port_is_named_and_the_exit_code_is_1() {
         .expect("the program runs");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert!(
-        stderr.contains(&format!("failed to listen on {taken}")),
-        "{stderr}"
-    );
+    assert!(stderr.contains(&format!("failed to listen on {taken}")), "{stderr}");
 }
 
 #[test]
 fn a_missing_configuration_is_named_with_the_remedy() {
-    let output = program(&["--config", "no/such.toml"])
-        .output()
-        .expect("the program runs");
+    let output = program(&["--config", "no/such.toml"]).output().expect("the program runs");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     for part in ["no/such.toml", "docs/POLICIES.md", "No such file"] {
@@ -154,9 +127,8 @@ fn a_check_with_a_closed_pipe_exits_with_its_verdict() {
         .spawn()
         .expect("the program starts");
     let url = format!("grpc://{}", address(&mut server));
-    let mut check = program(&["check", &url, "--suite", "libero_10"])
-        .spawn()
-        .expect("the program starts");
+    let mut check =
+        program(&["check", &url, "--suite", "libero_10"]).spawn().expect("the program starts");
     drop(check.stdout.take());
     let ended = check.wait().expect("the program ends");
     server.kill().expect("the program runs");
@@ -185,16 +157,12 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
     let refused = client(address).await.describe(describe("noop")).await;
     assert_eq!(refused.expect_err("no token").code(), Code::Unauthenticated);
     let endpoint = Endpoint::from_shared(format!("http://{address}")).expect("a URL");
-    let health = HealthClient::new(endpoint.connect_lazy())
-        .check(HealthCheckRequest::default())
-        .await;
+    let health =
+        HealthClient::new(endpoint.connect_lazy()).check(HealthCheckRequest::default()).await;
     health.expect("health is for everybody");
 
     let role = |role| {
-        let arguments = ClientArguments {
-            token_file: Some(tokens.path().to_owned()),
-            ca: None,
-        };
+        let arguments = ClientArguments { token_file: Some(tokens.path().to_owned()), ca: None };
         let access = arguments.access(&[role]).expect("a token");
         let connection = access.connect_lazy(endpoint.clone()).expect("no TLS");
         PolicyClient::new(connection)
@@ -202,10 +170,7 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
     let answered = role(Role::Worker).describe(describe("noop")).await;
     assert_eq!(answered.expect("a worker").get_ref().name, "noop");
     let refused = role(Role::Viewer).describe(describe("noop")).await;
-    assert_eq!(
-        refused.expect_err("a viewer").code(),
-        Code::PermissionDenied
-    );
+    assert_eq!(refused.expect_err("a viewer").code(), Code::PermissionDenied);
 
     // A token in the environment is enough to check a policy.
     let url = format!("grpc://{address}");
@@ -214,10 +179,7 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
         .output()
         .expect("the program runs");
     let printed = String::from_utf8_lossy(&checked.stdout);
-    assert!(
-        printed.contains("pass  the description is consistent"),
-        "{printed}"
-    );
+    assert!(printed.contains("pass  the description is consistent"), "{printed}");
     child.kill().expect("the program runs");
     child.wait().expect("the program ends");
 }

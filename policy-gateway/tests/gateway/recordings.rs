@@ -19,10 +19,7 @@ fn observation(query_index: u32) -> Observation {
         height: 2,
         rgb: vec![query_index as u8; 12].into(),
     };
-    Observation {
-        images: vec![frame],
-        ..Observation::default()
-    }
+    Observation { images: vec![frame], ..Observation::default() }
 }
 
 async fn send_query(
@@ -30,10 +27,7 @@ async fn send_query(
     query_index: u32,
     observation: Observation,
 ) -> Result<InferResponse, Status> {
-    let query = InferRequest {
-        observation: Some(observation),
-        ..infer("x", "s", query_index)
-    };
+    let query = InferRequest { observation: Some(observation), ..infer("x", "s", query_index) };
     client.infer(query).await.map(tonic::Response::into_inner)
 }
 
@@ -42,9 +36,7 @@ async fn send_query(
 async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
     let answer = |query: Query| Ok(chunk(&[0.1 * query.query_index as f32; 7], 7));
     let server = serve(Scripted::new(description("p", 1), answer)).await;
-    let route: RouteSpec = format!("x=grpc://{}", server.address)
-        .parse()
-        .expect("a route");
+    let route: RouteSpec = format!("x=grpc://{}", server.address).parse().expect("a route");
     let folder = folder.to_owned();
     let record = Some(RecordInto { folder, max_bytes });
     let (gateway, handle) = reloadable(vec![RouteSpec { record, ..route }]).await;
@@ -52,11 +44,7 @@ async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
     client.reset(reset("x", "s")).await.expect("an episode");
     let mut answers = vec![];
     for query in 0..2 {
-        answers.push(
-            send_query(&mut client, query, observation(query))
-                .await
-                .expect("an answer"),
-        );
+        answers.push(send_query(&mut client, query, observation(query)).await.expect("an answer"));
     }
     drop((client, handle));
     gateway.stop().await;
@@ -85,9 +73,7 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     client.reset(reset("x", "s")).await.expect("recorded");
     let mut changed = observation(0);
     changed.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
-    let refused = send_query(&mut client, 0, changed)
-        .await
-        .expect_err("another observation");
+    let refused = send_query(&mut client, 0, changed).await.expect_err("another observation");
     assert_eq!(refused.code(), Code::Internal);
     let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (row 0 is at \
                  the bottom; 0 was recorded, 9 was sent)";
@@ -96,15 +82,10 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     let third_query = send_query(&mut client, 2, observation(2)).await;
     let third_query = third_query.expect_err("no third query was recorded");
     assert!(
-        third_query
-            .message()
-            .contains("has 2 queries and none with the number 2"),
+        third_query.message().contains("has 2 queries and none with the number 2"),
         "{third_query}"
     );
-    let unrecorded = proto::policy::ResetRequest {
-        seed: 8,
-        ..reset("x", "t")
-    };
+    let unrecorded = proto::policy::ResetRequest { seed: 8, ..reset("x", "t") };
     let unrecorded = client.reset(unrecorded).await.expect_err("another seed");
     assert!(unrecorded.message().contains("with seed 8"), "{unrecorded}");
 }

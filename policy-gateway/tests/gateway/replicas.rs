@@ -19,10 +19,7 @@ use crate::support::{
 
 /// Starts a server whose answers consist of `number`.
 async fn server_answering(described: DescribeResponse, number: f32) -> Running {
-    serve(Scripted::new(described, move |_| {
-        Ok(chunk(&[number; 7], 7))
-    }))
-    .await
+    serve(Scripted::new(described, move |_| Ok(chunk(&[number; 7], 7)))).await
 }
 
 async fn number(client: &mut PolicyClient<Channel>, session: &str, query_index: u32) -> f32 {
@@ -31,17 +28,12 @@ async fn number(client: &mut PolicyClient<Channel>, session: &str, query_index: 
 }
 
 fn stateful() -> DescribeResponse {
-    DescribeResponse {
-        stateful: true,
-        ..description("p", 1)
-    }
+    DescribeResponse { stateful: true, ..description("p", 1) }
 }
 
 fn replicas(servers: &[&Running]) -> String {
-    let addresses: Vec<_> = servers
-        .iter()
-        .map(|server| format!("grpc://{}", server.address))
-        .collect();
+    let addresses: Vec<_> =
+        servers.iter().map(|server| format!("grpc://{}", server.address)).collect();
     format!("x={}", addresses.join(","))
 }
 
@@ -56,13 +48,7 @@ async fn sessions_of_a_stateful_policy_are_distributed_and_stay_on_their_replica
         client.reset(reset("x", session)).await.expect("an episode");
         replica_numbers.push(number(&mut client, session, 0).await);
     }
-    assert_eq!(
-        replica_numbers
-            .iter()
-            .filter(|number| **number == 0.1)
-            .count(),
-        2
-    );
+    assert_eq!(replica_numbers.iter().filter(|number| **number == 0.1).count(), 2);
     for query_index in 1..4 {
         for (session, expected) in ["a", "b", "c", "d"].iter().zip(&replica_numbers) {
             assert_eq!(number(&mut client, session, query_index).await, *expected);
@@ -82,9 +68,7 @@ async fn sessions_of_a_stateful_policy_are_distributed_and_stay_on_their_replica
 #[tokio::test]
 async fn a_stateless_policys_query_moves_to_another_replica_after_a_reset_there() {
     let by_seed = |query: crate::support::Query| {
-        let seed = query
-            .seed
-            .ok_or_else(|| tonic::Status::internal("no Reset"))?;
+        let seed = query.seed.ok_or_else(|| tonic::Status::internal("no Reset"))?;
         Ok(chunk(&[seed as f32; 7], 7))
     };
     let first = serve(Scripted::new(description("p", 1), by_seed)).await;
@@ -118,10 +102,7 @@ async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() 
         assert_eq!(number(&mut client, session, 0).await, 0.1);
     }
     first.stop().await;
-    let refused = client
-        .reset(reset("x", "d"))
-        .await
-        .expect_err("no replica with these weights");
+    let refused = client.reset(reset("x", "d")).await.expect_err("no replica with these weights");
     assert_eq!(refused.code(), Code::Unavailable, "{refused}");
 }
 
@@ -129,23 +110,18 @@ async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() 
 async fn a_changed_description_of_the_only_replica_is_refused_with_the_difference() {
     let digest_number = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&digest_number);
-    let server = serve(
-        Scripted::new(description("p", 1), |_| Ok(chunk(&[0.5; 7], 7))).describing(move || {
-            DescribeResponse {
-                checkpoint_digest: format!("digest {}", count.load(Ordering::SeqCst)),
-                ..description("p", 1)
-            }
-        }),
-    )
+    let server = serve(Scripted::new(description("p", 1), |_| Ok(chunk(&[0.5; 7], 7))).describing(
+        move || DescribeResponse {
+            checkpoint_digest: format!("digest {}", count.load(Ordering::SeqCst)),
+            ..description("p", 1)
+        },
+    ))
     .await;
     let gateway = gateway(&[&replicas(&[&server])]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
     digest_number.store(1, Ordering::SeqCst);
-    let changed = client
-        .reset(reset("x", "t"))
-        .await
-        .expect_err("other weights than before");
+    let changed = client.reset(reset("x", "t")).await.expect_err("other weights than before");
     assert_eq!(changed.code(), Code::Unavailable);
     for part in ["checkpoint digest", "digest 1", "digest 0", "SIGHUP"] {
         assert!(changed.message().contains(part), "{part} in {changed}");
@@ -177,31 +153,19 @@ async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_suite_is_refus
     let (gateway, _) = reloadable(vec![per_suite(&goal, &object)]).await;
     let mut client = gateway.client().await;
     for (suite, expected) in [("libero_goal", 0.1), ("libero_object", 0.2)] {
-        let request = DescribeRequest {
-            suite: suite.to_owned(),
-            ..describe("x")
-        };
+        let request = DescribeRequest { suite: suite.to_owned(), ..describe("x") };
         let described = client.describe(request).await.expect("a description");
         assert!(suite.ends_with(&described.get_ref().name[4..]));
-        let request = ResetRequest {
-            suite: suite.to_owned(),
-            ..reset("x", suite)
-        };
+        let request = ResetRequest { suite: suite.to_owned(), ..reset("x", suite) };
         client.reset(request).await.expect("an episode");
         assert_eq!(number(&mut client, suite, 0).await, expected);
     }
-    let unknown = client
-        .describe(describe("x"))
-        .await
-        .expect_err("no suite named");
+    let unknown = client.describe(describe("x")).await.expect_err("no suite named");
     assert_eq!(unknown.code(), Code::InvalidArgument);
     for part in ["names no suite", "libero_goal, libero_object"] {
         assert!(unknown.message().contains(part), "{part} in {unknown}");
     }
-    let request = DescribeRequest {
-        suite: "libero_10".to_owned(),
-        ..describe("x")
-    };
+    let request = DescribeRequest { suite: "libero_10".to_owned(), ..describe("x") };
     let unknown = client.describe(request).await.expect_err("no checkpoint");
     let part = r#"none for "libero_10""#;
     assert!(unknown.message().contains(part), "{unknown}");
@@ -213,10 +177,7 @@ async fn a_reload_applies_to_new_sessions_only() {
     let new = server_answering(stateful(), 0.2).await;
     let (running, gateway) = reloadable(vec![route(&replicas(&[&old]))]).await;
     let mut client = running.client().await;
-    client
-        .reset(reset("x", "before"))
-        .await
-        .expect("an episode");
+    client.reset(reset("x", "before")).await.expect("an episode");
     assert_eq!(number(&mut client, "before", 0).await, 0.1);
 
     let config = Config::new(vec![route(&replicas(&[&new]))]).expect("routes");
@@ -229,10 +190,7 @@ async fn a_reload_applies_to_new_sessions_only() {
     let without_x = Config::new(vec![route("y=builtin:noop")]).expect("routes");
     gateway.reload(&without_x).expect("addresses");
     assert_eq!(number(&mut client, "before", 2).await, 0.1);
-    let refused = client
-        .reset(reset("x", "late"))
-        .await
-        .expect_err("x is no longer served");
+    let refused = client.reset(reset("x", "late")).await.expect_err("x is no longer served");
     assert_eq!(refused.code(), Code::Unavailable, "{refused}");
     assert!(client.describe(describe("")).await.is_ok());
 }
@@ -255,10 +213,7 @@ async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
         let mut replicas_of_seed = BTreeSet::new();
         for attempt in 0..3 {
             let session = format!("{seed} {attempt}");
-            let request = ResetRequest {
-                seed,
-                ..reset("x", &session)
-            };
+            let request = ResetRequest { seed, ..reset("x", &session) };
             client.reset(request).await.expect("an episode");
             replicas_of_seed.insert(number(&mut client, &session, 0).await as u32);
         }
@@ -275,10 +230,7 @@ async fn a_replica_that_is_down_from_the_start_is_skipped() {
     let route = format!("x=grpc://{nowhere},grpc://{}", first.address);
     let gateway = gateway(&[&route]).await;
     let mut client = gateway.client().await;
-    client
-        .describe(describe("x"))
-        .await
-        .expect("the other replica");
+    client.describe(describe("x")).await.expect("the other replica");
     client.reset(reset("x", "s")).await.expect("an episode");
     assert_eq!(number(&mut client, "s", 0).await, 0.1);
 }

@@ -44,10 +44,7 @@ impl Episode {
 /// memory, one rollout executed the actions of another rollout.
 #[tokio::test(flavor = "multi_thread")]
 async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
-    let described = DescribeResponse {
-        stateful: true,
-        ..description("stateful", 1)
-    };
+    let described = DescribeResponse { stateful: true, ..description("stateful", 1) };
     // Answers with the seed, which identifies the episode, and the index of the query.
     let policy = serve(Scripted::new(described, |query| {
         let seed = query.seed.unwrap_or(0) as f32;
@@ -138,11 +135,7 @@ impl Policy for RecordingPolicy {
 async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
     for implements_end in [true, false] {
         let (events, mut receiver) = mpsc::unbounded_channel();
-        let server = serve(RecordingPolicy {
-            events,
-            implements_end,
-        })
-        .await;
+        let server = serve(RecordingPolicy { events, implements_end }).await;
         let route = format!("x=grpc://{}", server.address);
         let (gateway, _handle) = reloadable(vec![route.parse().expect("a route")]).await;
         let mut client = gateway.client().await;
@@ -150,15 +143,10 @@ async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
             client.reset(reset("x", session)).await.expect("an episode");
         }
         client.infer(infer("x", "one", 0)).await.expect("an answer");
-        let end = |session: &str| EndRequest {
-            policy: "x".to_owned(),
-            session: session.to_owned(),
-        };
+        let end =
+            |session: &str| EndRequest { policy: "x".to_owned(), session: session.to_owned() };
         client.end(end("one")).await.expect("an end");
-        client
-            .end(end("one"))
-            .await
-            .expect("a repeated end is accepted");
+        client.end(end("one")).await.expect("a repeated end is accepted");
         client.end(end("never opened")).await.expect("no error");
         client.end(end("two")).await.expect("an end");
         let mut received = vec![];

@@ -18,10 +18,7 @@ pub(crate) async fn gateway(routes: &[&str]) -> Running {
 
 /// Starts a gateway with these routes at this address.
 pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running {
-    let routes = routes
-        .iter()
-        .map(|text| text.parse::<RouteSpec>().expect(text))
-        .collect();
+    let routes = routes.iter().map(|text| text.parse::<RouteSpec>().expect(text)).collect();
     let config = Config::new(routes).expect("routes that can be served");
     run(Gateway::new(&config).expect("addresses"), address).await
 }
@@ -33,14 +30,9 @@ async fn run(gateway: Gateway, address: SocketAddr) -> Running {
     let mut task = JoinSet::new();
     task.spawn(async move {
         let shutdown = async { stopped.await.unwrap_or(()) };
-        policy_gateway::run(
-            gateway,
-            &transport::Security::loopback(),
-            listener,
-            shutdown,
-        )
-        .await
-        .expect("the gateway serves");
+        policy_gateway::run(gateway, &transport::Security::loopback(), listener, shutdown)
+            .await
+            .expect("the gateway serves");
     });
     Running::new(address, stop, task)
 }

@@ -80,11 +80,7 @@ impl Server {
                 });
             }
         });
-        Self {
-            port,
-            events,
-            _task: task,
-        }
+        Self { port, events, _task: task }
     }
 
     fn route(&self) -> String {
@@ -195,11 +191,7 @@ async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
             "not a message of vla-eval's protocol",
             Code::Unavailable,
         ),
-        (
-            |_| Answer::Text("Traceback"),
-            "not a message of vla-eval's protocol",
-            Code::Unavailable,
-        ),
+        (|_| Answer::Text("Traceback"), "not a message of vla-eval's protocol", Code::Unavailable),
         (greeting, "of type \"hello\"", Code::Unavailable),
         (
             |number| action(vec![0.0.into(); 7], number - 1),
@@ -243,9 +235,7 @@ async fn a_connection_that_breaks_in_a_query_is_an_outage() {
     let gateway = server.behind_a_gateway().await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    let broken = query(&mut client, "s", 0)
-        .await
-        .expect_err("the connection was closed");
+    let broken = query(&mut client, "s", 0).await.expect_err("the connection was closed");
     assert_eq!(broken.code(), Code::Unavailable, "{broken}");
     assert!(broken.message().contains("cannot reach"), "{broken}");
 }
@@ -272,10 +262,7 @@ async fn other_servers_and_other_versions_are_recognised() {
             },
             "version 2 of vla-eval's protocol",
         ),
-        (
-            |_, number| message("hello", map(vec![]), number),
-            "an unnamed version",
-        ),
+        (|_, number| message("hello", map(vec![]), number), "an unnamed version"),
     ];
     for (greeting, words) in cases {
         let server = Server::start(greeting).await;
@@ -297,9 +284,7 @@ async fn a_late_answer_is_not_the_answer_to_another_query() {
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    let late = query(&mut client, "s", 0)
-        .await
-        .expect_err("no answer in time");
+    let late = query(&mut client, "s", 0).await.expect_err("no answer in time");
     assert_eq!(late.code(), Code::DeadlineExceeded, "{late}");
     // The connection of the query is closed; that of the description stays open.
     let mut events = vec![];
@@ -343,8 +328,5 @@ async fn a_token_is_sent_to_a_proxy_in_front_of_the_server() {
     let mut client = gateway.client().await;
     client.describe(describe("x")).await.expect("a description");
     let header = Some("Bearer secret-of-the-proxy-0123".to_owned());
-    assert_eq!(
-        server.events.recv().await,
-        Some(ServerEvent::Connected(header))
-    );
+    assert_eq!(server.events.recv().await, Some(ServerEvent::Connected(header)));
 }

@@ -22,10 +22,7 @@ use crate::support::{
 
 /// Sends one query in a new session whose task is `task`.
 async fn one_query(client: &mut PolicyClient<Channel>, task: &str) -> Result<(), Status> {
-    let request = ResetRequest {
-        instruction: task.to_owned(),
-        ..reset("x", task)
-    };
+    let request = ResetRequest { instruction: task.to_owned(), ..reset("x", task) };
     client.reset(request).await?;
     client.infer(infer("x", task, 0)).await.map(drop)
 }
@@ -60,11 +57,7 @@ async fn a_broken_server_is_out_from_its_first_error_until_a_query_is_answered()
         assert_eq!(refused.code(), Code::Unavailable);
         assert!(refused.message().contains("tried again in"), "{refused}");
     }
-    assert_eq!(
-        queries.load(Ordering::SeqCst),
-        1,
-        "refused queries do not reach the server"
-    );
+    assert_eq!(queries.load(Ordering::SeqCst), 1, "refused queries do not reach the server");
 
     broken.store(false, Ordering::SeqCst);
     let deadline = Instant::now() + BROKEN_WAITS.longest;
@@ -73,9 +66,7 @@ async fn a_broken_server_is_out_from_its_first_error_until_a_query_is_answered()
         assert!(Instant::now() < deadline, "{status}");
         tokio::time::sleep(BROKEN_WAITS.first / 10).await;
     }
-    one_query(&mut client, "milk")
-        .await
-        .expect("an answer after the outage");
+    one_query(&mut client, "milk").await.expect("an answer after the outage");
 }
 
 #[tokio::test]
@@ -96,21 +87,16 @@ async fn the_same_error_to_three_tasks_is_an_outage_and_to_one_task_is_an_error(
 
 #[tokio::test]
 async fn invalid_answers_to_three_tasks_are_an_outage_of_the_policy() {
-    for invalid_answer in [
-        chunk(&[f32::NAN; 7], 7),
-        chunk(&[1e9; 7], 7),
-        chunk(&[0.0; 18], 6),
-        chunk(&[], 7),
-    ] {
+    for invalid_answer in
+        [chunk(&[f32::NAN; 7], 7), chunk(&[1e9; 7], 7), chunk(&[0.0; 18], 6), chunk(&[], 7)]
+    {
         let answer = move |_| Ok(invalid_answer.clone());
         let server = serve(Scripted::new(description("p", 1), answer)).await;
         let gateway = behind_a_gateway(&server).await;
         let mut client = gateway.client().await;
         let mut codes = vec![];
         for task in ["butter", "milk", "bowl"] {
-            let status = one_query(&mut client, task)
-                .await
-                .expect_err("an invalid answer");
+            let status = one_query(&mut client, task).await.expect_err("an invalid answer");
             codes.push(status.code());
         }
         assert_eq!(codes, [Code::Internal, Code::Internal, Code::Unavailable]);
@@ -162,21 +148,14 @@ async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_server() {
 async fn expect_outage_after_the_limit(server: DelayedPolicy) {
     let server = serve(server).await;
     let route = format!("x=grpc://{}", server.address);
-    let spec = RouteSpec {
-        answer_within: Duration::from_millis(300),
-        ..route.parse().expect("a route")
-    };
+    let spec =
+        RouteSpec { answer_within: Duration::from_millis(300), ..route.parse().expect("a route") };
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
-    let late = one_query(&mut client, "butter")
-        .await
-        .expect_err("no answer in time");
+    let late = one_query(&mut client, "butter").await.expect_err("no answer in time");
     assert_eq!(late.code(), Code::DeadlineExceeded);
     assert!(late.message().contains("within 0.3 s"), "{late}");
     let refused = one_query(&mut client, "milk").await.expect_err("out");
     assert_eq!(refused.code(), Code::Unavailable);
-    assert!(
-        refused.message().contains("did not answer in time"),
-        "{refused}"
-    );
+    assert!(refused.message().contains("did not answer in time"), "{refused}");
 }

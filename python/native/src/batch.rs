@@ -96,20 +96,14 @@ impl Batch {
             ));
         }
         // An OpenGL context belongs to one thread.
-        let uses_opengl = simulations
-            .iter()
-            .any(|simulation| simulation.get().draws_through_opengl());
+        let uses_opengl =
+            simulations.iter().any(|simulation| simulation.get().draws_through_opengl());
         let threads = match uses_opengl {
             true => 1,
             false => threads.min(simulations.len()),
         };
-        let states = simulations
-            .iter()
-            .map(|simulation| simulation.get().state.clone());
-        Ok(Self {
-            states: states.collect(),
-            threads,
-        })
+        let states = simulations.iter().map(|simulation| simulation.get().state.clone());
+        Ok(Self { states: states.collect(), threads })
     }
 
     /// Restores each environment from a snapshot. If one cannot be restored, no environment
@@ -177,9 +171,8 @@ impl Batch {
         let count = self.states.len();
         let chunk = actions_per_chunk(&actions, count)?;
         let all_actions = action::actions(&actions, &[count, chunk, WIDTH])?;
-        let expert = expert
-            .map(|drives| expert_drives(&drives, [count, chunk], absolute))
-            .transpose()?;
+        let expert =
+            expert.map(|drives| expert_drives(&drives, [count, chunk], absolute)).transpose()?;
         if limits.len() != count || starts.len() != count {
             return Err(invalid(format_args!(
                 "advance {count} environments: {} limits and {} starts were given",
@@ -203,9 +196,7 @@ impl Batch {
                 picture_size(width, height).map(|size| Camera { name, size })
             })
             .collect::<PyResult<Vec<_>>>()?;
-        let starts = starts
-            .iter()
-            .map(|row| row.as_deref().map(Start::read).transpose());
+        let starts = starts.iter().map(|row| row.as_deref().map(Start::read).transpose());
         let starts = starts.collect::<PyResult<Vec<_>>>()?;
         let observed_steps = match render {
             Render::All => chunk.max(1),
@@ -237,16 +228,10 @@ impl Batch {
         let mut tasks = Vec::with_capacity(count);
         let mut success_rows = successes.chunks_exact_mut(success_steps.max(1));
         let mut expert_rows = expert_actions.chunks_exact_mut(expert_steps.max(1));
-        let outputs = steps
-            .iter_mut()
-            .zip(&mut success)
-            .zip(readings.chunks_exact_mut(observed_steps));
-        for (((state, start), ((steps, success), readings)), (at, limit)) in self
-            .states
-            .iter()
-            .zip(starts)
-            .zip(outputs)
-            .zip(limits.into_iter().enumerate())
+        let outputs =
+            steps.iter_mut().zip(&mut success).zip(readings.chunks_exact_mut(observed_steps));
+        for (((state, start), ((steps, success), readings)), (at, limit)) in
+            self.states.iter().zip(starts).zip(outputs).zip(limits.into_iter().enumerate())
         {
             tasks.push(Task {
                 state,
@@ -269,18 +254,12 @@ impl Batch {
         }
         let frame = action_frame(absolute);
         let threads = self.threads;
-        let view = View {
-            cameras: rendered,
-            render,
-            mirrored,
-        };
+        let view = View { cameras: rendered, render, mirrored };
         let errors = py.detach(|| run(tasks, threads, |task| task.run(view, frame)));
 
         let result = PyDict::new(py);
         let errors = errors.into_iter();
-        let errors: Vec<_> = errors
-            .map(|error| error.map(|error| error.into_value(py)))
-            .collect();
+        let errors: Vec<_> = errors.map(|error| error.map(|error| error.into_value(py))).collect();
         result.set_item("errors", errors)?;
         result.set_item("steps", shaped(py, steps, &[count])?)?;
         result.set_item("success", shaped(py, success, &[count])?)?;
@@ -317,14 +296,7 @@ impl Batch {
 
 impl Task<'_> {
     fn run(self, view: View<'_>, frame: ActionFrame) -> PyResult<()> {
-        let Self {
-            state,
-            start,
-            actions,
-            limit,
-            expert,
-            mut outputs,
-        } = self;
+        let Self { state, start, actions, limit, expert, mut outputs } = self;
         let mut guard = state.hold()?;
         let state = guard.as_mut().ok_or_else(|| closed("close was called"))?;
         if let Some(start) = start {
@@ -375,9 +347,8 @@ impl Outputs<'_> {
             let size = picture_bytes(camera.size);
             let picture = &mut pictures[step * size..][..size];
             let row_bytes = camera.size[0] as usize * 3;
-            for (to, from) in picture
-                .chunks_exact_mut(row_bytes)
-                .zip(frame.rgb.chunks_exact(row_bytes).rev())
+            for (to, from) in
+                picture.chunks_exact_mut(row_bytes).zip(frame.rgb.chunks_exact(row_bytes).rev())
             {
                 match view.mirrored {
                     true => mirror(from, to),

@@ -31,9 +31,8 @@ impl CapturedView {
         height: u32,
     ) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
         let [wide, high] = picture_size(width, height)?;
-        let frame = self.draw(py, |environment, drawer| {
-            environment.draw(drawer, camera, wide, high)
-        })?;
+        let frame =
+            self.draw(py, |environment, drawer| environment.draw(drawer, camera, wide, high))?;
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
@@ -47,9 +46,8 @@ impl CapturedView {
         height: u32,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let size = picture_size(width, height)?;
-        let depths = self.draw(py, |environment, drawer| {
-            environment.depth(drawer, camera, size)
-        })?;
+        let depths =
+            self.draw(py, |environment, drawer| environment.depth(drawer, camera, size))?;
         shaped(py, depths, &[height as usize, width as usize])
     }
 

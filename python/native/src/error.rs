@@ -22,12 +22,7 @@ create_exception!(
     PyRuntimeError,
     "Another thread is computing with this environment."
 );
-create_exception!(
-    rollout_libero,
-    ClosedError,
-    PyRuntimeError,
-    "The environment has been closed."
-);
+create_exception!(rollout_libero, ClosedError, PyRuntimeError, "The environment has been closed.");
 create_exception!(
     rollout_libero,
     FilesError,

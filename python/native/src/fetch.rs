@@ -54,10 +54,7 @@ pub(crate) fn fetch_assets(
     let files = if everything {
         Table::libero().files().iter().collect()
     } else {
-        let tasks = bddl_files.into_iter().map(|bddl| TaskFiles {
-            bddl,
-            init: PathBuf::new(),
-        });
+        let tasks = bddl_files.into_iter().map(|bddl| TaskFiles { bddl, init: PathBuf::new() });
         let tasks: Vec<TaskFiles> = tasks.collect();
         AssetPack::files_of_tasks(&tasks).map_err(error::scene)?
     };

@@ -15,24 +15,17 @@ pub(crate) type Generator<'py> = (String, Bound<'py, PyArray1<u32>>, usize, i32,
 /// If the state is of another generator, or its key or position is invalid.
 pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> PyResult<LegacyRng> {
     let wrong = |problem: String| {
-        invalid(format_args!(
-            "read a generator's state: {problem}; give numpy.random.get_state()"
-        ))
+        invalid(format_args!("read a generator's state: {problem}; give numpy.random.get_state()"))
     };
     if name != "MT19937" {
         return Err(wrong(format!("its generator is `{name}`, not `MT19937`")));
     }
     let key: PyReadonlyArray1<'_, u32> = key.readonly();
     let words = key.as_slice()?;
-    let words = words
-        .try_into()
-        .map_err(|_| wrong(format!("its key has {} words", words.len())))?;
-    let state = LegacyState {
-        words,
-        position: *position,
-        has_gauss: *has_gauss != 0,
-        gauss: *gauss,
-    };
+    let words =
+        words.try_into().map_err(|_| wrong(format!("its key has {} words", words.len())))?;
+    let state =
+        LegacyState { words, position: *position, has_gauss: *has_gauss != 0, gauss: *gauss };
     LegacyRng::from_state(state).ok_or_else(|| wrong(format!("its position is {position}")))
 }
 

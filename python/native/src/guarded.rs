@@ -26,10 +26,7 @@ impl<T> Clone for Guarded<T> {
 
 impl<T> Guarded<T> {
     pub(crate) fn new(value: T) -> Self {
-        Self(Arc::new(Inner {
-            value: Mutex::new(Some(value)),
-            readers: AtomicUsize::new(0),
-        }))
+        Self(Arc::new(Inner { value: Mutex::new(Some(value)), readers: AtomicUsize::new(0) }))
     }
 
     /// Returns the result of `read`; `None` if the value is in use or closed.
@@ -76,13 +73,7 @@ impl<T> Guarded<T> {
     where
         T: Send,
     {
-        py.detach(|| {
-            compute(
-                self.hold()?
-                    .as_mut()
-                    .ok_or_else(|| closed("close was called"))?,
-            )
-        })
+        py.detach(|| compute(self.hold()?.as_mut().ok_or_else(|| closed("close was called"))?))
     }
 
     /// Frees the value; later uses raise `ClosedError`.

@@ -129,8 +129,7 @@ impl PlusPath {
     /// Angles of the arm's joints at resets, 7 numbers, rad; `None` for LIBERO's.
     #[getter(posture)]
     fn posture_array<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
-        self.posture()
-            .map(|posture| PyArray1::from_slice(py, &posture))
+        self.posture().map(|posture| PyArray1::from_slice(py, &posture))
     }
 
     /// Checks that pictures of a size can be corrupted.
@@ -175,11 +174,7 @@ impl PlusPath {
         let mut rgb: Vec<u8> = picture.as_array().iter().copied().collect();
         let rgb = py.detach(|| {
             if let Some(corruption) = self.0.corruption {
-                let mut picture = corruption::Picture {
-                    height,
-                    width,
-                    rgb: &mut rgb,
-                };
+                let mut picture = corruption::Picture { height, width, rgb: &mut rgb };
                 corruption.apply(&mut picture, &mut rng).map_err(value)?;
             }
             Ok::<_, PyErr>(rgb)

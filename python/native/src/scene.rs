@@ -97,9 +97,7 @@ impl Scene {
     /// Number of initial states.
     #[getter]
     fn initial_states(&self) -> usize {
-        self.ready
-            .as_ref()
-            .map_or(0, |ready| ready.states().count())
+        self.ready.as_ref().map_or(0, |ready| ready.states().count())
     }
 
     /// Returns the name of an instance's root body.
@@ -121,10 +119,8 @@ impl Scene {
         init_file: Option<PathBuf>,
     ) -> PyResult<Self> {
         let sources = Sources::open(sources).map_err(error::scene)?;
-        let files = TaskFiles {
-            bddl: bddl_file.clone(),
-            init: init_file.clone().unwrap_or_default(),
-        };
+        let files =
+            TaskFiles { bddl: bddl_file.clone(), init: init_file.clone().unwrap_or_default() };
         let named_pack = opened(assets, &sources).map_err(error::scene)?;
         let pack = opened_for(&files, assets, &sources).map_err(error::scene)?;
         let problem = files.problem().map_err(error::scene)?;

@@ -82,9 +82,7 @@ impl Schedule {
     /// Returns the action of the next control step, 7 numbers, and advances by one step.
     fn advance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.inner.due().is_some() {
-            return Err(invalid(
-                "advance a schedule: a query is due; call answer first",
-            ));
+            return Err(invalid("advance a schedule: a query is due; call answer first"));
         }
         let command = self.inner.advance();
         shaped(py, command.action.to_vec(), &[ACTION_WIDTH])
@@ -102,10 +100,7 @@ impl Schedule {
 
     /// Returns an independent copy.
     fn copy(&self) -> Self {
-        Self {
-            execution: self.execution.clone(),
-            inner: self.inner.clone(),
-        }
+        Self { execution: self.execution.clone(), inner: self.inner.clone() }
     }
 }
 

@@ -58,11 +58,7 @@ impl Simulation {
             ready,
             renderer,
         };
-        Ok(Self {
-            scene,
-            renderer,
-            state: Guarded::new(state),
-        })
+        Ok(Self { scene, renderer, state: Guarded::new(state) })
     }
 
     /// Renderer of the frames: `software`, `gl` or `gl:N`.
@@ -97,9 +93,7 @@ impl Simulation {
         };
         let (rng, rounds) = self.state.with(py, move |state| {
             state.end_rollout();
-            let reset = state
-                .environment
-                .reset(&mut rng, kind, joint_sampler_rounds);
+            let reset = state.environment.reset(&mut rng, kind, joint_sampler_rounds);
             let rounds = reset.map_err(simulation)?;
             if let (Reset::Hard, Some(pose)) = (kind, state.camera) {
                 state.environment.place_camera(pose).map_err(simulation)?;
@@ -197,15 +191,12 @@ impl Simulation {
 
     /// Returns true if the goal holds.
     fn success(&self, py: Python<'_>) -> PyResult<bool> {
-        self.state
-            .with(py, |state| Ok(state.environment.succeeded()))
+        self.state.with(py, |state| Ok(state.environment.succeeded()))
     }
 
     /// Returns the robot's readings at the last observation.
     fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let robot = self
-            .state
-            .with(py, |state| Ok(state.environment.robot_state()))?;
+        let robot = self.state.with(py, |state| Ok(state.environment.robot_state()))?;
         let readings = PyDict::new(py);
         for (name, values) in [
             ("eef_pos", robot.eef_pos.as_slice()),
@@ -259,9 +250,7 @@ impl Simulation {
         let size = picture_size(width, height)?;
         let depths = self.state.with(py, |state| {
             let environment = &mut state.environment;
-            with_drawer(state.renderer, |drawer| {
-                environment.depth(drawer, camera, size)
-            })
+            with_drawer(state.renderer, |drawer| environment.depth(drawer, camera, size))
         })?;
         shaped(py, depths, &[height as usize, width as usize])
     }
@@ -278,9 +267,7 @@ impl Simulation {
         let size = picture_size(width, height)?;
         let segments = self.state.with(py, |state| {
             let environment = &mut state.environment;
-            with_drawer(state.renderer, |drawer| {
-                environment.segmentation(drawer, camera, size)
-            })
+            with_drawer(state.renderer, |drawer| environment.segmentation(drawer, camera, size))
         })?;
         shaped(py, pairs(segments), &[height as usize, width as usize, 2])
     }
@@ -300,20 +287,14 @@ impl Simulation {
     /// Returns the model's extent, m, and the distances of the cameras' near and far planes, as
     /// multiples of the extent.
     fn planes(&self, py: Python<'_>) -> PyResult<[f64; 3]> {
-        self.state
-            .with(py, |state| Ok(state.environment.model().planes()))
+        self.state.with(py, |state| Ok(state.environment.model().planes()))
     }
 
     /// Returns position and rotation matrix of the end-effector at the controller's last
     /// update.
     fn controller_pose<'py>(&self, py: Python<'py>) -> PyResult<Pose<'py>> {
-        let pose = self
-            .state
-            .with(py, |state| Ok(state.environment.controller_pose()))?;
-        Ok((
-            shaped(py, pose.0.to_vec(), &[3])?,
-            shaped(py, pose.1.to_vec(), &[3, 3])?,
-        ))
+        let pose = self.state.with(py, |state| Ok(state.environment.controller_pose()))?;
+        Ok((shaped(py, pose.0.to_vec(), &[3])?, shaped(py, pose.1.to_vec(), &[3, 3])?))
     }
 
     /// Returns an array of the model, by MuJoCo's name.
@@ -378,9 +359,7 @@ impl Simulation {
         let kind = object_kind(kind)?;
         self.state.with(py, |state| {
             let model = state.environment.model();
-            Ok((0..model.count(kind))
-                .map(|id| model.name(kind, id))
-                .collect())
+            Ok((0..model.count(kind)).map(|id| model.name(kind, id)).collect())
         })
     }
 
@@ -439,13 +418,9 @@ fn object_kind(name: &str) -> PyResult<ObjectKind> {
 /// Returns an array of `mjData` and its length along the first axis.
 fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
     let (model, data) = (state.environment.model(), state.environment.data());
-    let [bodies, geoms, sites, cameras] = [
-        ObjectKind::Body,
-        ObjectKind::Geom,
-        ObjectKind::Site,
-        ObjectKind::Camera,
-    ]
-    .map(|kind| model.count(kind));
+    let [bodies, geoms, sites, cameras] =
+        [ObjectKind::Body, ObjectKind::Geom, ObjectKind::Site, ObjectKind::Camera]
+            .map(|kind| model.count(kind));
     let time = [data.time_secs()];
     let (values, rows): (&[f64], usize) = match name {
         "time" => (&time, 1),

@@ -11,13 +11,7 @@ use crate::error::value;
 pub(crate) fn task(name: &str) -> PyResult<(&'static str, u8, &'static str, String, u32)> {
     let task: TaskRef = name.parse().map_err(value)?;
     let suite = task.suite();
-    Ok((
-        suite.name(),
-        task.index(),
-        task.name(),
-        task.instruction(),
-        suite.max_steps(),
-    ))
+    Ok((suite.name(), task.index(), task.name(), task.instruction(), suite.max_steps()))
 }
 
 /// Returns the manifest row, JSON, of a rollout id such as `spatial/t0/combination/L2/c03`.

@@ -137,9 +137,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     println!("{}", bench.clock);
     println!("{}", header(arguments.alone));
     for row in &rows {
-        bench
-            .draw(row, arguments)
-            .with_context(|| format!("draw {}", row.id))?;
+        bench.draw(row, arguments).with_context(|| format!("draw {}", row.id))?;
     }
     bench.totals.print();
     Ok(())
@@ -150,16 +148,10 @@ fn run(arguments: &Arguments) -> Result<()> {
 /// new process because a process with threads must not change its own environment.
 fn rerun_on_one_thread() -> Result<()> {
     let program = std::env::current_exe().context("find this program's own file")?;
-    let error = Command::new(&program)
-        .args(std::env::args_os().skip(1))
-        .env(LLVMPIPE_THREADS, "0")
-        .exec();
-    Err(error).with_context(|| {
-        format!(
-            "start {} again with {LLVMPIPE_THREADS}=0",
-            program.display()
-        )
-    })
+    let error =
+        Command::new(&program).args(std::env::args_os().skip(1)).env(LLVMPIPE_THREADS, "0").exec();
+    Err(error)
+        .with_context(|| format!("start {} again with {LLVMPIPE_THREADS}=0", program.display()))
 }
 
 fn tasks(names: &[String]) -> Result<Vec<TaskRef>> {
@@ -185,11 +177,7 @@ fn row_of(task: TaskRef, condition: &str) -> Result<libero_ctrl::ManifestRow> {
 /// Renders a square frame of one camera, `side` pixels wide.
 fn render(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, SimError> {
     let request = ObservationRequest {
-        cameras: vec![CameraRequest {
-            name: camera.to_owned(),
-            width: side,
-            height: side,
-        }],
+        cameras: vec![CameraRequest { name: camera.to_owned(), width: side, height: side }],
         privileged: false,
     };
     Ok(episode.observe(&request)?.frames.remove(0))
@@ -232,12 +220,7 @@ impl Bench {
             }
         }
         println!();
-        Ok(Self {
-            ours,
-            theirs,
-            clock,
-            totals: Totals::default(),
-        })
+        Ok(Self { ours, theirs, clock, totals: Totals::default() })
     }
 
     fn draw(&mut self, row: &libero_ctrl::ManifestRow, arguments: &Arguments) -> Result<()> {
@@ -276,11 +259,8 @@ impl Bench {
                 let differing_pixels = findings.agreement.add(&our_frame, &their_frame);
                 let worst = findings.worst.as_ref();
                 if worst.is_none_or(|worst| differing_pixels > worst.differing_pixels) {
-                    findings.worst = Some(Worst {
-                        differing_pixels,
-                        ours: our_frame,
-                        theirs: their_frame,
-                    });
+                    findings.worst =
+                        Some(Worst { differing_pixels, ours: our_frame, theirs: their_frame });
                 }
             }
             let action = smooth_action(frame);
@@ -290,11 +270,7 @@ impl Bench {
             }
         }
         for (camera, findings) in CAMERAS.iter().zip(&findings) {
-            let place = format!(
-                "{} {}",
-                row.id,
-                camera.split('_').next_back().unwrap_or(camera)
-            );
+            let place = format!("{} {}", row.id, camera.split('_').next_back().unwrap_or(camera));
             println!("{}", self.totals.row(&place, findings)?);
             if let (Some(folder), Some(worst)) = (&arguments.output, &findings.worst) {
                 let name = format!("{}_{camera}", row.id.to_string().replace('/', "_"));
@@ -360,10 +336,7 @@ impl Totals {
         let agreement = &findings.agreement;
         let equal = agreement.percent(agreement.equal);
         let close = agreement.percent(agreement.close);
-        for (least, share) in [
-            (&mut self.least_equal, equal),
-            (&mut self.least_close, close),
-        ] {
+        for (least, share) in [(&mut self.least_equal, equal), (&mut self.least_close, close)] {
             if least.as_ref().is_none_or(|(least, _)| share < *least) {
                 *least = Some((share, place.to_owned()));
             }
@@ -380,15 +353,13 @@ impl Totals {
     /// Adds a scene's ratio of OpenGL's time to ours, each the sum of both cameras' medians.
     fn add(&mut self, scene: &str, findings: &[Findings; 2]) {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
-            let medians = findings
-                .iter()
-                .map(|findings| Some(Spread::from_values(times(findings))?.median));
+            let medians =
+                findings.iter().map(|findings| Some(Spread::from_values(times(findings))?.median));
             medians.sum()
         };
-        if let (Some(ours), Some(theirs)) = (
-            sum(|findings| &findings.ours),
-            sum(|findings| &findings.theirs),
-        ) {
+        if let (Some(ours), Some(theirs)) =
+            (sum(|findings| &findings.ours), sum(|findings| &findings.theirs))
+        {
             self.ratios.push((theirs / ours, scene.to_owned()));
         }
     }
@@ -431,9 +402,7 @@ fn resident() -> Result<f64> {
     let status = std::fs::read_to_string(path).with_context(|| format!("read {path}"))?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
     let kib = line.and_then(|rest| rest.split_whitespace().next());
-    let kib: f64 = kib
-        .with_context(|| format!("find VmRSS in {path}"))?
-        .parse()?;
+    let kib: f64 = kib.with_context(|| format!("find VmRSS in {path}"))?.parse()?;
     Ok(kib / 1024.0)
 }
 
@@ -454,7 +423,5 @@ fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
         }
     }
     let path = folder.join(format!("{name}.png"));
-    picture
-        .save(&path)
-        .with_context(|| format!("write {}", path.display()))
+    picture.save(&path).with_context(|| format!("write {}", path.display()))
 }

@@ -57,9 +57,7 @@ fn main() -> Result<()> {
         conditions.settle(&mut environment)?;
         Ok(Mutex::new(environment))
     };
-    let environments = (0..arguments.environments)
-        .map(begin)
-        .collect::<Result<Vec<_>>>()?;
+    let environments = (0..arguments.environments).map(begin).collect::<Result<Vec<_>>>()?;
     let threads = thread::available_parallelism().map_or(1, NonZero::get);
     let actions = actions(arguments.steps + WARM_UP);
     for action in &actions[..WARM_UP] {
@@ -81,9 +79,7 @@ fn actions(count: usize) -> Vec<[f64; 7]> {
         let phase = 3.0 * step as f64 / (count - 1) as f64 + axis as f64;
         0.3 * phase.sin()
     };
-    (0..count)
-        .map(|step| std::array::from_fn(|axis| at(step, axis)))
-        .collect()
+    (0..count).map(|step| std::array::from_fn(|axis| at(step, axis))).collect()
 }
 
 /// Steps all environments once, reads the robot's state, and renders each camera into its buffer,
@@ -110,14 +106,10 @@ fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 
     thread::scope(|scope| {
         let helpers: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
         work()?;
-        helpers
-            .into_iter()
-            .try_for_each(|thread| thread.join().expect("no panic"))
+        helpers.into_iter().try_for_each(|thread| thread.join().expect("no panic"))
     })
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .expect("no thread panics while it holds the lock")
+    mutex.lock().expect("no thread panics while it holds the lock")
 }

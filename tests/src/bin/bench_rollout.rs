@@ -348,10 +348,7 @@ impl Bench {
             description: self.description.clone(),
             actions: &self.actions,
         };
-        let mut watcher = PhaseWatcher {
-            timer: Rc::clone(&timer),
-            problem: None,
-        };
+        let mut watcher = PhaseWatcher { timer: Rc::clone(&timer), problem: None };
         let mut stage = Stage::of_the_protocol(&mut self.simulator);
         timer.borrow_mut().lap();
         let outcome = worker::rollout::run(&mut stage, &mut actor, &self.assignment, &mut watcher);
@@ -397,9 +394,7 @@ impl Bench {
             .collect();
         let shares =
             Spread::from_values(&shares).context("compute the shares: no rollout was timed")?;
-        let last = timers
-            .last()
-            .context("report the frames: no rollout was timed")?;
+        let last = timers.last().context("report the frames: no rollout was timed")?;
         Ok(json!({
             "rollouts": rollouts,
             "steps": steps,

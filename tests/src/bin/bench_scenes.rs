@@ -118,11 +118,7 @@ fn run_slot(arguments: &Arguments) -> Result<()> {
         let secs = start.elapsed().as_secs_f64();
         let request = ObservationRequest {
             cameras: ["agentview", "robot0_eye_in_hand"]
-                .map(|name| CameraRequest {
-                    name: name.to_owned(),
-                    width: SIDE,
-                    height: SIDE,
-                })
+                .map(|name| CameraRequest { name: name.to_owned(), width: SIDE, height: SIDE })
                 .to_vec(),
             privileged: false,
         };
@@ -174,19 +170,12 @@ impl Slot {
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().context("start a slot")?;
         let responses = BufReader::new(child.stdout.take().expect("piped"));
-        Ok(Self {
-            commands: child.stdin.take(),
-            responses,
-            child,
-        })
+        Ok(Self { commands: child.stdin.take(), responses, child })
     }
 
     /// Sends the slot a task to start.
     fn send(&mut self, task: TaskRef) -> Result<()> {
-        let commands = self
-            .commands
-            .as_mut()
-            .context("the slot's input is closed")?;
+        let commands = self.commands.as_mut().context("the slot's input is closed")?;
         writeln!(commands, "{task}").context("send a slot its task")
     }
 
@@ -196,10 +185,7 @@ impl Slot {
 
     /// Waits until the slot has completed its steps.
     fn wait_for_steps(&mut self) -> Result<()> {
-        ensure!(
-            self.line()?.trim() == "moved",
-            "the slot did not report `moved`"
-        );
+        ensure!(self.line()?.trim() == "moved", "the slot did not report `moved`");
         Ok(())
     }
 
@@ -292,17 +278,9 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let first = start_times(start()?, &tasks)?;
     row("scene ready, first time: median, most", in_ms(&first), "");
     let bytes = total_size(&scenes).unwrap_or_default();
-    row(
-        "scene files together",
-        format!("{:.0} MiB", bytes as f64 / MIB),
-        "",
-    );
+    row("scene files together", format!("{:.0} MiB", bytes as f64 / MIB), "");
     let ready = start_times(start()?, &tasks)?;
-    row(
-        "scene ready, file present: median, most",
-        in_ms(&ready),
-        "<= 30 ms",
-    );
+    row("scene ready, file present: median, most", in_ms(&ready), "<= 30 ms");
 
     let mut starts = Vec::new();
     for task in &tasks {
@@ -314,11 +292,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         slot.wait_for_steps()?;
         slot.end()?;
     }
-    row(
-        "slot started to its first rollout: median, most",
-        in_ms(&starts),
-        "<= 500 ms",
-    );
+    row("slot started to its first rollout: median, most", in_ms(&starts), "<= 500 ms");
 
     let (mut private, mut resident, mut mapped) = (Vec::new(), Vec::new(), Vec::new());
     for task in &tasks {
@@ -339,20 +313,14 @@ fn measure(arguments: &Arguments) -> Result<()> {
         format!("{:.1} MiB", most(&private)),
         "<= 40 MiB",
     );
-    row(
-        "  resident: maximum",
-        format!("{:.1} MiB", most(&resident)),
-        "",
-    );
+    row("  resident: maximum", format!("{:.1} MiB", most(&resident)), "");
     row(
         "  resident part of its scene file: mean, maximum",
         format!("{:.1}, {:.1} MiB", mean(&mapped), most(&mapped)),
         "",
     );
 
-    let mut slots = (0..arguments.slots)
-        .map(|_| start())
-        .collect::<Result<Vec<_>>>()?;
+    let mut slots = (0..arguments.slots).map(|_| start()).collect::<Result<Vec<_>>>()?;
     let mut totals = Vec::new();
     for round in 0..tasks.len() {
         for (at, slot) in slots.iter_mut().enumerate() {
@@ -389,16 +357,10 @@ fn measure(arguments: &Arguments) -> Result<()> {
             let secs = String::from_utf8(output.stdout)?;
             environments.push(secs.trim().parse::<f64>()?);
         }
-        row(
-            "first Environment in Python: median, most",
-            in_ms(&environments),
-            "<= 200 ms",
-        );
+        row("first Environment in Python: median, most", in_ms(&environments), "<= 200 ms");
         let total_memory = |processes: usize, count: usize| -> Result<f64> {
             let start = || Slot::python(python, count, &tasks, &variables);
-            let mut all = (0..processes)
-                .map(|_| start())
-                .collect::<Result<Vec<_>>>()?;
+            let mut all = (0..processes).map(|_| start()).collect::<Result<Vec<_>>>()?;
             all.iter_mut().try_for_each(Slot::wait_for_steps)?;
             let memory = all.iter().map(Slot::memory).collect::<Result<Vec<_>>>()?;
             all.into_iter().try_for_each(Slot::end)?;

@@ -46,12 +46,7 @@ const FRAMES: usize = 20;
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
-    let sources = Sources::open(
-        &arguments
-            .sources
-            .clone()
-            .unwrap_or_else(Sources::default_dir),
-    )?;
+    let sources = Sources::open(&arguments.sources.clone().unwrap_or_else(Sources::default_dir))?;
     let pack = open_pack(&arguments.assets, &sources, [arguments.task])?;
     let files = TaskFiles::of_task(&sources, arguments.task);
     let states = InitialStates::read(&files.init)?;
@@ -91,10 +86,7 @@ fn main() -> Result<()> {
             let (millis, frame) = timed(|| environment.draw(&drawer, camera, FRAME, FRAME));
             frame.map(|_| millis)
         });
-        frames.insert(
-            camera.to_owned(),
-            json!(median(millis.collect::<Result<_, _>>()?)),
-        );
+        frames.insert(camera.to_owned(), json!(median(millis.collect::<Result<_, _>>()?)));
     }
     let (step_ms, bare_ms) = (median(steps), median(bare));
     println!(

@@ -169,15 +169,8 @@ fn roll_out(simulator: &mut Simulator, task: TaskRef, config: usize) -> Result<(
     for step in 0..STEPS {
         episode.step(&smooth_action(step))?;
     }
-    let camera = CameraRequest {
-        name: "agentview".to_owned(),
-        width: FRAME,
-        height: FRAME,
-    };
-    episode.observe(&ObservationRequest {
-        cameras: vec![camera],
-        privileged: true,
-    })?;
+    let camera = CameraRequest { name: "agentview".to_owned(), width: FRAME, height: FRAME };
+    episode.observe(&ObservationRequest { cameras: vec![camera], privileged: true })?;
     Ok(())
 }
 

@@ -68,10 +68,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
         "compare frames bit for bit: the reference was drawn by OpenGL, so --frames-of-this-machine \
          takes --renderer gl or gl:N"
     );
-    let sources = arguments
-        .sources
-        .clone()
-        .unwrap_or_else(Sources::default_dir);
+    let sources = arguments.sources.clone().unwrap_or_else(Sources::default_dir);
     let sources = Sources::open(&sources)?;
     let Some(reference) = &arguments.reference else {
         return family(arguments, sources);
@@ -81,15 +78,9 @@ fn run(arguments: &Arguments) -> Result<bool> {
     let references = references.collect::<Result<Vec<TaskRef>, _>>()?;
     let pack = open_pack(&arguments.assets, &sources, references)?;
     let drawer = Drawer::open(arguments.renderer)?;
-    println!(
-        "MuJoCo {}, drawn by {}",
-        sim::mujoco::version(),
-        drawer.name()
-    );
-    let limits = Limits::new(RendererRelation::for_drawer(
-        &drawer,
-        arguments.frames_of_this_machine,
-    ));
+    println!("MuJoCo {}, drawn by {}", sim::mujoco::version(), drawer.name());
+    let limits =
+        Limits::new(RendererRelation::for_drawer(&drawer, arguments.frames_of_this_machine));
     println!(
         "frames: at least {} % of pixels equal and {} % within {CLOSE_LEVELS} levels, compared with {}",
         limits.frames.equal * 100.0,
@@ -171,9 +162,7 @@ fn select(all: Vec<ReferenceTask>, wanted: &[String]) -> Result<Vec<ReferenceTas
 const HEADER: &str = "task              names arrays settle smooth contact obs.   predicates frames   within 2  largest";
 
 fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
-    let contact = findings
-        .contact
-        .map_or("-".to_owned(), |contact| short(contact.worst));
+    let contact = findings.contact.map_or("-".to_owned(), |contact| short(contact.worst));
     let frames = findings.frames.as_ref().map_or("-".to_owned(), |frames| {
         format!(
             "{} {} {:<7}",
@@ -186,21 +175,13 @@ fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
     format!(
         "{:<17} {:<5} {:<6} {:<6} {:<6} {:<7} {:<6} {:<10} {} {}",
         task.id(),
-        if findings.name.is_none() {
-            "same"
-        } else {
-            "DIFF"
-        },
+        if findings.name.is_none() { "same" } else { "DIFF" },
         short(findings.arrays.value),
         short(findings.settled.value),
         short(findings.smooth.value),
         contact,
         short(findings.observed.value),
-        if all == 0 {
-            "-".to_owned()
-        } else {
-            format!("{}/{all}", all - differ)
-        },
+        if all == 0 { "-".to_owned() } else { format!("{}/{all}", all - differ) },
         frames,
         if agrees { "ok" } else { "NO" },
     )
@@ -213,9 +194,5 @@ fn percent(share: f64) -> String {
 }
 
 fn short(value: f64) -> String {
-    if value == 0.0 {
-        "0".to_owned()
-    } else {
-        format!("{value:.0e}")
-    }
+    if value == 0.0 { "0".to_owned() } else { format!("{value:.0e}") }
 }

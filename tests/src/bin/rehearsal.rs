@@ -97,11 +97,7 @@ fn main() -> ExitCode {
         retried: 0,
     };
     rehearsal.run();
-    let Rehearsal {
-        occurrences,
-        retried,
-        ..
-    } = rehearsal;
+    let Rehearsal { occurrences, retried, .. } = rehearsal;
     let outcome = fleet.outcome();
     println!("disturbed: {:.0} s", started.elapsed().as_secs_f64());
     for (label, times) in occurrences {
@@ -209,8 +205,7 @@ impl Rehearsal<'_> {
                 "backup of the database"
             }
             Event::Restore => {
-                self.fleet
-                    .restore(backup.as_ref().expect("an earlier backup"));
+                self.fleet.restore(backup.as_ref().expect("an earlier backup"));
                 "loss of the data folder, the backup restored"
             }
         };

@@ -61,10 +61,8 @@ fn main() -> Result<()> {
         "--nominal", "none",
     ]);
     let outcomes = arguments.outcomes.to_string_lossy();
-    let environment = [
-        ("SIMULATED_SLOT_OUTCOMES", outcomes.as_ref()),
-        ("SIMULATED_SLOT_STEP_MILLIS", "0"),
-    ];
+    let environment =
+        [("SIMULATED_SLOT_OUTCOMES", outcomes.as_ref()), ("SIMULATED_SLOT_STEP_MILLIS", "0")];
     let _worker = campaigns.simulated_worker(2, &environment);
     campaigns.wait_for_commits(REPEATED, Some(REPEATED_RESULTS));
     std::fs::create_dir_all(&arguments.output)
@@ -77,38 +75,18 @@ fn main() -> Result<()> {
 }
 
 fn pictures() -> Vec<Picture> {
-    let desk = |height| Screen {
-        width: 1440,
-        height,
-        is_dark: false,
-    };
-    let phone = Screen {
-        width: 390,
-        height: 844,
-        is_dark: false,
-    };
+    let desk = |height| Screen { width: 1440, height, is_dark: false };
+    let phone = Screen { width: 390, height: 844, is_dark: false };
     let campaign = format!("/campaigns/{REPEATED}");
     let configuration = format!("/campaigns/{FILMED}/configurations/object/t4/combination/L2/c01");
-    let picture = |name, path: &str, from, screen| Picture {
-        name,
-        path: path.to_owned(),
-        from,
-        screen,
-    };
+    let picture =
+        |name, path: &str, from, screen| Picture { name, path: path.to_owned(), from, screen };
     vec![
         picture("campaigns", "/", "", desk(620)),
         picture("campaign", &campaign, "", desk(1_300)),
         picture("matrix", &campaign, "figure:last-of-type", desk(640)),
         picture("configuration", &configuration, "", desk(1_150)),
-        picture(
-            "campaign-dark",
-            &campaign,
-            "",
-            Screen {
-                is_dark: true,
-                ..desk(1_000)
-            },
-        ),
+        picture("campaign-dark", &campaign, "", Screen { is_dark: true, ..desk(1_000) }),
         picture("phone", &campaign, "", phone),
     ]
 }
@@ -126,17 +104,10 @@ fn take(
     browser.value("document.querySelectorAll('video').forEach(v => { v.currentTime = 3; })");
     browser.wait_for("[...document.querySelectorAll('video')].every(v => !v.seeking)");
     if !picture.from.is_empty() {
-        browser.value(&format!(
-            "document.querySelector({:?}).scrollIntoView()",
-            picture.from
-        ));
+        browser.value(&format!("document.querySelector({:?}).scrollIntoView()", picture.from));
     }
     let is_too_wide = browser.value("document.documentElement.scrollWidth > window.innerWidth");
-    ensure!(
-        is_too_wide == false,
-        "show {}: the page is wider than its screen",
-        picture.name
-    );
+    ensure!(is_too_wide == false, "show {}: the page is wider than its screen", picture.name);
     let png = browser.screenshot();
     ensure!(
         png.len() <= MAX_PICTURE_BYTES,

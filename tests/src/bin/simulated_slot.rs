@@ -46,10 +46,7 @@ fn main() {
     let script = Script::from_environment();
     send(
         &parent,
-        &SlotEvent::Ready {
-            renderer: RENDERER.to_owned(),
-            fingerprint: digest(RENDERER),
-        },
+        &SlotEvent::Ready { renderer: RENDERER.to_owned(), fingerprint: digest(RENDERER) },
     );
     while let Ok(assignment) = assignments.recv() {
         let attempt = assignment.attempt;
@@ -115,18 +112,10 @@ fn play(
     let started = Instant::now();
     let row = &assignment.row;
     let session = assignment.policy_session();
-    let mut policy = PolicyClient::new(
-        &assignment.policy_endpoint,
-        &Access::none(),
-        CAMPAIGN_SETTINGS,
-    )?;
+    let mut policy =
+        PolicyClient::new(&assignment.policy_endpoint, &Access::none(), CAMPAIGN_SETTINGS)?;
     let description = policy.describe(session)?;
-    policy.reset(
-        session,
-        session.suite,
-        &row.instruction,
-        assignment.policy_seed,
-    )?;
+    policy.reset(session, session.suite, &row.instruction, assignment.policy_seed)?;
     let mut parts = Parts::default();
     let mut hash = Sha256::new();
     hash.update(row.id.to_string());

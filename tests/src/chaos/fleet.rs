@@ -272,10 +272,7 @@ impl Fleet {
                 self.start_worker(victim.machine);
             }
             Fault::DrainWorker => {
-                let Worker {
-                    process: mut victim,
-                    machine,
-                } = self.workers.remove(0);
+                let Worker { process: mut victim, machine } = self.workers.remove(0);
                 victim.signal("-TERM");
                 self.start_worker(machine);
                 match self.slot_victim == Some(victim.id()) {
@@ -521,11 +518,7 @@ impl Fleet {
 
     fn log(&self) -> Stdio {
         let path = self.folder.path().join("log");
-        let file: File = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(path)
-            .expect("a log");
+        let file: File = OpenOptions::new().create(true).append(true).open(path).expect("a log");
         file.into()
     }
 }

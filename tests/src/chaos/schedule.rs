@@ -84,10 +84,7 @@ impl Schedule {
         while (faults.len() as u64) < FAULTS {
             let kind = rng.next_u64() % KINDS;
             let fault = draw(&mut rng, kind);
-            let charged = faults
-                .iter()
-                .chain([&fault])
-                .filter(|fault| fault.is_charged());
+            let charged = faults.iter().chain([&fault]).filter(|fault| fault.is_charged());
             if charged.count() <= MAX_CHARGED_FAULTS {
                 faults.push(fault);
             }
@@ -166,10 +163,7 @@ mod tests {
             let schedule = Schedule::new(seed);
             assert_eq!(schedule.faults, Schedule::new(seed).faults);
             assert_eq!(schedule.faults.len() as u64, FAULTS);
-            assert!(
-                schedule.charged_faults() <= MAX_CHARGED_FAULTS,
-                "{schedule}"
-            );
+            assert!(schedule.charged_faults() <= MAX_CHARGED_FAULTS, "{schedule}");
         }
     }
 }

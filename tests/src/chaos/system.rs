@@ -33,11 +33,7 @@ pub(super) fn without_write_access(folder: &Path) -> Option<Command> {
         command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
         command
     };
-    if as_nobody()
-        .arg("true")
-        .status()
-        .is_ok_and(|status| status.success())
-    {
+    if as_nobody().arg("true").status().is_ok_and(|status| status.success()) {
         return Some(as_nobody());
     }
     eprintln!("SKIPPED the read-only database: setpriv cannot run it as another user than root");
@@ -75,9 +71,7 @@ pub(super) fn limit_files(process: &Process, limit: &str) {
 /// Kills processes. Some may have exited since they were listed, so errors are ignored.
 pub(super) fn kill_all(processes: &[u32]) {
     for process in processes {
-        let _ = Command::new("kill")
-            .args(["-KILL", &process.to_string()])
-            .status();
+        let _ = Command::new("kill").args(["-KILL", &process.to_string()]).status();
     }
 }
 

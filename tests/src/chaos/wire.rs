@@ -42,10 +42,8 @@ impl Wire {
     /// If there is no free port.
     pub fn new() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-        let wire = Self {
-            address: listener.local_addr().expect("an address"),
-            state: Arc::default(),
-        };
+        let wire =
+            Self { address: listener.local_addr().expect("an address"), state: Arc::default() };
         let state = Arc::clone(&wire.state);
         thread::spawn(move || {
             for client in listener.incoming().flatten() {
@@ -147,11 +145,7 @@ impl State {
             let discards = &self.loses_answers;
             for (place, server) in servers.iter().enumerate() {
                 // Responses on the duplicate connection are discarded.
-                let receivers = if place == 0 {
-                    slice::from_ref(&client)
-                } else {
-                    &[]
-                };
+                let receivers = if place == 0 { slice::from_ref(&client) } else { &[] };
                 threads.spawn(move || self.copy(server, receivers, discards));
             }
             self.copy(&client, &servers, &AtomicBool::new(false));

@@ -108,16 +108,9 @@ impl Network {
     pub fn wrapper(self) -> &'static [&'static str] {
         match self {
             Self::OfRoot => &["unshare", "--net", "sh", "-c", UP, "sh"],
-            Self::OfUser => &[
-                "unshare",
-                "--user",
-                "--map-root-user",
-                "--net",
-                "sh",
-                "-c",
-                UP,
-                "sh",
-            ],
+            Self::OfUser => {
+                &["unshare", "--user", "--map-root-user", "--net", "sh", "-c", UP, "sh"]
+            }
             Self::Machine => &[],
         }
     }
@@ -145,11 +138,7 @@ impl Folder {
             file
         });
         let root = tempfile::tempdir().expect("a folder");
-        let folder = Self {
-            root,
-            network,
-            _lock: lock,
-        };
+        let folder = Self { root, network, _lock: lock };
         folder.fill().expect("a folder like the checkout");
         folder
     }
@@ -196,9 +185,7 @@ impl Folder {
         let path = std::env::var("PATH").unwrap_or_default();
         shell.env("PATH", format!("{}:{path}", programs().display()));
         if let Some(packages) = python_packages() {
-            shell
-                .env("PIP_NO_INDEX", "1")
-                .env("PIP_FIND_LINKS", packages);
+            shell.env("PIP_NO_INDEX", "1").env("PIP_FIND_LINKS", packages);
         }
         shell.env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
     }

@@ -102,10 +102,7 @@ pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
             Event::End(TagEnd::CodeBlock) => {
                 let (first, language, text) = block.take().expect("an open block");
                 let action = action(first, &language, &text, comment.take())?;
-                steps.extend(action.map(|action| Step {
-                    line: first,
-                    action,
-                }));
+                steps.extend(action.map(|action| Step { line: first, action }));
             }
             Event::Start(_) => comment = None,
             _ => {}
@@ -142,10 +139,7 @@ fn action(
     text: &str,
     comment: Option<Comment>,
 ) -> Result<Option<Action>, PageError> {
-    let error = |problem| PageError {
-        line: first,
-        problem,
-    };
+    let error = |problem| PageError { line: first, problem };
     match (language, comment) {
         ("sh", Some(Comment::NotRun(reason))) if reason.is_empty() => {
             Err(error("a block that is not run needs a reason"))
@@ -160,10 +154,7 @@ fn action(
             let commands = commands(first, text);
             Ok(Some(Action::Run { commands, needs }))
         }
-        (_, Some(Comment::File(name))) => Ok(Some(Action::Write {
-            name,
-            text: text.to_owned(),
-        })),
+        (_, Some(Comment::File(name))) => Ok(Some(Action::Write { name, text: text.to_owned() })),
         (_, Some(_)) => Err(error("the comment of this block is for blocks marked `sh`")),
         ("", None) if text.lines().any(is_command) => {
             Err(error("a block with commands must be marked `sh`"))
@@ -194,10 +185,7 @@ fn commands(first: usize, text: &str) -> Vec<Command> {
                 command
             }
             None if line.trim().is_empty() || line.trim_start().starts_with('#') => continue,
-            None => Command {
-                line: first + index,
-                text: line.to_owned(),
-            },
+            None => Command { line: first + index, text: line.to_owned() },
         };
         if is_incomplete(&command.text) {
             open = Some(command);
@@ -231,25 +219,16 @@ mod tests {
             Action::Run { commands, .. } => commands,
             _ => Vec::new(),
         });
-        commands
-            .map(|command| (command.line, command.text))
-            .collect()
+        commands.map(|command| (command.line, command.text)).collect()
     }
 
     #[test]
     fn commands_have_page_lines_and_keep_their_continuation_lines() {
         let page =
             "# Page\n\n```sh\na one  # first\n\nb \\\n  two\ncat > f <<'END'\nx\nEND\nc\n```\n";
-        let expected = [
-            (4, "a one  # first"),
-            (6, "b \\\n  two"),
-            (8, "cat > f <<'END'\nx\nEND"),
-            (11, "c"),
-        ];
-        assert_eq!(
-            run_commands(page),
-            expected.map(|(line, text)| (line, text.to_owned()))
-        );
+        let expected =
+            [(4, "a one  # first"), (6, "b \\\n  two"), (8, "cat > f <<'END'\nx\nEND"), (11, "c")];
+        assert_eq!(run_commands(page), expected.map(|(line, text)| (line, text.to_owned())));
     }
 
     #[test]
@@ -259,10 +238,7 @@ mod tests {
         let steps = steps(page).expect("a page");
         let reason = String::from("hours");
         assert_eq!(steps[0].action, Action::Skip { reason });
-        assert_eq!(
-            run_commands(page),
-            [(7, "b".to_owned()), (13, "c".to_owned())]
-        );
+        assert_eq!(run_commands(page), [(7, "b".to_owned()), (13, "c".to_owned())]);
     }
 
     #[test]

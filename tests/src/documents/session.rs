@@ -79,14 +79,7 @@ impl Session {
                 let _ = send.send(line);
             }
         });
-        Self {
-            shell,
-            commands,
-            answers,
-            outputs: folder.outputs(),
-            servers: Vec::new(),
-            count: 0,
-        }
+        Self { shell, commands, answers, outputs: folder.outputs(), servers: Vec::new(), count: 0 }
     }
 
     /// Runs a command to its end or, for a server, until it is ready.
@@ -102,10 +95,7 @@ impl Session {
             return Ok(());
         }
         let status = status.split(' ').next().unwrap_or_default();
-        Err(failure(
-            format!("the command ended with status {status}"),
-            &output,
-        ))
+        Err(failure(format!("the command ended with status {status}"), &output))
     }
 
     fn start_server(&mut self, command: &str) -> Result<(), Failure> {
@@ -140,10 +130,7 @@ impl Session {
             }
             std::thread::sleep(Duration::from_millis(100));
         }
-        Err(failure(
-            "the server does not become ready".to_owned(),
-            &output,
-        ))
+        Err(failure("the server does not become ready".to_owned(), &output))
     }
 
     /// Checks the servers at the end of a page.
@@ -174,10 +161,7 @@ impl Session {
         let output = self.outputs.join(format!("{}.txt", self.count));
         let text = format!("{}\0{command}\n\0", output.display());
         let sent = self.commands.write_all(text.as_bytes());
-        let fatal = |problem: String| Failure {
-            is_fatal: true,
-            ..failure(problem, &output)
-        };
+        let fatal = |problem: String| Failure { is_fatal: true, ..failure(problem, &output) };
         sent.map_err(|error| fatal(format!("the shell has ended: {error}")))?;
         match self.answers.recv_timeout(PATIENCE) {
             Ok(answer) => Ok((answer, output)),
@@ -204,11 +188,7 @@ fn failure(problem: String, output: &Path) -> Failure {
         let lines: Vec<String> = BufReader::new(file).lines().map_while(Result::ok).collect();
         text = lines[lines.len().saturating_sub(30)..].join("\n");
     }
-    Failure {
-        problem,
-        output: text,
-        is_fatal: false,
-    }
+    Failure { problem, output: text, is_fatal: false }
 }
 
 /// Returns the command with `&`, even if the page does not run it in the background, because a
@@ -230,9 +210,7 @@ fn without_comment(command: &str) -> &str {
 
 /// Returns true if a command runs until it is stopped.
 fn runs_until_stopped(command: &str) -> bool {
-    let mut words = command
-        .split_whitespace()
-        .skip_while(|word| word.contains('='));
+    let mut words = command.split_whitespace().skip_while(|word| word.contains('='));
     let program = words.next().unwrap_or_default();
     let program = program.rsplit('/').next().unwrap_or_default();
     let words: Vec<&str> = words.collect();

@@ -76,9 +76,8 @@ fn handling(step: &Step) -> Handling<'_> {
                 Requirement::parse(word)
                     .unwrap_or_else(|| panic!("line {}: unknown requirement {word:?}", step.line))
             });
-            let requirements = named
-                .into_iter()
-                .chain(reads_shared.then_some(Requirement::ReferenceData));
+            let requirements =
+                named.into_iter().chain(reads_shared.then_some(Requirement::ReferenceData));
             match requirements.filter_map(Requirement::unmet_reason).next() {
                 Some(reason) => Handling::Report("skipped", reason),
                 None => Handling::Run(commands),
@@ -89,8 +88,6 @@ fn handling(step: &Step) -> Handling<'_> {
 
 fn describe_failure(page: &str, command: &Command, failure: &Failure) -> String {
     let Command { line, text } = command;
-    let Failure {
-        problem, output, ..
-    } = failure;
+    let Failure { problem, output, .. } = failure;
     format!("{page}:{line}: {problem}\n{text}\n--- output:\n{output}\n---")
 }

@@ -56,9 +56,7 @@ impl Findings {
         let differences = [("states", Some(self.states)), ("the camera", self.camera)];
         for (what, difference) in differences {
             if let Some(difference) = difference.filter(|difference| *difference > TOLERANCE) {
-                found.push(format!(
-                    "{what}: {difference:e} apart, more than {TOLERANCE:e}"
-                ));
+                found.push(format!("{what}: {difference:e} apart, more than {TOLERANCE:e}"));
             }
         }
         let equal = [("prompts", self.prompt), ("next numbers", self.draw)];
@@ -139,8 +137,7 @@ impl Comparison {
         };
         let pack = match AssetPack::files_of_tasks(std::slice::from_ref(&run.files)) {
             Ok(_) => {
-                self.pack
-                    .provide_with_bar(std::slice::from_ref(&run.files))?;
+                self.pack.provide_with_bar(std::slice::from_ref(&run.files))?;
                 self.pack.clone()
             }
             Err(_) => match &self.pro_pack {
@@ -186,11 +183,7 @@ impl Comparison {
             Subject::Pro(suite) => task_of(suite, rest)?,
             _ => task_of_sentence(name)?,
         };
-        let case = Case {
-            subject,
-            task,
-            trial: 0,
-        };
+        let case = Case { subject, task, trial: 0 };
         let protocol = protocol.parse()?;
         let row = case.row(&protocol);
         let files = worker::variants::files(&row, &self.sources)?;
@@ -199,11 +192,7 @@ impl Comparison {
                 return Ok(Err(Skipped(format!("there is no {}", file.display()))));
             }
         }
-        let Prepared {
-            mut files,
-            start,
-            row,
-        } = Prepared::new(&row, &self.sources)?;
+        let Prepared { mut files, start, row } = Prepared::new(&row, &self.sources)?;
         let group = match subject {
             Subject::Plus(entry) => entry.dimension().to_string(),
             Subject::Pro(_) => suite.rsplit('_').next().unwrap_or_default().to_owned(),
@@ -219,23 +208,14 @@ impl Comparison {
                     folder.join(format!("init_files/libero_para/eval{number}.pruned_init"));
                 // LIBERO-Para's scripts keep the sentence's capitals in the prompt; parsers of BDDL
                 // convert them to lower case.
-                Some(Prompts {
-                    prompt: files.sentence()?,
-                    sentence: files.problem()?.language,
-                })
+                Some(Prompts { prompt: files.sentence()?, sentence: files.problem()?.language })
             }
             _ => Some(Prompts {
                 prompt: row.instruction.clone(),
                 sentence: files.problem()?.language,
             }),
         };
-        Ok(Ok(Run {
-            group,
-            files,
-            row,
-            start,
-            prompts,
-        }))
+        Ok(Ok(Run { group, files, row, start, prompts }))
     }
 }
 
@@ -253,14 +233,8 @@ fn findings(
     };
     let numbers = |kind: &str| recording.numbers.get(kind);
     if let Some(expected) = numbers("reset") {
-        let row = ManifestRow {
-            settle_steps: 0,
-            ..run.row.clone()
-        };
-        let start = VariantStart {
-            start: Start::Reset,
-            ..run.start.clone()
-        };
+        let row = ManifestRow { settle_steps: 0, ..run.row.clone() };
+        let start = VariantStart { start: Start::Reset, ..run.start.clone() };
         let mut episode = simulator.begin_variant(run.files.clone(), &row, &start)?;
         let found = episode.environment().state();
         findings.states = difference(&found, expected)?;
@@ -285,11 +259,7 @@ fn findings(
         let expected = image::open(&path)?.flipv().into_rgb8();
         let (width, height) = expected.dimensions();
         let request = ObservationRequest {
-            cameras: vec![CameraRequest {
-                name: name.to_owned(),
-                width,
-                height,
-            }],
+            cameras: vec![CameraRequest { name: name.to_owned(), width, height }],
             privileged: false,
         };
         let frame = episode.observe(&request)?.frames.swap_remove(0);
@@ -298,9 +268,7 @@ fn findings(
     }
     if let Some(expected) = numbers("draw") {
         let mut rng = LegacyRng::seed(run.start.seed);
-        episode
-            .environment()
-            .reset(&mut rng, Reset::Hard, MODEL_LOADS)?;
+        episode.environment().reset(&mut rng, Reset::Hard, MODEL_LOADS)?;
         if let Some(corruption) = run.start.corruption {
             for _ in 0..PICTURES {
                 corruption.skip(SIDE, SIDE, &mut rng);
@@ -309,14 +277,8 @@ fn findings(
         findings.draw = Some(*expected == [rng.random_sample()]);
     }
     if let Some(expected) = numbers("trial-1") {
-        let row = ManifestRow {
-            init_id: 1,
-            ..run.row
-        };
-        let start = VariantStart {
-            earlier_resets: 1,
-            ..run.start
-        };
+        let row = ManifestRow { init_id: 1, ..run.row };
+        let start = VariantStart { earlier_resets: 1, ..run.start };
         let mut episode = simulator.begin_variant(run.files, &row, &start)?;
         episode.settle()?;
         let found = episode.environment().state();
@@ -346,20 +308,12 @@ fn camera(environment: &Environment) -> Result<Vec<f64>> {
     let model = environment.model();
     let camera = model.id(ObjectKind::Camera, "agentview");
     let camera = camera.context("the scene has no camera agentview")?;
-    let (pos, quat) = (
-        &model.cam_pos()[camera * 3..],
-        &model.cam_quat()[camera * 4..],
-    );
+    let (pos, quat) = (&model.cam_pos()[camera * 3..], &model.cam_quat()[camera * 4..]);
     Ok([&pos[..3], &quat[..4]].concat())
 }
 
 fn difference(found: &[f64], expected: &[f64]) -> Result<f64> {
-    ensure!(
-        found.len() == expected.len(),
-        "{} numbers instead of {}",
-        found.len(),
-        expected.len()
-    );
+    ensure!(found.len() == expected.len(), "{} numbers instead of {}", found.len(), expected.len());
     let pairs = found.iter().zip(expected);
     Ok(pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max))
 }

@@ -70,10 +70,7 @@ impl Found {
         let known = self.0.iter().position(|recording| recording.name == name);
         let index = known.unwrap_or_else(|| {
             let name = name.to_owned();
-            self.0.push(Recording {
-                name,
-                ..Recording::default()
-            });
+            self.0.push(Recording { name, ..Recording::default() });
             self.0.len() - 1
         });
         &mut self.0[index]
@@ -87,9 +84,7 @@ impl Found {
         let (kind, numbers) = rest.split_once(' ')?;
         if matches!(kind, "camera" | "reset" | "official" | "draw") {
             let numbers = decimals(numbers)?;
-            self.recording_mut(name)
-                .numbers
-                .insert(kind.to_owned(), numbers);
+            self.recording_mut(name).numbers.insert(kind.to_owned(), numbers);
         }
         Some(())
     }
@@ -103,9 +98,7 @@ impl Found {
             _ => return None,
         };
         let numbers = decimals(fields.next()?)?;
-        self.recording_mut(&name)
-            .numbers
-            .insert(kind.to_owned(), numbers);
+        self.recording_mut(&name).numbers.insert(kind.to_owned(), numbers);
         Some(())
     }
 

@@ -81,21 +81,14 @@ pub struct Worst {
 impl Worst {
     pub(super) fn add(&mut self, value: f64, place: impl FnOnce() -> String) {
         if exceeds(value, self.value) {
-            *self = Self {
-                value,
-                place: place(),
-            };
+            *self = Self { value, place: place() };
         }
     }
 }
 
 impl fmt::Display for Worst {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.value == 0.0 {
-            f.write_str("0")
-        } else {
-            write!(f, "{:.0e}", self.value)
-        }
+        if self.value == 0.0 { f.write_str("0") } else { write!(f, "{:.0e}", self.value) }
     }
 }
 
@@ -117,10 +110,7 @@ impl Findings {
             found.push(format!("{} success flags differ", self.success_flags));
         }
         if self.predicates.0 > 0 {
-            found.push(format!(
-                "{} of {} predicates differ",
-                self.predicates.0, self.predicates.1
-            ));
+            found.push(format!("{} of {} predicates differ", self.predicates.0, self.predicates.1));
         }
         if let Some(contact) = &self.contact {
             if let Some(multiple) = contact.sensitivities
@@ -131,16 +121,10 @@ impl Findings {
                 ));
             }
             if exceeds(contact.worst_while_insensitive, limits.smooth) {
-                found.push(format!(
-                    "contact-rich steps: {:.3e}",
-                    contact.worst_while_insensitive
-                ));
+                found.push(format!("contact-rich steps: {:.3e}", contact.worst_while_insensitive));
             }
             if contact.success_flags > 0 {
-                found.push(format!(
-                    "{} contact success flags differ",
-                    contact.success_flags
-                ));
+                found.push(format!("{} contact success flags differ", contact.success_flags));
             }
         }
         if let Some(frames) = &self.frames {

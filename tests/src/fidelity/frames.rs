@@ -63,11 +63,7 @@ impl RendererRelation {
             Self::AnotherDriver => (0.94, 0.995),
             Self::AnotherRenderer => (0.94, 0.9999),
         };
-        FrameLimits {
-            relation: self,
-            equal,
-            close,
-        }
+        FrameLimits { relation: self, equal, close }
     }
 }
 
@@ -118,20 +114,14 @@ pub struct Least {
 
 impl Default for Least {
     fn default() -> Self {
-        Self {
-            share: 1.0,
-            place: String::new(),
-        }
+        Self { share: 1.0, place: String::new() }
     }
 }
 
 impl Least {
     fn add(&mut self, share: f64, place: &str) {
         if share < self.share {
-            *self = Self {
-                share,
-                place: place.to_owned(),
-            };
+            *self = Self { share, place: place.to_owned() };
         }
     }
 }
@@ -194,12 +184,7 @@ pub(super) struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     pub(super) fn new(task: &'a ReferenceTask, drawer: &'a Drawer) -> Self {
-        Self {
-            task,
-            drawer,
-            findings: FrameFindings::default(),
-            compared: 0,
-        }
+        Self { task, drawer, findings: FrameFindings::default(), compared: 0 }
     }
 
     /// Compares both cameras after a step if the reference has frames of it.
@@ -210,20 +195,13 @@ impl<'a> Comparison<'a> {
         step: usize,
     ) -> Result<()> {
         for camera in CAMERAS {
-            let path = self
-                .task
-                .path(&format!("img_{init}_{step:02}_{camera}.png"));
+            let path = self.task.path(&format!("img_{init}_{step:02}_{camera}.png"));
             if !path.is_file() {
                 continue;
             }
-            let expected = image::open(&path)
-                .with_context(|| format!("read {}", path.display()))?
-                .into_rgb8();
-            ensure!(
-                expected.dimensions() == (SIZE, SIZE),
-                "{} is not 256 × 256",
-                path.display()
-            );
+            let expected =
+                image::open(&path).with_context(|| format!("read {}", path.display()))?.into_rgb8();
+            ensure!(expected.dimensions() == (SIZE, SIZE), "{} is not 256 × 256", path.display());
             let Frame { rgb, .. } = environment.draw(self.drawer, camera, SIZE, SIZE)?;
             let place = format!("state {init}, step {step}, {camera}");
             self.findings.add(&rgb, expected.as_raw(), &place);

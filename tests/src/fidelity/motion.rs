@@ -49,13 +49,7 @@ pub(super) fn compare_smooth(
         frames.compare(environment, init, 0)?;
         let recorded = format!("traj_{init}.npz");
         if task.path(&recorded).is_file() {
-            compare_trajectory(
-                &task.arrays(&recorded)?,
-                init,
-                environment,
-                findings,
-                frames,
-            )?;
+            compare_trajectory(&task.arrays(&recorded)?, init, environment, findings, frames)?;
         }
     }
     Ok(())
@@ -191,9 +185,7 @@ fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFinding
 /// 20th step; between two samples, the later one applies.
 fn sensitivity_at(sampled: &[f64], step: usize) -> Option<f64> {
     const SAMPLE_INTERVAL: usize = 20;
-    sampled
-        .get(step.div_ceil(SAMPLE_INTERVAL).saturating_sub(1))
-        .copied()
+    sampled.get(step.div_ceil(SAMPLE_INTERVAL).saturating_sub(1)).copied()
 }
 
 fn compare_positions(
@@ -216,26 +208,16 @@ fn largest_difference(ours: &[f64], theirs: &[f64]) -> f64 {
 
 /// Returns the larger of two numbers; NaN counts as the largest.
 fn larger(worst: f64, value: f64) -> f64 {
-    if value <= worst || worst.is_nan() {
-        worst
-    } else {
-        value
-    }
+    if value <= worst || worst.is_nan() { worst } else { value }
 }
 
 fn action(values: &[f64]) -> Result<[f64; 7]> {
-    ensure!(
-        values.len() == 7,
-        "an action has 7 numbers, not {}",
-        values.len()
-    );
+    ensure!(values.len() == 7, "an action has 7 numbers, not {}", values.len());
     Ok(values.try_into()?)
 }
 
 fn array<'a>(arrays: &'a Arrays, name: &str) -> Result<&'a Array> {
-    arrays
-        .get(name)
-        .with_context(|| format!("the reference has no array `{name}`"))
+    arrays.get(name).with_context(|| format!("the reference has no array `{name}`"))
 }
 
 #[cfg(test)]
@@ -244,10 +226,8 @@ mod tests {
     use crate::fidelity::{Limits, RendererRelation};
 
     fn violations(differences: &[f64], sampled: Option<&[f64]>) -> Vec<String> {
-        let findings = Findings {
-            contact: Some(judge_contact(differences, sampled)),
-            ..Findings::default()
-        };
+        let findings =
+            Findings { contact: Some(judge_contact(differences, sampled)), ..Findings::default() };
         findings.violations(&Limits::new(RendererRelation::AnotherRenderer))
     }
 

@@ -59,42 +59,21 @@ pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
     let mut tasks = Vec::new();
     for suite in folders(reference)? {
         for dir in folders(&suite)? {
-            let name = dir
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned();
-            let Some(index) = name
-                .split('_')
-                .next()
-                .and_then(|number| number.parse().ok())
-            else {
+            let name = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let Some(index) = name.split('_').next().and_then(|number| number.parse().ok()) else {
                 continue;
             };
             let path = dir.join("meta.json");
             let text = std::fs::read_to_string(&path)
                 .with_context(|| format!("read {}", path.display()))?;
             let meta = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-            let suite = suite
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned();
-            tasks.push(ReferenceTask {
-                suite,
-                index,
-                dir,
-                root: root.to_owned(),
-                meta,
-            });
+            let suite = suite.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            tasks.push(ReferenceTask { suite, index, dir, root: root.to_owned(), meta });
         }
     }
     tasks.sort_by_key(|task| (task.suite.clone(), task.index));
     if tasks.is_empty() {
-        bail!(
-            "find reference tasks below {}: there are none",
-            reference.display()
-        );
+        bail!("find reference tasks below {}: there are none", reference.display());
     }
     Ok(tasks)
 }
@@ -125,13 +104,8 @@ impl ReferenceTask {
 
     /// Returns the names of one kind of object, in order of ids.
     pub(crate) fn names(&self, key: &str) -> Result<Vec<Option<String>>> {
-        let names = self.meta[key]
-            .as_array()
-            .with_context(|| format!("meta.json: no `{key}`"))?;
-        Ok(names
-            .iter()
-            .map(|name| name.as_str().map(str::to_owned))
-            .collect())
+        let names = self.meta[key].as_array().with_context(|| format!("meta.json: no `{key}`"))?;
+        Ok(names.iter().map(|name| name.as_str().map(str::to_owned)).collect())
     }
 
     pub(crate) fn path(&self, file: &str) -> PathBuf {
@@ -140,10 +114,7 @@ impl ReferenceTask {
 
     /// Returns the path of the recording of contact-rich steps, if it exists.
     pub(crate) fn contact_path(&self) -> Option<PathBuf> {
-        let path = self
-            .root
-            .join("contact")
-            .join(format!("{}_{:02}.npz", self.suite, self.index));
+        let path = self.root.join("contact").join(format!("{}_{:02}.npz", self.suite, self.index));
         path.is_file().then_some(path)
     }
 
@@ -190,11 +161,9 @@ pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
         let values = match (kind.type_char(), size) {
             (TypeChar::Float, Some(8)) => array.into_vec::<f64>()?,
             (TypeChar::Float, Some(4)) => widen(array.into_vec::<f32>()?),
-            (TypeChar::Int, Some(8)) => array
-                .into_vec::<i64>()?
-                .into_iter()
-                .map(|value| value as f64)
-                .collect(),
+            (TypeChar::Int, Some(8)) => {
+                array.into_vec::<i64>()?.into_iter().map(|value| value as f64).collect()
+            }
             (TypeChar::Int, Some(4)) => widen(array.into_vec::<i32>()?),
             (TypeChar::Int, Some(1)) => widen(array.into_vec::<i8>()?),
             (TypeChar::Uint, Some(1)) => widen(array.into_vec::<u8>()?),
@@ -227,11 +196,7 @@ mod tests {
         let tasks = root.path().join("tasks");
         fs::create_dir_all(tasks.join("libero_goal/03_task")).unwrap();
         fs::write(tasks.join("libero_goal/03_task/meta.json"), "{}").unwrap();
-        let sensitivity = || {
-            find_tasks(&tasks).unwrap()[0]
-                .contact_sensitivity()
-                .unwrap()
-        };
+        let sensitivity = || find_tasks(&tasks).unwrap()[0].contact_sensitivity().unwrap();
         assert_eq!(sensitivity(), None, "no file");
         let file = root.path().join("sensitivity.json");
         fs::write(&file, r#"{"tasks":{"libero_goal/4":{"contact":[1e-15]}}}"#).unwrap();

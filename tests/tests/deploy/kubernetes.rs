@@ -23,9 +23,7 @@ fn python(test: &str) -> Option<PathBuf> {
 }
 
 fn base() -> Vec<PathBuf> {
-    let base = BASE
-        .iter()
-        .map(|name| folder("kubernetes/base").join(format!("{name}.yaml")));
+    let base = BASE.iter().map(|name| folder("kubernetes/base").join(format!("{name}.yaml")));
     base.chain([secrets()]).collect()
 }
 
@@ -47,10 +45,7 @@ struct Checked {
 /// Checks groups of manifests in one Python process, which takes seconds to start.
 fn check(python: &Path, groups: &[Vec<PathBuf>]) -> Vec<Checked> {
     let mut script = Command::new(python);
-    script.arg(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/tests/deploy/manifests.py"
-    ));
+    script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/deploy/manifests.py"));
     for files in groups {
         script.args(files).arg("--");
     }
@@ -80,17 +75,12 @@ fn workers_have_given_back_their_rollouts_before_they_are_killed() {
     for name in ["base/workers.yaml", "job/workers.yaml"] {
         let text = fs::read_to_string(folder("kubernetes").join(name)).expect("a manifest");
         let number = |prefix: &str| -> u32 {
-            let value = text
-                .lines()
-                .find_map(|line| line.trim().strip_prefix(prefix));
+            let value = text.lines().find_map(|line| line.trim().strip_prefix(prefix));
             value.expect(prefix).trim().parse().expect("seconds")
         };
         let drain = number("- --drain-secs=");
         let grace = number("terminationGracePeriodSeconds:");
-        assert!(
-            drain + GIVE_BACK_SECS <= grace,
-            "{name}: {drain} s of {grace} s"
-        );
+        assert!(drain + GIVE_BACK_SECS <= grace, "{name}: {drain} s of {grace} s");
     }
 }
 
@@ -113,26 +103,10 @@ fn manifest_faults_are_named() {
     let text = fs::read_to_string(&base()[3]).expect("a manifest");
     let faults = [
         ("  replicas: 2", "  replica: 2", "replica"),
-        (
-            "secretName: rollout-worker",
-            "secretName: worker",
-            "no secret worker",
-        ),
-        (
-            "https://coordinator:7411",
-            "https://coordinator:7412",
-            "coordinator:7412",
-        ),
-        (
-            "runAsNonRoot: true",
-            "runAsNonRoot: false",
-            "may run as root",
-        ),
-        (
-            "/etc/rollout/token",
-            "/etc/rollout/tokens",
-            "no secret has tokens",
-        ),
+        ("secretName: rollout-worker", "secretName: worker", "no secret worker"),
+        ("https://coordinator:7411", "https://coordinator:7412", "coordinator:7412"),
+        ("runAsNonRoot: true", "runAsNonRoot: false", "may run as root"),
+        ("/etc/rollout/token", "/etc/rollout/tokens", "no secret has tokens"),
     ];
     let groups = faults.iter().enumerate().map(|(index, (from, to, _))| {
         assert!(text.contains(from), "{from}");
@@ -160,9 +134,7 @@ fn kustomize_renders_valid_manifests_of_every_folder() {
     let rendered = tempfile::tempdir().expect("a folder");
     let groups = FOLDERS.map(|name| {
         let mut kustomize = Command::new("kubectl");
-        let output = kustomize
-            .arg("kustomize")
-            .arg(folder("kubernetes").join(name));
+        let output = kustomize.arg("kustomize").arg(folder("kubernetes").join(name));
         let output = output.output().expect("kubectl runs");
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{name}: {errors}");

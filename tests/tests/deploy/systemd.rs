@@ -31,10 +31,7 @@ fn warnings(units: &[(&str, String)]) -> String {
     let output = verify.output().expect("systemd-analyze runs");
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     // systemd may also warn about this machine's own units.
-    stderr
-        .lines()
-        .filter(|line| line.contains("rollout-"))
-        .collect()
+    stderr.lines().filter(|line| line.contains("rollout-")).collect()
 }
 
 /// Returns the text of a unit, with the program that was built for the tests.
@@ -62,9 +59,7 @@ fn systemd_accepts_the_units() {
 /// Returns the values of a setting, in the order of its lines.
 fn values<'a>(unit: &'a str, setting: &str) -> Vec<&'a str> {
     let lines = unit.lines();
-    lines
-        .filter_map(|line| line.strip_prefix(setting))
-        .collect()
+    lines.filter_map(|line| line.strip_prefix(setting)).collect()
 }
 
 #[test]
@@ -77,10 +72,7 @@ fn units_use_only_flags_and_variables_that_programs_have() {
         words[0] = program.to_owned();
         assert_eq!(unknown_flags(&words), [""; 0], "{name}");
         // Line breaks in the help may be anywhere.
-        let help = help(&words)
-            .split_whitespace()
-            .collect::<Vec<_>>()
-            .join(" ");
+        let help = help(&words).split_whitespace().collect::<Vec<_>>().join(" ");
         let set = values(&text, "Environment=");
         assert!(!set.is_empty(), "{name}");
         for variable in set {
@@ -89,10 +81,7 @@ fn units_use_only_flags_and_variables_that_programs_have() {
             if variable == "XDG_CACHE_HOME" {
                 continue;
             }
-            assert!(
-                help.contains(&format!("[env: {variable}=")),
-                "{name}: {variable}"
-            );
+            assert!(help.contains(&format!("[env: {variable}=")), "{name}: {variable}");
         }
     }
 }
@@ -109,9 +98,6 @@ fn server_units_allow_the_open_files_that_programs_request() {
 fn a_worker_has_given_back_its_rollouts_before_it_is_killed() {
     let text = unit("rollout-worker.service");
     let number = |setting| -> u32 { values(&text, setting).concat().parse().expect("seconds") };
-    let (drain, killed) = (
-        number("Environment=ROLLOUT_DRAIN_SECS="),
-        number("TimeoutStopSec="),
-    );
+    let (drain, killed) = (number("Environment=ROLLOUT_DRAIN_SECS="), number("TimeoutStopSec="));
     assert!(drain + GIVE_BACK_SECS <= killed, "{drain} of {killed} s");
 }

@@ -209,13 +209,7 @@ fn back_ends(messages: &mut Messages) {
             | Cause::RepeatedError(_)
             | Cause::Broken(_) => {}
         }
-        messages.add(
-            "BackendError",
-            BackendError::Broken {
-                backend: backend(),
-                cause,
-            },
-        );
+        messages.add("BackendError", BackendError::Broken { backend: backend(), cause });
     }
     variants!(messages, BackendError,
         BackendError::Unreachable { .. } => BackendError::Unreachable {

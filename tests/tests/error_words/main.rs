@@ -143,9 +143,7 @@ fn errors_in(file: &Path, names: &mut BTreeSet<String>) {
         let name = declared.iter().find_map(|start| line.strip_prefix(start));
         if let Some(name) = name {
             if is_error {
-                let end = name
-                    .find(|c: char| !c.is_alphanumeric())
-                    .unwrap_or(name.len());
+                let end = name.find(|c: char| !c.is_alphanumeric()).unwrap_or(name.len());
                 names.insert(name[..end].to_owned());
             }
             is_error = false;

@@ -59,10 +59,7 @@ fn too_late() -> TooLate {
 }
 
 fn scenes(messages: &mut Messages) {
-    messages.add(
-        "BddlError",
-        scene::Problem::parse("(define (problem x)").expect_err("no end"),
-    );
+    messages.add("BddlError", scene::Problem::parse("(define (problem x)").expect_err("no end"));
     variants!(messages, SceneError,
         SceneError::Read { .. } => SceneError::Read {
             what: "the BDDL file".to_owned(), path: path(), remedy: "give its path".to_owned(),
@@ -123,11 +120,7 @@ fn pictures(messages: &mut Messages) {
 
 /// Returns the error for a picture of a size that the fog corruption cannot cover.
 fn unsuited_picture() -> UnsuitedPicture {
-    let mut picture = Picture {
-        height: 300,
-        width: 300,
-        rgb: &mut vec![0; 300 * 300 * 3],
-    };
+    let mut picture = Picture { height: 300, width: 300, rgb: &mut vec![0; 300 * 300 * 3] };
     let fog = Corruption::new(31).expect("a corruption");
     let refused = fog.apply(&mut picture, &mut LegacyRng::seed(1));
     refused.expect_err("it is too large")
@@ -135,10 +128,7 @@ fn unsuited_picture() -> UnsuitedPicture {
 
 fn simulator(messages: &mut Messages) {
     messages.add("UnsuitedPicture", unsuited_picture());
-    messages.add(
-        "ProblemError",
-        ProblemClass::parse("libero_moon").expect_err("none"),
-    );
+    messages.add("ProblemError", ProblemClass::parse("libero_moon").expect_err("none"));
     for path in [
         "a_view_b/c_view_0_0_100_0_0_initstate_0.bddl",
         "c_initstate_0_view_0_0_100_0_0.bddl",
@@ -193,14 +183,8 @@ fn simulator(messages: &mut Messages) {
 
 fn rollouts(messages: &mut Messages) {
     messages.add("TooLate", too_late());
-    messages.add(
-        "ExecutionError",
-        "dawdle:3".parse::<Execution>().expect_err("no model"),
-    );
-    messages.add(
-        "LatencyFileError",
-        Delays::from_json("{}").expect_err("no delays"),
-    );
+    messages.add("ExecutionError", "dawdle:3".parse::<Execution>().expect_err("no model"));
+    messages.add("LatencyFileError", Delays::from_json("{}").expect_err("no delays"));
     variants!(messages, PolicyError,
         PolicyError::Endpoint(_) => PolicyError::Endpoint(EndpointError { given: text() }),
         PolicyError::Access(_) => PolicyError::Access(AccessError::Host { host: text() }),

@@ -38,10 +38,7 @@ pub(crate) fn add(messages: &mut Messages) {
 }
 
 fn store_error() -> StoreError {
-    StoreError::Statement {
-        doing: "commit results",
-        source: Arc::new(sqlx::Error::WorkerCrashed),
-    }
+    StoreError::Statement { doing: "commit results", source: Arc::new(sqlx::Error::WorkerCrashed) }
 }
 
 fn campaign() -> CampaignName {
@@ -84,10 +81,7 @@ fn names_and_files(messages: &mut Messages) {
 fn queue(messages: &mut Messages) {
     let worker = || -> WorkerId { WorkerId::parse("rack-1").expect("an id") };
     let attempt = || rollout_types::AttemptId::from_random([7; 16]);
-    let job = || JobName {
-        rollout_id: "object/t0/clean/i03".to_owned(),
-        replicate: 1,
-    };
+    let job = || JobName { rollout_id: "object/t0/clean/i03".to_owned(), replicate: 1 };
     variants!(messages, QueueError,
         QueueError::UnknownWorker { .. } => QueueError::UnknownWorker { worker: worker() },
         QueueError::WorkerStopped { .. } => QueueError::WorkerStopped {
@@ -164,9 +158,7 @@ fn moving(messages: &mut Messages) {
         }),
     );
     let job = JobId(7);
-    let id = || NameError::Worker {
-        id: "a b".to_owned(),
-    };
+    let id = || NameError::Worker { id: "a b".to_owned() };
     variants!(messages, RowsError,
         RowsError::Specification(_) => RowsError::Specification(SpecError::Replicates { given: 0 }),
         RowsError::Expansion { .. } => RowsError::Expansion { found: 12, expected: 13 },
@@ -270,20 +262,8 @@ fn reports(messages: &mut Messages) {
     let twice = DuplicateRecord { id, replicate: 0 };
     messages.add("DuplicateRecord", twice);
     let axes = AxisSet::ALL;
-    messages.add(
-        "NotInOrder",
-        NotInOrder {
-            unit: text(),
-            units: 400,
-        },
-    );
-    messages.add(
-        "IncompleteLattice",
-        IncompleteLattice {
-            full: axes,
-            set: axes,
-        },
-    );
+    messages.add("NotInOrder", NotInOrder { unit: text(), units: 400 });
+    messages.add("IncompleteLattice", IncompleteLattice { full: axes, set: axes });
     variants!(messages, LatticeError,
         LatticeError::TooFewAxes(_) => LatticeError::TooFewAxes(AxisSet::of(Axis::Camera)),
         LatticeError::OtherAxes { .. } => LatticeError::OtherAxes { set: axes, full: axes },
@@ -306,13 +286,7 @@ fn reports(messages: &mut Messages) {
             gap: IncompleteLattice { full: axes, set: axes },
         },
     );
-    messages.add(
-        "BudgetTooSmall",
-        BudgetTooSmall {
-            budget: 3,
-            most: 42,
-        },
-    );
+    messages.add("BudgetTooSmall", BudgetTooSmall { budget: 3, most: 42 });
     variants!(messages, NotMeasurable,
         NotMeasurable::NoDesign => NotMeasurable::NoDesign,
         NotMeasurable::NoNominal => NotMeasurable::NoNominal,

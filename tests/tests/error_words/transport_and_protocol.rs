@@ -13,12 +13,8 @@ use transport::{
 
 use crate::{Messages, io_error, path, text, variants};
 
-const SETTINGS: Settings = Settings {
-    address: "--connect",
-    authority: "--ca",
-    clear: "http://",
-    encrypted: "https://",
-};
+const SETTINGS: Settings =
+    Settings { address: "--connect", authority: "--ca", clear: "http://", encrypted: "https://" };
 
 fn no_suite_file() -> SuiteFileError {
     SuiteFile::from_json("{}").expect_err("no suite file")
@@ -71,24 +67,14 @@ fn protocol(messages: &mut Messages) {
     let id = || -> RolloutId { "object/t0/clean/i03".parse().expect("an id") };
     let pair = || "camera+robot".parse::<AxisSet>().expect("a pair");
     let no_design = || DesignError::TooLarge { rows: 1_000_000 };
+    messages.add("UnknownName", "purple".parse::<Level>().expect_err("no level"));
     messages.add(
         "UnknownName",
-        "purple".parse::<Level>().expect_err("no level"),
-    );
-    messages.add(
-        "UnknownName",
-        UnknownName {
-            kind: "axis",
-            given: String::new(),
-            valid: "camera".to_owned(),
-        },
+        UnknownName { kind: "axis", given: String::new(), valid: "camera".to_owned() },
     );
     messages.add(
         "NoSuchRow",
-        NoSuchRow {
-            id: id(),
-            problem: "there are 50 initial states".to_owned(),
-        },
+        NoSuchRow { id: id(), problem: "there are 50 initial states".to_owned() },
     );
     let refused = libero_ctrl::manifest::parse("{}\n[]\nx").expect_err("no manifest");
     messages.add("ManifestErrors", refused.clone());
@@ -235,9 +221,7 @@ fn connect_errors() -> Vec<ConnectError> {
         web(false),
         web(true),
         ProbeResult::Ssh,
-        ProbeResult::Other {
-            answer: "220 mail".to_owned(),
-        },
+        ProbeResult::Other { answer: "220 mail".to_owned() },
         ProbeResult::Mute,
         ProbeResult::OtherKind(ServerKind::Policy),
         ProbeResult::OtherGrpc,
@@ -254,9 +238,7 @@ fn connect_errors() -> Vec<ConnectError> {
         CertificateFault::Expired { days: 400 },
         CertificateFault::NotYetValid,
         CertificateFault::OtherName { names: vec![] },
-        CertificateFault::OtherName {
-            names: vec!["a.b".to_owned(), "c.d".to_owned()],
-        },
+        CertificateFault::OtherName { names: vec!["a.b".to_owned(), "c.d".to_owned()] },
         CertificateFault::Authority,
         CertificateFault::Unusable("bad encoding".to_owned()),
     ];
@@ -264,17 +246,10 @@ fn connect_errors() -> Vec<ConnectError> {
         is_known_fault(fault);
     }
     found.extend(faults.map(ProbeResult::Certificate));
-    let kinds = [
-        ServerKind::Coordinator,
-        ServerKind::Policy,
-        ServerKind::Openpi,
-        ServerKind::VlaEval,
-    ];
+    let kinds =
+        [ServerKind::Coordinator, ServerKind::Policy, ServerKind::Openpi, ServerKind::VlaEval];
     let mut connect_errors = vec![];
-    for (found, expected) in found
-        .iter()
-        .flat_map(|found| kinds.map(|kind| (found, kind)))
-    {
+    for (found, expected) in found.iter().flat_map(|found| kinds.map(|kind| (found, kind))) {
         for has_authority in [false, true] {
             connect_errors.push(ConnectError {
                 expected,

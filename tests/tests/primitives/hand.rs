@@ -68,10 +68,8 @@ fn openings(scene: &Scene) -> Vec<Predicate> {
         if let Some(region) = region.filter(|region| !region.joints.is_empty())
             && !must_be_closed(&region.name)
         {
-            openings.push(Predicate {
-                name: "open".to_owned(),
-                arguments: vec![region.name.clone()],
-            });
+            openings
+                .push(Predicate { name: "open".to_owned(), arguments: vec![region.name.clone()] });
         }
     }
     openings
@@ -88,9 +86,7 @@ fn resting_state(environment: &Environment) -> Vec<f64> {
 
 fn wait_for_rest(environment: &mut Environment) -> Result<(), String> {
     for _ in 0..REST_STEPS {
-        environment
-            .step(&NO_OP)
-            .map_err(|error| error.to_string())?;
+        environment.step(&NO_OP).map_err(|error| error.to_string())?;
     }
     Ok(())
 }
@@ -173,9 +169,7 @@ fn place_object(
             return None;
         }
         if wait_for_rest(environment).is_ok()
-            && reached
-                .iter()
-                .all(|index| environment.goal_truths()[*index])
+            && reached.iter().all(|index| environment.goal_truths()[*index])
             && deepest_overlap(environment).0 <= MAX_OVERLAP
         {
             return Some(resting_state(environment));

@@ -55,13 +55,9 @@ fn check_suite(suite: Suite) {
 /// Begins a nominal rollout of a task from one of its released states.
 fn begin(simulator: &mut Simulator, task: TaskRef, state: u16) -> Episode<'_> {
     let (suite, index) = (task.suite().short_name(), task.index());
-    let id: RolloutId = format!("{suite}/t{index}/clean/i{state:02}")
-        .parse()
-        .unwrap();
+    let id: RolloutId = format!("{suite}/t{index}/clean/i{state:02}").parse().unwrap();
     let row = ManifestRow::new(id, state, state, Perturbation::default());
-    simulator
-        .begin(&row, Realisation::Matched)
-        .unwrap_or_else(|error| panic!("{task}: {error}"))
+    simulator.begin(&row, Realisation::Matched).unwrap_or_else(|error| panic!("{task}: {error}"))
 }
 
 /// Lets a released scene come to rest; returns descriptions of the faults at rest.

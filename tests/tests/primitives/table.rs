@@ -13,10 +13,7 @@ pub(crate) const MAX_OVERLAP: f64 = 0.005;
 pub(crate) const MAX_DRIFT: f64 = 0.15;
 
 pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
-    let request = ObservationRequest {
-        privileged: true,
-        ..ObservationRequest::default()
-    };
+    let request = ObservationRequest { privileged: true, ..ObservationRequest::default() };
     let observation = episode.observe(&request).expect("nothing is rendered");
     observation.privileged.expect("privileged state").entities
 }
@@ -29,11 +26,7 @@ pub(crate) fn deepest_overlap(environment: &Environment) -> (f64, String) {
     let movable: Vec<usize> = objects
         .filter(|instance| instance.kind == InstanceKind::Object)
         .flat_map(|instance| &instance.contact_geoms)
-        .map(|geom| {
-            model
-                .id(ObjectKind::Geom, geom)
-                .expect("a geom of the model")
-        })
+        .map(|geom| model.id(ObjectKind::Geom, geom).expect("a geom of the model"))
         .collect();
     let mut deepest = (0.0, String::new());
     for contact in environment.data().contacts() {
@@ -85,9 +78,7 @@ impl<'a> Released<'a> {
         }
         let untrue = untrue_statements(&self.problem.init, episode.environment());
         problems.extend(
-            untrue
-                .into_iter()
-                .map(|statement| format!("{statement} does not hold at rest")),
+            untrue.into_iter().map(|statement| format!("{statement} does not hold at rest")),
         );
         problems
     }
@@ -123,8 +114,5 @@ fn untrue_statements(init: &[Predicate], environment: &Environment) -> Vec<Predi
     let goal = Goal::resolve(&initial, environment.model()).expect("LIBERO's own statements");
     let truths = goal.truths(environment.model(), environment.data());
     let pairs = statements.into_iter().zip(truths);
-    pairs
-        .filter(|(_, holds)| !holds)
-        .map(|(statement, _)| statement)
-        .collect()
+    pairs.filter(|(_, holds)| !holds).map(|(statement, _)| statement).collect()
 }

@@ -40,9 +40,8 @@ fn a_campaign_of_all_axes_has_the_golden_results() {
 fn results(data: &Path) -> String {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let rows: Vec<(String, bool, i64, String)> = runtime.block_on(async {
-        let options = SqliteConnectOptions::new()
-            .filename(data.join("coordinator.sqlite"))
-            .read_only(true);
+        let options =
+            SqliteConnectOptions::new().filename(data.join("coordinator.sqlite")).read_only(true);
         let mut database = SqliteConnection::connect_with(&options).await.unwrap();
         let rows = sqlx::query_as(
             "SELECT j.rollout_id, r.success, r.steps, r.first_frame_digest

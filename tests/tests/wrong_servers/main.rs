@@ -38,37 +38,12 @@ fn cases_for_any_client() -> Vec<Case> {
     let mail = serve_text("220 mail.example ESMTP\r\n", "");
     let web = serve_text("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
     vec![
-        case(
-            unused_address(),
-            "http",
-            false,
-            &["nothing listens there", "start it"],
-        ),
-        case(
-            "no-such-host.invalid:7411",
-            "http",
-            false,
-            &["no address", "`no-such-host.invalid`"],
-        ),
-        case(
-            serve_text("SSH-2.0-OpenSSH_9.6\r\n", ""),
-            "http",
-            true,
-            &["SSH server"],
-        ),
+        case(unused_address(), "http", false, &["nothing listens there", "start it"]),
+        case("no-such-host.invalid:7411", "http", false, &["no address", "`no-such-host.invalid`"]),
+        case(serve_text("SSH-2.0-OpenSSH_9.6\r\n", ""), "http", true, &["SSH server"]),
         case(mail, "http", true, &["\"220 mail.example ESMTP\""]),
-        case(
-            web,
-            "http",
-            true,
-            &["web server", "HTTP/1.1 400 Bad Request"],
-        ),
-        case(
-            serve_text("", ""),
-            "http",
-            false,
-            &["closes the connection or sends nothing"],
-        ),
+        case(web, "http", true, &["web server", "HTTP/1.1 400 Bad Request"]),
+        case(serve_text("", ""), "http", false, &["closes the connection or sends nothing"]),
         case(web, "https", true, &["does not use TLS"]),
     ]
 }
@@ -89,22 +64,16 @@ fn over_tls(
     ]
     .map(serve);
     let at = |index: usize| {
-        let (_, port) = authority(&processes[index]).rsplit_once(':').map_or_else(
-            || panic!("a port"),
-            |(host, port)| (host.to_owned(), port.to_owned()),
-        );
+        let (_, port) = authority(&processes[index])
+            .rsplit_once(':')
+            .map_or_else(|| panic!("a port"), |(host, port)| (host.to_owned(), port.to_owned()));
         format!("localhost:{port}")
     };
     let cases = vec![
         case(at(0), "http", true, &["uses TLS", "https://"]),
         case(at(1), "https", true, &["not signed by the authority", "ca"]),
         case(at(2), "https", true, &["expired", "days ago", "--tls-cert"]),
-        case(
-            at(3),
-            "https",
-            true,
-            &["for gpu-3.example, not for `localhost`"],
-        ),
+        case(at(3), "https", true, &["for gpu-3.example, not for `localhost`"]),
         case(at(4), "https", true, &["certificate"]),
     ];
     (processes.into(), cases)
@@ -144,9 +113,7 @@ fn worker_command(case: &Case, ca: &Path) -> Command {
     let mut command = Command::new("timeout");
     command.arg("10");
     let url = format!("{scheme}://{}", case.at);
-    command
-        .arg(program("worker"))
-        .args(["--connect", &url, "--assets", "primitives"]);
+    command.arg(program("worker")).args(["--connect", &url, "--assets", "primitives"]);
     command.arg("--slot-program").arg(program("simulated_slot"));
     command.arg("--ca").arg(ca);
     command
@@ -181,36 +148,14 @@ async fn clients_of_a_coordinator_explain_unexpected_servers() {
             true,
             &["a policy server or policy-gateway is there", "--connect"],
         ),
-        case(
-            authority(&clear),
-            "https",
-            true,
-            &["does not use TLS", "http://"],
-        ),
-        case(
-            grpc::serve_path("/none", &mut servers).await,
-            "http",
-            true,
-            &["not a coordinator"],
-        ),
+        case(authority(&clear), "https", true, &["does not use TLS", "http://"]),
+        case(grpc::serve_path("/none", &mut servers).await, "http", true, &["not a coordinator"]),
     ];
     let old = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
-    let old = case(
-        grpc::serve_path(old, &mut servers).await,
-        "http",
-        true,
-        &["same version"],
-    );
-    let cases = cases_for_any_client()
-        .into_iter()
-        .chain(encrypted)
-        .chain(client_cases);
+    let old = case(grpc::serve_path(old, &mut servers).await, "http", true, &["same version"]);
+    let cases = cases_for_any_client().into_iter().chain(encrypted).chain(client_cases);
     for case in cases {
-        check(
-            "coordinator campaign list",
-            &case,
-            list_command(&case, &trusted.file()),
-        );
+        check("coordinator campaign list", &case, list_command(&case, &trusted.file()));
         if has_sources() {
             check("worker", &case, worker_command(&case, &trusted.file()));
         }
@@ -233,25 +178,11 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
     let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &trusted);
     let mut servers = grpc::Servers::new();
     let client_cases = [
-        case(
-            authority(&other_server),
-            "http",
-            true,
-            &["a coordinator is there"],
-        ),
+        case(authority(&other_server), "http", true, &["a coordinator is there"]),
         case(authority(&clear), "https", true, &["does not use TLS"]),
-        case(
-            grpc::serve_path("/none", &mut servers).await,
-            "http",
-            true,
-            &["not a policy server"],
-        ),
+        case(grpc::serve_path("/none", &mut servers).await, "http", true, &["not a policy server"]),
     ];
-    for case in cases_for_any_client()
-        .into_iter()
-        .chain(encrypted)
-        .chain(client_cases)
-    {
+    for case in cases_for_any_client().into_iter().chain(encrypted).chain(client_cases) {
         let scheme = if case.is_encrypted { "https" } else { "grpc" };
         let url = format!("{scheme}://{}", case.at);
         let mut checking = Command::new(program("policy-gateway"));
@@ -259,15 +190,10 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
         check("policy-gateway check", &case, checking);
 
         let config = data.path().join("gateway.toml");
-        let text = format!(
-            "[policy.x]\nreplicas = [{url:?}]\nca = {:?}\n",
-            trusted.file()
-        );
+        let text = format!("[policy.x]\nreplicas = [{url:?}]\nca = {:?}\n", trusted.file());
         std::fs::write(&config, text).expect("written");
         let mut serving = Command::new(program("policy-gateway"));
-        serving
-            .args(["--listen", "127.0.0.1:0", "--config"])
-            .arg(&config);
+        serving.args(["--listen", "127.0.0.1:0", "--config"]).arg(&config);
         let gateway = Process::serve(&mut serving);
         let mut indirect = Command::new(program("policy-gateway"));
         indirect.args(["check", &gateway.url]);
@@ -275,20 +201,9 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
 
         if has_sources() {
             let mut rollout = Command::new(program("worker"));
-            rollout.args([
-                "rollout",
-                "--id",
-                "object/t0/clean/i00",
-                "--assets",
-                "primitives",
-            ]);
-            rollout
-                .args(["--endpoint", &url, "--ca"])
-                .arg(trusted.file());
-            rollout
-                .arg("--no-video")
-                .arg("--output")
-                .arg(data.path().join("rollout"));
+            rollout.args(["rollout", "--id", "object/t0/clean/i00", "--assets", "primitives"]);
+            rollout.args(["--endpoint", &url, "--ca"]).arg(trusted.file());
+            rollout.arg("--no-video").arg("--output").arg(data.path().join("rollout"));
             check("worker rollout", &case, rollout);
         }
     }

@@ -26,10 +26,7 @@ fn short_help_fits_a_screen_and_scene_options_have_their_own_section() {
         for option in ["--assets", "--sources", "--scenes", "--renderer"] {
             assert!(scenes.contains(option), "{words}: {long}");
         }
-        assert!(
-            section("\nConnection:\n").contains("--token-file"),
-            "{long}"
-        );
+        assert!(section("\nConnection:\n").contains("--token-file"), "{long}");
         assert!(!scenes.contains("--token-file"), "{long}");
     }
 }
@@ -43,10 +40,7 @@ fn a_worker_needs_a_coordinator_and_simulates_libero() {
     let three = NonZeroUsize::new(3).expect("not zero");
     assert_eq!(slots(arguments), SlotCount::Given(three));
     let auto = "worker --connect http://h:1 --assets primitives --slots auto";
-    assert_eq!(
-        slots(parse(auto).expect("a valid command line")),
-        SlotCount::Auto
-    );
+    assert_eq!(slots(parse(auto).expect("a valid command line")), SlotCount::Auto);
     assert_eq!(simulator.renderer, Renderer::default());
     let line = "worker --assets primitives";
     assert_eq!(parse(line).expect_err(line).exit_code(), 2);
@@ -59,9 +53,7 @@ fn one_rollout_needs_no_coordinator() {
     let line = "worker rollout --id spatial/t0/nominal/i07 --endpoint grpc://h:1 \
                 --assets primitives --output out --renderer gl:1";
     let arguments = parse(line).expect("a valid command line");
-    let Some(Command::Rollout(rollout)) = arguments.command else {
-        panic!("{arguments:?}")
-    };
+    let Some(Command::Rollout(rollout)) = arguments.command else { panic!("{arguments:?}") };
     assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
     let error = parse(&line.replace("nominal", "clear")).expect_err("an unknown condition");
     assert!(error.to_string().contains("camera"), "{error}");
@@ -72,9 +64,7 @@ fn a_users_task_needs_initial_states_and_an_actor() {
     let end = "--assets primitives --output out";
     let own = "worker rollout --bddl a.bddl --init a.pruned_init --max-steps 30";
     let arguments = parse(&format!("{own} --actions a.npz {end}")).expect("a valid command line");
-    let Some(Command::Rollout(rollout)) = arguments.command else {
-        panic!("{arguments:?}")
-    };
+    let Some(Command::Rollout(rollout)) = arguments.command else { panic!("{arguments:?}") };
     assert_eq!((rollout.id, rollout.own_task.max_steps), (None, Some(30)));
     for line in [
         format!("{own} {end}"),
@@ -90,25 +80,20 @@ fn a_users_task_needs_initial_states_and_an_actor() {
 #[test]
 fn bench_needs_no_coordinator_and_no_policy() {
     let arguments = parse("worker bench --assets primitives").expect("a valid command line");
-    let Some(Command::Bench(bench)) = arguments.command else {
-        panic!("{arguments:?}")
-    };
+    let Some(Command::Bench(bench)) = arguments.command else { panic!("{arguments:?}") };
     assert_eq!((bench.slots.len(), bench.load.execute), (0, 1));
     assert_eq!(bench.load.policy_secs, 0.0);
     let line = "worker bench --assets primitives --slots 4,1 --secs 0.5 --renderer gl:0";
     let arguments = parse(line).expect("a valid command line");
-    let Some(Command::Bench(bench)) = arguments.command else {
-        panic!("{arguments:?}")
-    };
+    let Some(Command::Bench(bench)) = arguments.command else { panic!("{arguments:?}") };
     assert_eq!((bench.slots.len(), bench.secs), (2, 0.5));
 }
 
 fn fetch(line: &str) -> Result<FetchArguments, clap::Error> {
     match parse(line)?.command {
-        Some(Command::Assets(AssetsArguments {
-            command: AssetsCommand::Fetch(fetch),
-            ..
-        })) => Ok(*fetch),
+        Some(Command::Assets(AssetsArguments { command: AssetsCommand::Fetch(fetch), .. })) => {
+            Ok(*fetch)
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -121,11 +106,7 @@ fn assets_are_fetched_for_all_tasks_or_some_from_one_place() {
     let arguments = arguments.expect("a valid command line");
     assert_eq!(arguments.hub.as_deref(), Some(HUB));
     assert_eq!(arguments.tasks.len(), 2);
-    for wrong in [
-        "--tasks libero_goal/10",
-        "--everything --tasks all",
-        "--hub --wheels DIR",
-    ] {
+    for wrong in ["--tasks libero_goal/10", "--everything --tasks all", "--hub --wheels DIR"] {
         let line = format!("worker assets fetch {wrong}");
         assert_eq!(fetch(&line).expect_err(wrong).exit_code(), 2);
     }

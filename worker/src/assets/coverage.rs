@@ -104,9 +104,7 @@ impl Coverage {
             return Vec::new();
         }
         let not_shown = self.not_shown.iter();
-        not_shown
-            .map(|(reason, tasks)| (reason.as_str(), tasks.as_slice()))
-            .collect()
+        not_shown.map(|(reason, tasks)| (reason.as_str(), tasks.as_slice())).collect()
     }
 
     /// Returns true if every task can be shown, possibly after a fetch.
@@ -135,11 +133,7 @@ impl Coverage {
 
 impl Models {
     fn add(&mut self, name: &str, is_present: bool) {
-        let names = if is_present {
-            &mut self.present
-        } else {
-            &mut self.missing
-        };
+        let names = if is_present { &mut self.present } else { &mut self.missing };
         names.insert(name.to_owned());
     }
 }
@@ -197,10 +191,7 @@ mod tests {
         let coverage = Coverage::check(&built_in, &sources).expect("reads");
         assert!(coverage.is_complete());
         let description = coverage.to_string();
-        assert!(
-            description.contains("40 of 40 can be shown"),
-            "{description}"
-        );
+        assert!(description.contains("40 of 40 can be shown"), "{description}");
         assert!(!description.contains("missing"), "{description}");
 
         let folder = tempfile::tempdir().expect("a folder");
@@ -210,14 +201,8 @@ mod tests {
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
         let description = Coverage::check(&part, &sources).expect("reads").to_string();
-        assert!(
-            description.contains("0 of 40 can be shown"),
-            "{description}"
-        );
+        assert!(description.contains("0 of 40 can be shown"), "{description}");
         assert!(description.contains("akita_black_bowl, "), "{description}");
-        assert!(
-            description.contains("arenas      1 of 5; missing: "),
-            "{description}"
-        );
+        assert!(description.contains("arenas      1 of 5; missing: "), "{description}");
     }
 }

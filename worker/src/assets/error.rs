@@ -33,10 +33,7 @@ pub enum PackError {
         folder.display(),
         description.trim_end()
     )]
-    Incomplete {
-        folder: PathBuf,
-        description: String,
-    },
+    Incomplete { folder: PathBuf, description: String },
     #[error(
         "verify {}: its files were changed after unpacking; remove the folder, and it is unpacked \
          again",

@@ -50,10 +50,7 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
             *best_rate = best_rate.max(rate);
         }
     }
-    let throughput = |(&slots, &steps_per_sec)| Throughput {
-        slots,
-        steps_per_sec,
-    };
+    let throughput = |(&slots, &steps_per_sec)| Throughput { slots, steps_per_sec };
     let measured: Vec<Throughput> = best.iter().map(throughput).collect();
     // A number is always chosen: one slot was measured, and always fits.
     let slots = choose(&measured, most).map_or(1, |throughput| throughput.slots);

@@ -135,9 +135,7 @@ fn line(row: &Measured) -> String {
 /// Returns the processor's model name for the table's heading.
 fn processor_model() -> String {
     let about = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = about
-        .lines()
-        .find_map(|line| line.strip_prefix("model name"));
+    let model = about.lines().find_map(|line| line.strip_prefix("model name"));
     let model = model.map(|rest| rest.trim_start_matches([' ', '\t', ':']));
     model.unwrap_or("an unnamed processor").to_owned()
 }

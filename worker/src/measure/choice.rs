@@ -22,15 +22,8 @@ pub(super) struct Throughput {
 /// Returns the smallest number of slots that reaches [`ENOUGH_SHARE`] of the best throughput.
 /// Numbers above `most` are ignored, also for the best throughput. `None` if no number is left.
 pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
-    let fitting = || {
-        measured
-            .iter()
-            .filter(|throughput| throughput.slots <= most)
-            .copied()
-    };
-    let best = fitting()
-        .map(|throughput| throughput.steps_per_sec)
-        .fold(0.0, f64::max);
+    let fitting = || measured.iter().filter(|throughput| throughput.slots <= most).copied();
+    let best = fitting().map(|throughput| throughput.steps_per_sec).fold(0.0, f64::max);
     fitting()
         .filter(|throughput| throughput.steps_per_sec >= ENOUGH_SHARE * best)
         .min_by_key(|throughput| throughput.slots)
@@ -55,10 +48,7 @@ pub(super) fn slots_to_fill_cores(
 /// Returns the numbers of slots to measure: 1, 2, 4, … below `most`, and `most`.
 pub(super) fn numbers_to_measure(most: usize) -> BTreeSet<usize> {
     let powers = (0..usize::BITS).map(|power| 1 << power);
-    powers
-        .take_while(|number| *number < most)
-        .chain([most])
-        .collect()
+    powers.take_while(|number| *number < most).chain([most]).collect()
 }
 
 /// Memory use of a slot.
@@ -98,10 +88,7 @@ mod tests {
     fn chosen(measured: &[(usize, f64)], most: usize) -> Option<usize> {
         let measured: Vec<Throughput> = measured
             .iter()
-            .map(|&(slots, steps_per_sec)| Throughput {
-                slots,
-                steps_per_sec,
-            })
+            .map(|&(slots, steps_per_sec)| Throughput { slots, steps_per_sec })
             .collect();
         choose(&measured, most).map(|throughput| throughput.slots)
     }
@@ -137,11 +124,7 @@ mod tests {
     #[test]
     fn noise_on_a_plateau_takes_no_more_slots_than_the_plateau_needs() {
         // Four slots saturate the machine; every measurement is off by up to 2 %.
-        for noise in [
-            [0.98, 1.02, 0.98, 1.02],
-            [1.02, 0.98, 1.02, 0.98],
-            [1.0, 1.0, 0.98, 1.02],
-        ] {
+        for noise in [[0.98, 1.02, 0.98, 1.02], [1.02, 0.98, 1.02, 0.98], [1.0, 1.0, 0.98, 1.02]] {
             let measured: Vec<(usize, f64)> = [(1, 30.0), (2, 60.0), (4, 118.0), (8, 118.0)]
                 .iter()
                 .zip(noise)
@@ -163,11 +146,7 @@ mod tests {
 
     #[test]
     fn slots_leave_spare_memory_and_one_always_fits() {
-        let per_slot = |own| PerSlot {
-            own,
-            scenes: 2,
-            scene_files: 0,
-        };
+        let per_slot = |own| PerSlot { own, scenes: 2, scene_files: 0 };
         assert_eq!(fitting_slots(10 * GIB, per_slot(GIB)), 8);
         assert_eq!(fitting_slots(10 * GIB, per_slot(3 * GIB)), 2);
         assert_eq!(fitting_slots(GIB, per_slot(3 * GIB)), 1);
@@ -177,11 +156,7 @@ mod tests {
 
     #[test]
     fn scenes_of_files_count_once_for_all_slots() {
-        let per_slot = PerSlot {
-            own: GIB,
-            scenes: 2,
-            scene_files: GIB,
-        };
+        let per_slot = PerSlot { own: GIB, scenes: 2, scene_files: GIB };
         // Slots of 3 GiB each, until all 40 tasks' scenes are in memory.
         assert_eq!(fitting_slots(10 * GIB, per_slot), 2);
         assert_eq!(fitting_slots(75 * GIB, per_slot), 20);

@@ -83,10 +83,7 @@ pub fn count(
     let parent = Parent::connect()?;
     let mut slot = MeasuredSlot {
         simulator: Simulator::new(config),
-        actor: OpenLoop {
-            description: description(execute),
-            answer_after,
-        },
+        actor: OpenLoop { description: description(execute), answer_after },
         assignment: assignment(ManifestRow::new(
             RolloutId::clean(task, 0),
             0,
@@ -195,11 +192,7 @@ struct Counter {
 
 impl Counter {
     fn until(until: Instant) -> Self {
-        Self {
-            until,
-            steps: 0,
-            frames: 0,
-        }
+        Self { until, steps: 0, frames: 0 }
     }
 
     /// Returns true after the deadline, but not before the first step, so that the rate is never
@@ -234,10 +227,8 @@ impl SlotMemory {
             let file = Path::new(file);
             let text = fs::read_to_string(file)?;
             let bytes = |field: &&'static str| {
-                super::room::bytes(&text, field).ok_or_else(|| MeasureError::Memory {
-                    field,
-                    file: file.to_owned(),
-                })
+                super::room::bytes(&text, field)
+                    .ok_or_else(|| MeasureError::Memory { field, file: file.to_owned() })
             };
             fields.iter().map(bytes).collect::<Result<Vec<u64>, _>>()
         };

@@ -52,11 +52,8 @@ pub enum LimitError {
 /// If there are not enough cores, memory or open files for the slots, or the machine's resources
 /// cannot be read.
 pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
-    let machine = Machine {
-        cores: cores()?,
-        memory: room::available()?,
-        files: raise_open_files(),
-    };
+    let machine =
+        Machine { cores: cores()?, memory: room::available()?, files: raise_open_files() };
     if let Some(shortage) = machine.shortage(slots) {
         return Err(LimitError::TooMany { slots, shortage });
     }
@@ -79,10 +76,7 @@ pub fn films() -> Result<NonZeroUsize, MeasureError> {
 /// Raises the soft limit of open files to the hard one, and returns the resulting limit.
 fn raise_open_files() -> u64 {
     let limit = getrlimit(Resource::Nofile);
-    let raised = Rlimit {
-        current: limit.maximum,
-        maximum: limit.maximum,
-    };
+    let raised = Rlimit { current: limit.maximum, maximum: limit.maximum };
     let now = match setrlimit(Resource::Nofile, raised) {
         Ok(()) => limit.maximum,
         Err(_) => limit.current,
@@ -137,11 +131,7 @@ impl Machine {
 mod tests {
     use super::*;
 
-    const MACHINE: Machine = Machine {
-        cores: 8,
-        memory: 32 << 30,
-        files: 1024,
-    };
+    const MACHINE: Machine = Machine { cores: 8, memory: 32 << 30, files: 1024 };
 
     #[test]
     fn slots_beyond_cores_memory_or_open_files_are_refused_with_the_reason() {
@@ -150,16 +140,9 @@ mod tests {
             assert!(shortage.contains(words), "{shortage}");
         };
         check(MACHINE, 100_000, "may use 8 cores");
-        let small = Machine {
-            memory: 8 << 30,
-            ..MACHINE
-        };
+        let small = Machine { memory: 8 << 30, ..MACHINE };
         check(small, 600, "9600 MiB together, and 8192 MiB are available");
-        check(
-            MACHINE,
-            300,
-            "need 1328 open files and this process may have 1024",
-        );
+        check(MACHINE, 300, "need 1328 open files and this process may have 1024");
         assert_eq!(MACHINE.shortage(200), None);
         assert_eq!(MACHINE.shortage(1), None);
     }

@@ -14,11 +14,8 @@ use crate::policy::POLICY_CALL_DEADLINE;
 /// Side of a frame, pixels.
 const FRAME: u32 = 256;
 /// Robot readings that the published policies take.
-const STATE: [StateField; 3] = [
-    StateField::EefPos,
-    StateField::EefAxisAngle,
-    StateField::GripperPos,
-];
+const STATE: [StateField; 3] =
+    [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos];
 
 /// Returns the action of a control step in the smooth motion of the reference data
 /// (docs/FIDELITY.md): a sine per component; the gripper closes after 30 control steps.
@@ -37,11 +34,7 @@ pub fn smooth_action(step: usize) -> Action {
 
 /// Describes the policy, which sees both cameras every `execute` control steps.
 pub fn description(execute: u32) -> Description {
-    let camera = |name: &str| CameraRequest {
-        name: name.to_owned(),
-        width: FRAME,
-        height: FRAME,
-    };
+    let camera = |name: &str| CameraRequest { name: name.to_owned(), width: FRAME, height: FRAME };
     Description {
         about: DescribeResponse {
             protocol_version: PROTOCOL_VERSION,

@@ -10,11 +10,7 @@ use crate::memory::group_folders;
 /// that the kernel reclaims first; for cgroup v2, then for v1's memory hierarchy.
 const FILES: [(&str, &str, &str); 2] = [
     ("memory.max", "memory.current", "inactive_file "),
-    (
-        "memory.limit_in_bytes",
-        "memory.usage_in_bytes",
-        "total_inactive_file ",
-    ),
+    ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file "),
 ];
 
 /// Returns the bytes that this process and its children can still allocate.
@@ -32,16 +28,12 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
     let machine = machine.ok_or(MeasureError::Memory { field, file })?;
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).unwrap_or_default();
     let base = root.join("sys/fs/cgroup");
-    let limits = group_folders(root, &groups)
-        .into_iter()
-        .filter_map(|folder| {
-            // The limits of all parent groups apply too. In a container, the path is that of the
-            // host, so only the uppermost folder may exist.
-            let parents = folder
-                .ancestors()
-                .take_while(|ancestor| ancestor.starts_with(&base));
-            parents.filter_map(remaining_memory).min()
-        });
+    let limits = group_folders(root, &groups).into_iter().filter_map(|folder| {
+        // The limits of all parent groups apply too. In a container, the path is that of the
+        // host, so only the uppermost folder may exist.
+        let parents = folder.ancestors().take_while(|ancestor| ancestor.starts_with(&base));
+        parents.filter_map(remaining_memory).min()
+    });
     Ok(limits.fold(machine, u64::min))
 }
 
@@ -55,9 +47,7 @@ fn remaining_memory(group: &Path) -> Option<u64> {
         let (limit, used) = (number(limit)?, number(used)?);
         let stat = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
         let cached = stat.lines().find_map(|line| line.strip_prefix(reclaimed));
-        let cached: u64 = cached
-            .and_then(|text| text.trim().parse().ok())
-            .unwrap_or(0);
+        let cached: u64 = cached.and_then(|text| text.trim().parse().ok()).unwrap_or(0);
         Some(limit.saturating_sub(used.saturating_sub(cached)))
     })
 }
@@ -105,10 +95,7 @@ mod tests {
             ("sys/fs/cgroup/batch/job/memory.current", "900000\n"),
             (&*format!("{group}.max"), "1000000\n"),
             (&*format!("{group}.current"), "950000\n"),
-            (
-                &*format!("{group}.stat"),
-                "anon 1\ninactive_file 50000\nactive_file 7\n",
-            ),
+            (&*format!("{group}.stat"), "anon 1\ninactive_file 50000\nactive_file 7\n"),
         ];
         assert_eq!(machine(&cgroup_v2), 100_000);
         // The path is the host's, as in a container with cgroup v1.
@@ -116,10 +103,7 @@ mod tests {
             ("proc/self/cgroup", "4:memory:/docker/1f\n0::/\n"),
             ("sys/fs/cgroup/memory/memory.limit_in_bytes", "600000\n"),
             ("sys/fs/cgroup/memory/memory.usage_in_bytes", "700000\n"),
-            (
-                "sys/fs/cgroup/memory/memory.stat",
-                "inactive_file 1\ntotal_inactive_file 300000\n",
-            ),
+            ("sys/fs/cgroup/memory/memory.stat", "inactive_file 1\ntotal_inactive_file 300000\n"),
         ];
         assert_eq!(machine(&cgroup_v1), 200_000);
     }

@@ -134,10 +134,7 @@ impl Slots {
             })?;
         let (slot, sender) = (self.running.len(), self.sender.clone());
         thread::spawn(move || listen(slot, messages, &sender));
-        self.running.push(Running {
-            child,
-            connection: parent_end,
-        });
+        self.running.push(Running { child, connection: parent_end });
         Ok(())
     }
 
@@ -158,10 +155,7 @@ impl Slots {
                 Err(MeasureError::Ended { slot, end })
             }
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
-                Err(MeasureError::Silent {
-                    slots,
-                    secs: limit.as_secs_f64(),
-                })
+                Err(MeasureError::Silent { slots, secs: limit.as_secs_f64() })
             }
         }
     }
@@ -194,20 +188,11 @@ impl Drop for Running {
 impl Measured {
     /// Combines at least one count.
     fn from_counts(counts: &[Count]) -> Self {
-        let rates = || {
-            counts
-                .iter()
-                .map(|count| f64::from(count.steps) / count.secs)
-        };
-        let frames = counts
-            .iter()
-            .map(|count| f64::from(count.frames) / count.secs);
+        let rates = || counts.iter().map(|count| f64::from(count.steps) / count.secs);
+        let frames = counts.iter().map(|count| f64::from(count.frames) / count.secs);
         let largest = |bytes: fn(&Count) -> u64| counts.iter().map(bytes).max().unwrap_or(0);
         Self {
-            throughput: Throughput {
-                slots: counts.len(),
-                steps_per_sec: rates().sum(),
-            },
+            throughput: Throughput { slots: counts.len(), steps_per_sec: rates().sum() },
             frames_per_sec: frames.sum(),
             slowest: rates().fold(f64::INFINITY, f64::min),
             fastest: rates().fold(0.0, f64::max),
@@ -255,16 +240,9 @@ mod tests {
         };
         let all = Measured::from_counts(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
         assert_eq!(all.throughput.slots, 2);
-        assert_eq!(
-            (all.throughput.steps_per_sec, all.frames_per_sec),
-            (50.0, 100.0)
-        );
+        assert_eq!((all.throughput.steps_per_sec, all.frames_per_sec), (50.0, 100.0));
         assert_eq!((all.slowest, all.fastest), (20.0, 30.0));
-        let per_slot = |scenes, own| PerSlot {
-            own,
-            scenes,
-            scene_files: 7,
-        };
+        let per_slot = |scenes, own| PerSlot { own, scenes, scene_files: 7 };
         assert_eq!((all.memory.resident, all.memory.proportional), (110, 105));
         assert_eq!(all.per_slot(1), per_slot(1, 100));
         assert_eq!(all.per_slot(2), per_slot(2, 140));

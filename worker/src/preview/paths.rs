@@ -9,12 +9,8 @@ use sim::{SimError, Simulator};
 use super::request::{LEVELS, MOTION_STEPS, Request, motion, row};
 
 /// Colours for colour-blind readers (Okabe and Ito), and dashes for black-and-white print.
-const STYLES: [(&str, &str); 4] = [
-    ("#000000", ""),
-    ("#0072B2", "8 3"),
-    ("#D55E00", "3 3"),
-    ("#009E73", "10 3 2 3"),
-];
+const STYLES: [(&str, &str); 4] =
+    [("#000000", ""), ("#0072B2", "8 3"), ("#D55E00", "3 3"), ("#009E73", "10 3 2 3")];
 /// Side of one view and the margin around it, pixels.
 const VIEW: f64 = 320.0;
 const MARGIN: f64 = 60.0;
@@ -34,15 +30,9 @@ pub(super) fn svg(simulator: &mut Simulator, request: &Request) -> Result<String
             episode.step(&motion(step))?;
             path.push(episode.environment().robot_state().eef_pos);
         }
-        paths.push((
-            level.map_or("nominal".to_owned(), |level| level.to_string()),
-            path,
-        ));
+        paths.push((level.map_or("nominal".to_owned(), |level| level.to_string()), path));
     }
-    Ok(draw(
-        &paths,
-        &format!("{}, configuration {}", request.task, request.config),
-    ))
+    Ok(draw(&paths, &format!("{}, configuration {}", request.task, request.config)))
 }
 
 fn draw(paths: &[(String, Path)], title: &str) -> String {
@@ -53,13 +43,9 @@ fn draw(paths: &[(String, Path)], title: &str) -> String {
          fill=\"white\"/>\n<text x=\"{MARGIN}\" y=\"24\" font-size=\"14\">End-effector paths under \
          actuation: {title}, {MOTION_STEPS} control steps of one motion</text>\n"
     );
-    view(&mut svg, paths, MARGIN, "from above", ["x", "y"], |p| {
-        [p[0], p[1]]
-    });
+    view(&mut svg, paths, MARGIN, "from above", ["x", "y"], |p| [p[0], p[1]]);
     let second = VIEW + 3.0 * MARGIN;
-    view(&mut svg, paths, second, "from the side", ["x", "z"], |p| {
-        [p[0], p[2]]
-    });
+    view(&mut svg, paths, second, "from the side", ["x", "z"], |p| [p[0], p[2]]);
     for (index, (name, _)) in paths.iter().enumerate() {
         let (colour, dash) = STYLES[index % STYLES.len()];
         let (x, y) = (MARGIN + index as f64 * 120.0, height - 14.0);
@@ -85,10 +71,8 @@ fn view(
     axes: [&str; 2],
     project: impl Fn(&[f64; 3]) -> [f64; 2],
 ) {
-    let points: Vec<[f64; 2]> = paths
-        .iter()
-        .flat_map(|(_, path)| path.iter().map(&project))
-        .collect();
+    let points: Vec<[f64; 2]> =
+        paths.iter().flat_map(|(_, path)| path.iter().map(&project)).collect();
     let bound = |axis: usize, pick: fn(f64, f64) -> f64, start: f64| {
         points.iter().map(|point| point[axis]).fold(start, pick)
     };

@@ -47,13 +47,5 @@ pub(super) fn row(
 /// Returns the action of a step in a descending circle, which shows gain, bias and misalignment.
 pub(super) fn motion(step: usize) -> [f64; 7] {
     let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
-    [
-        0.5 * phase.cos(),
-        0.5 * phase.sin(),
-        -0.25,
-        0.0,
-        0.0,
-        0.1,
-        -1.0,
-    ]
+    [0.5 * phase.cos(), 0.5 * phase.sin(), -0.25, 0.0, 0.0, 0.1, -1.0]
 }

@@ -29,11 +29,7 @@ pub(super) struct Sheet {
 impl Sheet {
     /// Creates a sheet of square pictures of `cell` pixels.
     pub(super) fn new(columns: usize, cell: u32) -> Self {
-        Self {
-            columns,
-            cell,
-            cells: Vec::new(),
-        }
+        Self { columns, cell, cells: Vec::new() }
     }
 
     pub(super) fn add(&mut self, label: &str, picture: RgbImage) {

@@ -32,10 +32,7 @@ pub(super) enum SearchResult {
 impl Search {
     /// Starts a search over a rollout with `queries` queries.
     pub(super) fn new(queries: usize) -> Self {
-        Self {
-            queries,
-            tried: BTreeMap::new(),
-        }
+        Self { queries, tried: BTreeMap::new() }
     }
 
     /// Records a trial. `saved` is true if lifting at `query` saves the rollout and the placebo

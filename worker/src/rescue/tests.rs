@@ -29,11 +29,8 @@ fn run_rollout(
     row: ManifestRow,
     resumed: Option<Resumed<'_>>,
 ) -> Observed {
-    let mut actor = ObservingActor {
-        side: SIDE,
-        observations: Vec::new(),
-        instructions: Vec::new(),
-    };
+    let mut actor =
+        ObservingActor { side: SIDE, observations: Vec::new(), instructions: Vec::new() };
     let canonical = row.id.task().instruction();
     let assignment = assignment(row, None);
     let mut stage = Stage::of_the_protocol(simulator);
@@ -69,11 +66,7 @@ fn lifting_before_the_first_query_gives_the_nominal_rollout() {
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
     let nominal = run_rollout(&mut simulator, nominal, None);
-    let lifted = run_rollout(
-        &mut simulator,
-        perturbed.clone(),
-        resumed_after(&[], Change::Lift),
-    );
+    let lifted = run_rollout(&mut simulator, perturbed.clone(), resumed_after(&[], Change::Lift));
     assert!(lifted.pictures == nominal.pictures, "the pictures differ");
     assert_eq!(lifted.path, nominal.path);
     assert!(lifted.instruction_is_canonical && nominal.instruction_is_canonical);
@@ -96,36 +89,23 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
     let uninterrupted = run_rollout(&mut simulator, perturbed.clone(), None);
     let step = 5;
     let commands = &uninterrupted.actions[..step];
-    let resumed = run_rollout(
-        &mut simulator,
-        perturbed.clone(),
-        resumed_after(commands, Change::Lift),
-    );
+    let resumed =
+        run_rollout(&mut simulator, perturbed.clone(), resumed_after(commands, Change::Lift));
     assert_eq!(resumed.path[..=step], uninterrupted.path[..=step]);
     assert_eq!(resumed.path.len(), uninterrupted.path.len());
     assert_eq!(resumed.pictures.len(), STEPS as usize - step);
     // The camera is nominal again, and actions are no longer distorted.
     assert!(resumed.pictures[0] != uninterrupted.pictures[step]);
-    assert_ne!(
-        resumed.path[STEPS as usize],
-        uninterrupted.path[STEPS as usize]
-    );
+    assert_ne!(resumed.path[STEPS as usize], uninterrupted.path[STEPS as usize]);
 
     // The nudge moves no object, and the hand stays within 0.1 mm of the uninterrupted path.
-    let nudged = run_rollout(
-        &mut simulator,
-        perturbed,
-        resumed_after(commands, Change::Nudge),
-    );
+    let nudged = run_rollout(&mut simulator, perturbed, resumed_after(commands, Change::Nudge));
     assert!(!nudged.instruction_is_canonical);
     assert!(nudged.pictures[0] == uninterrupted.pictures[step]);
     let pairs = nudged.path.iter().zip(&uninterrupted.path);
     for (nudged, uninterrupted) in pairs {
         for (nudged, uninterrupted) in nudged.iter().zip(uninterrupted) {
-            assert!(
-                (nudged - uninterrupted).abs() <= 1,
-                "{nudged} {uninterrupted}"
-            );
+            assert!((nudged - uninterrupted).abs() <= 1, "{nudged} {uninterrupted}");
         }
     }
 }
@@ -167,11 +147,8 @@ fn a_rollout_without_perturbations_is_refused() {
     let mut simulator = simulator(sources);
     let folder = tempfile::tempdir().expect("a temporary folder");
     for id in ["object/t0/clean/i00", "object/t0/latency/L2/c00"] {
-        let mut actor = ObservingActor {
-            side: SIDE,
-            observations: Vec::new(),
-            instructions: Vec::new(),
-        };
+        let mut actor =
+            ObservingActor { side: SIDE, observations: Vec::new(), instructions: Vec::new() };
         let assignment = assignment(row(id), None);
         let refused = run(&mut simulator, &mut actor, &assignment, folder.path());
         assert!(matches!(refused, Err(RescueError::NotPerturbed(_))), "{id}");

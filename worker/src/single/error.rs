@@ -37,8 +37,5 @@ pub enum SingleError {
 }
 
 pub(super) fn write_error(path: &Path, source: io::Error) -> SingleError {
-    SingleError::Write {
-        path: path.to_owned(),
-        source,
-    }
+    SingleError::Write { path: path.to_owned(), source }
 }

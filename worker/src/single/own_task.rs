@@ -29,10 +29,7 @@ pub struct OwnTask {
 impl OwnTask {
     /// Returns the paths of the task's files.
     pub fn files(&self) -> TaskFiles {
-        TaskFiles {
-            bddl: self.bddl.clone(),
-            init: self.init.clone(),
-        }
+        TaskFiles { bddl: self.bddl.clone(), init: self.init.clone() }
     }
 
     /// Returns the manifest row of the task's rollout. The language axis is left out, because its
@@ -63,9 +60,7 @@ impl OwnTask {
         // The file was read a moment ago; if it cannot be read now, it counts as having no
         // instruction.
         let text = fs::read_to_string(&self.bddl).unwrap_or_default();
-        instruction_in(&text).ok_or_else(|| SingleError::NoInstruction {
-            bddl: self.bddl.clone(),
-        })
+        instruction_in(&text).ok_or_else(|| SingleError::NoInstruction { bddl: self.bddl.clone() })
     }
 }
 
@@ -89,14 +84,8 @@ mod tests {
         let check = |text: &str, expected: Option<&str>| {
             assert_eq!(instruction_in(text).as_deref(), expected, "{text}");
         };
-        check(
-            "(define\n  (:Language Turn on\n  the stove)\n)",
-            Some("turn on the stove"),
-        );
-        check(
-            "; (:language a comment)\n(:language put it there)",
-            Some("put it there"),
-        );
+        check("(define\n  (:Language Turn on\n  the stove)\n)", Some("turn on the stove"));
+        check("; (:language a comment)\n(:language put it there)", Some("put it there"));
         check("(:language )", None);
         check("(define (:goal (And (On a b))))", None);
     }

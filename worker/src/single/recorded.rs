@@ -42,27 +42,18 @@ impl RecordedActions {
     /// If the file cannot be read, holds no action or more than `MAX_RECORDED_ACTIONS`, or holds a
     /// number that is not finite.
     pub fn read(path: &Path) -> Result<Self, SingleError> {
-        let failed = |problem: String| SingleError::Recorded {
-            path: path.to_owned(),
-            problem,
-        };
+        let failed = |problem: String| SingleError::Recorded { path: path.to_owned(), problem };
         let actions = read_actions(path).map_err(failed)?;
         for (row, action) in actions.iter().enumerate() {
             if let Some(index) = action.iter().position(|number| !number.is_finite()) {
                 let number = action[index];
-                return Err(failed(format!(
-                    "number {index} of action {row} is {number}"
-                )));
+                return Err(failed(format!("number {index} of action {row} is {number}")));
             }
         }
         if actions.is_empty() {
             return Err(failed("it holds no action".to_owned()));
         }
-        Ok(Self {
-            path: path.to_owned(),
-            actions,
-            next: 0,
-        })
+        Ok(Self { path: path.to_owned(), actions, next: 0 })
     }
 
     /// Returns the number of actions, after which the replay ends.
@@ -136,9 +127,7 @@ fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
         Some("npz") => {
             let mut archive = ZipArchive::new(open()?).map_err(|error| error.to_string())?;
             let array = archive.by_name("actions.npy");
-            read_rows(open_array(
-                array.map_err(|_| "it has no array `actions`".to_owned())?,
-            )?)
+            read_rows(open_array(array.map_err(|_| "it has no array `actions`".to_owned())?)?)
         }
         Some("npy") => read_rows(open_array(open()?)?),
         Some("jsonl" | "json") => read_lines(open()?),
@@ -196,9 +185,9 @@ fn read_rows(array: NpyFile<impl Read>) -> Result<Vec<Action>, String> {
     };
     let numbers = match kind {
         (TypeChar::Float, Some(8)) => array.into_vec::<f64>(),
-        (TypeChar::Float, Some(4)) => array
-            .into_vec::<f32>()
-            .map(|numbers| numbers.into_iter().map(f64::from).collect()),
+        (TypeChar::Float, Some(4)) => {
+            array.into_vec::<f32>().map(|numbers| numbers.into_iter().map(f64::from).collect())
+        }
         _ => return Err(format!("it holds {}, not floats", dtype.descr())),
     };
     let numbers = numbers.map_err(|error| error.to_string())?;

@@ -23,10 +23,7 @@ fn a_rollout_id_determines_the_simulation() {
     let clean = row("spatial/t0/clean/i07").expect("a row");
     assert_eq!((clean.init_id, clean.perturbation.axes().len()), (7, 0));
     let single = row("spatial/t0/camera/L2/c00").expect("a row");
-    assert_eq!(
-        (single.init_id, single.perturbation.axes()),
-        (43, vec![Axis::Camera])
-    );
+    assert_eq!((single.init_id, single.perturbation.axes()), (43, vec![Axis::Camera]));
     let all = row("spatial/t0/combination/L2/c00").expect("a row");
     assert_eq!(all.perturbation.axes(), Axis::METRIC);
     let paraphrased = row("spatial/t0/language/L2/c00").expect("a row");
@@ -79,10 +76,7 @@ pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
         policy_endpoint: String::new(),
         policy_seed: 0,
         policy_deadline: Duration::from_secs(1),
-        video: video.map(|file| VideoRequest {
-            file: file.to_owned(),
-            of: VideoOf::Everything,
-        }),
+        video: video.map(|file| VideoRequest { file: file.to_owned(), of: VideoOf::Everything }),
         keep_actions: false,
     }
 }
@@ -93,10 +87,7 @@ fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
     let mut archive = zip::ZipArchive::new(file).expect("an NPZ file");
     let member = archive.by_name(&format!("{name}.npy"));
     let array = npyz::NpyFile::new(member.expect("a member of the archive")).expect("an array");
-    (
-        array.shape().to_vec(),
-        array.into_vec().expect("values of this type"),
-    )
+    (array.shape().to_vec(), array.into_vec().expect("values of this type"))
 }
 
 #[test]
@@ -129,11 +120,7 @@ fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
     let finished = replay(&recording, &first);
     assert_eq!(finished.result.steps, 6, "the step budget ends the rollout");
     assert_eq!(finished.result.clipped_actions, 3);
-    let expected = GoalProgress {
-        predicates: 1,
-        at_end: 0,
-        at_most: 0,
-    };
+    let expected = GoalProgress { predicates: 1, at_end: 0, at_most: 0 };
     assert_eq!(finished.result.goal, Some(expected));
     assert!(!first.join("frames").exists(), "nothing was drawn");
     let trace = first.join("trace.npz");
@@ -172,10 +159,7 @@ fn answers_are_distorted_before_clipping_as_in_the_released_code() {
         if let Some(distortion) = &mut row.perturbation.actuation {
             distortion.gain_log2 = -1.0;
         }
-        let assignment = Assignment {
-            realisation,
-            ..assignment(row, None)
-        };
+        let assignment = Assignment { realisation, ..assignment(row, None) };
         let request = Request {
             assignment: &assignment,
             files: None,
@@ -312,11 +296,7 @@ fn run_and_film(
     let video = folder.path().join("video.mp4");
     let mut assignment = assignment(row.clone(), Some(&video));
     assignment.realisation = realisation;
-    let mut actor = ObservingActor {
-        side,
-        observations: Vec::new(),
-        instructions: Vec::new(),
-    };
+    let mut actor = ObservingActor { side, observations: Vec::new(), instructions: Vec::new() };
     let request = Request {
         assignment: &assignment,
         files: None,
@@ -350,12 +330,7 @@ fn run_and_film(
         image::imageops::flip_vertical_in_place(&mut picture);
         picture.into_raw()
     });
-    FramesAndFilm {
-        by_policy,
-        in_film,
-        film: fs::read(&video).expect("a film"),
-        first_pictures,
-    }
+    FramesAndFilm { by_policy, in_film, film: fs::read(&video).expect("a film"), first_pictures }
 }
 
 #[test]
@@ -367,10 +342,8 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
     let mut simulator = simulator(sources);
     let mut sensor = row_of("object/t0/sensor/L3/c03".parse().expect("an id")).expect("a row");
     sensor.max_steps = 4;
-    let nominal = ManifestRow {
-        perturbation: libero_ctrl::Perturbation::default(),
-        ..sensor.clone()
-    };
+    let nominal =
+        ManifestRow { perturbation: libero_ctrl::Perturbation::default(), ..sensor.clone() };
     let side = PANE_SIDE as u32;
     let unperturbed = run_and_film(&mut simulator, &nominal, Realisation::Matched, side);
     for realisation in [Realisation::Matched, Realisation::Reference] {
@@ -379,10 +352,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
             // The video also has the frame after the last action.
             assert_eq!((captured.by_policy.len(), captured.in_film.len()), (4, 5));
             assert!(captured.in_film[..4] == captured.by_policy, "{realisation}");
-            assert!(
-                captured.first_pictures == captured.by_policy[0],
-                "{realisation}"
-            );
+            assert!(captured.first_pictures == captured.by_policy[0], "{realisation}");
         }
         for (corrupted, nominal) in corrupted.in_film.iter().zip(&unperturbed.in_film) {
             assert!(corrupted[0] != nominal[0] && corrupted[1] != nominal[1]);

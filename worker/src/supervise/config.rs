@@ -104,10 +104,8 @@ pub(super) struct Timing {
 }
 
 /// Time limits until the registration, before which no rollout is simulated.
-pub(super) const TIMING_UNTIL_REGISTERED: Timing = Timing {
-    heartbeat: Duration::from_secs(5),
-    progress_timeout: Duration::from_secs(180),
-};
+pub(super) const TIMING_UNTIL_REGISTERED: Timing =
+    Timing { heartbeat: Duration::from_secs(5), progress_timeout: Duration::from_secs(180) };
 
 /// Bounds of the coordinator's settings, so that a faulty answer neither causes a flood of
 /// heartbeats nor disables the timeouts.

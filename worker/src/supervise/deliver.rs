@@ -186,18 +186,11 @@ fn result(result: &RolloutResult) -> wire::RolloutResult {
 fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) -> Provenance {
     let realised = evidence.realised.axes().map(|(axis, realised)| {
         let (parameters, elements) = match realised {
-            RealisedAxis::Values {
-                parameters,
-                elements,
-            } => (parameters.clone(), elements.clone()),
+            RealisedAxis::Values { parameters, elements } => (parameters.clone(), elements.clone()),
             // Only results of earlier releases have this variant; a simulation never produces it.
             RealisedAxis::Digest(_) => Default::default(),
         };
-        wire::RealisedAxis {
-            axis: axis.to_string(),
-            parameters,
-            elements,
-        }
+        wire::RealisedAxis { axis: axis.to_string(), parameters, elements }
     });
     Provenance {
         realised: realised.collect(),

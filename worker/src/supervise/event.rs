@@ -23,11 +23,9 @@ impl ProcessEnd {
     pub(crate) fn with_last_lines(&self) -> String {
         match self.last_lines.is_empty() {
             true => self.description.clone(),
-            false => format!(
-                "{}; its last output: {}",
-                self.description,
-                self.last_lines.join(" | ")
-            ),
+            false => {
+                format!("{}; its last output: {}", self.description, self.last_lines.join(" | "))
+            }
         }
     }
 }
@@ -35,10 +33,7 @@ impl ProcessEnd {
 impl From<String> for ProcessEnd {
     fn from(description: String) -> Self {
         let last_lines = vec![];
-        Self {
-            description,
-            last_lines,
-        }
+        Self { description, last_lines }
     }
 }
 
@@ -63,16 +58,9 @@ pub(crate) enum Event {
     /// The coordinator answered a heartbeat.
     Renewed(Result<HeartbeatResponse, Status>),
     /// The coordinator answered a slot's claim.
-    Claimed {
-        slot: usize,
-        answer: Result<ClaimResponse, Status>,
-    },
+    Claimed { slot: usize, answer: Result<ClaimResponse, Status> },
     /// The files of an attempt's task were fetched or could not be fetched.
-    Provided {
-        slot: usize,
-        attempt: AttemptId,
-        outcome: Result<(), ProvideError>,
-    },
+    Provided { slot: usize, attempt: AttemptId, outcome: Result<(), ProvideError> },
     /// The coordinator answered the report of a slot's rollout.
     Delivered {
         slot: usize,

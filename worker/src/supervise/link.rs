@@ -39,12 +39,8 @@ const CHUNK_BYTES: usize = 256 << 10;
 const MAX_VIDEO_BYTES: u64 = 256 << 20;
 
 /// Command-line options and URL schemes that error messages tell the worker's user to set.
-const SETTINGS: Settings = Settings {
-    address: "--connect",
-    authority: "--ca",
-    clear: "http://",
-    encrypted: "https://",
-};
+const SETTINGS: Settings =
+    Settings { address: "--connect", authority: "--ca", clear: "http://", encrypted: "https://" };
 
 /// A connection to the coordinator, shared by all calls.
 #[derive(Clone, Debug)]
@@ -82,9 +78,7 @@ impl Link {
         seed: u64,
         draining: watch::Receiver<bool>,
     ) -> Result<Self, SuperviseError> {
-        let endpoint = parse_endpoint(url)?
-            .connect_timeout(CALL_DEADLINE)
-            .tcp_nodelay(true);
+        let endpoint = parse_endpoint(url)?.connect_timeout(CALL_DEADLINE).tcp_nodelay(true);
         let peer = Peer::new(endpoint.clone(), access, ServerKind::Coordinator, SETTINGS);
         let connection = access.connect_lazy(endpoint)?;
         Ok(Self {
@@ -139,9 +133,7 @@ impl Link {
     ) -> Result<HeartbeatResponse, Status> {
         let mut grpc = self.grpc.clone();
         let answer = with_deadline(deadline, grpc.heartbeat(request)).await;
-        self.record_outcome(answer)
-            .await
-            .map_err(|failed| failed.status)
+        self.record_outcome(answer).await.map_err(|failed| failed.status)
     }
 
     /// Reports a result; retries until the coordinator answers.
@@ -239,10 +231,7 @@ impl Link {
             // The start of the outage was diagnosed and logged already.
             Err(status) if self.lock_outage().is_some() && self.has_answered() => {
                 let is_transient = may_succeed_later(&status);
-                Err(Failed {
-                    status,
-                    is_transient,
-                })
+                Err(Failed { status, is_transient })
             }
             Err(status) => Err(self.explain(status).await),
         };
@@ -255,10 +244,7 @@ impl Link {
     async fn explain(&self, status: Status) -> Failed {
         let is_transient = may_succeed_later(&status);
         match self.state.peer.diagnose(&status).await {
-            None => Failed {
-                status,
-                is_transient,
-            },
+            None => Failed { status, is_transient },
             Some(diagnosis) => Failed {
                 status: Status::new(status.code(), diagnosis.to_string()),
                 is_transient: is_transient && (self.has_answered() || !diagnosis.found.is_final()),
@@ -319,10 +305,7 @@ async fn chunks_of(attempt: AttemptId, file: &Path) -> std::io::Result<Vec<Artif
     let bytes = tokio::fs::read(file).await?;
     let mut chunks: Vec<ArtifactChunk> = bytes
         .chunks(CHUNK_BYTES)
-        .map(|data| ArtifactChunk {
-            data: data.to_vec(),
-            ..ArtifactChunk::default()
-        })
+        .map(|data| ArtifactChunk { data: data.to_vec(), ..ArtifactChunk::default() })
         .collect();
     if let Some(first) = chunks.first_mut() {
         first.attempt_id = attempt.to_string();
@@ -339,9 +322,7 @@ mod tests {
     async fn only_the_first_chunk_of_a_video_names_its_attempt() {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), vec![7; CHUNK_BYTES + 1]).expect("written");
-        let chunks = chunks_of(AttemptId::from_random([7; 16]), file.path())
-            .await
-            .expect("read");
+        let chunks = chunks_of(AttemptId::from_random([7; 16]), file.path()).await.expect("read");
         let sizes: Vec<usize> = chunks.iter().map(|chunk| chunk.data.len()).collect();
         assert_eq!(sizes, [CHUNK_BYTES, 1]);
         assert_eq!(chunks[0].name, "video.mp4");

@@ -61,12 +61,7 @@ impl SlotProcess {
         let kill = Arc::new(Notify::new());
         let running = run_process(child, connection, key, commands, Arc::clone(&kill), events);
         let task = tasks.spawn(running);
-        Ok(Self {
-            commands: sender,
-            kill,
-            key,
-            task: task.id(),
-        })
+        Ok(Self { commands: sender, kill, key, task: task.id() })
     }
 
     /// Sends a command, which is lost if the queue is full. The loss does not matter: a full queue
@@ -104,10 +99,7 @@ async fn run_process(
         Ok(status) => explain_status(status, kills),
         Err(error) => format!("could not be waited for ({error})"),
     };
-    let end = ProcessEnd {
-        description,
-        last_lines: last_lines.into(),
-    };
+    let end = ProcessEnd { description, last_lines: last_lines.into() };
     // The receiver may be gone if the supervisor has ended.
     let _ = events.send(Event::Ended { key, end }).await;
 }
@@ -229,10 +221,7 @@ mod tests {
         check(11, "signal 11 (SIGSEGV");
         check(1 << 8, "exited with code 1");
         let last_lines = VecDeque::from(["one".to_owned(), "two".to_owned()]);
-        let end = ProcessEnd {
-            description: "aborted".to_owned(),
-            last_lines: last_lines.into(),
-        };
+        let end = ProcessEnd { description: "aborted".to_owned(), last_lines: last_lines.into() };
         assert_eq!(end.with_last_lines(), "aborted; its last output: one | two");
     }
 

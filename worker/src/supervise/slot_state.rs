@@ -222,19 +222,9 @@ impl SlotState {
     /// Returns the attempt whose lease a heartbeat renews, with its control steps so far.
     pub(crate) fn progress(&self) -> Option<(AttemptId, u32)> {
         match self.work {
-            Work::Running {
-                attempt,
-                control_steps,
-                ..
-            }
-            | Work::Stuck {
-                attempt,
-                control_steps,
-            }
-            | Work::Delivering {
-                attempt,
-                control_steps,
-            } => Some((attempt, control_steps)),
+            Work::Running { attempt, control_steps, .. }
+            | Work::Stuck { attempt, control_steps }
+            | Work::Delivering { attempt, control_steps } => Some((attempt, control_steps)),
             Work::Preparing { attempt } => Some((attempt, 0)),
             Work::Nothing | Work::Claiming | Work::Abandoning { .. } => None,
         }
@@ -254,11 +244,7 @@ impl SlotState {
 
     /// Records the progress of an attempt's rollout.
     pub(crate) fn advanced(&mut self, id: AttemptId, steps: u32, now: Instant) {
-        if let Work::Running {
-            attempt,
-            control_steps,
-            progressed_at,
-        } = &mut self.work
+        if let Work::Running { attempt, control_steps, progressed_at } = &mut self.work
             && *attempt == id
             && steps > *control_steps
         {
@@ -269,12 +255,7 @@ impl SlotState {
 
     /// Records the progress of an attempt's video.
     pub(crate) fn filming_advanced(&mut self, id: AttemptId, frames: u32, now: Instant) {
-        if let Video::Filming {
-            attempt,
-            pictures,
-            progressed_at,
-            ..
-        } = &mut self.video
+        if let Video::Filming { attempt, pictures, progressed_at, .. } = &mut self.video
             && *attempt == id
             && frames > *pictures
         {
@@ -286,43 +267,27 @@ impl SlotState {
     /// Records that the process was killed.
     pub(crate) fn killed(&mut self, reason: Kill) {
         self.process = ProcessState::Dying;
-        if let (
-            Kill::Stuck,
-            &Work::Running {
-                attempt,
-                control_steps,
-                ..
-            },
-        ) = (reason, &self.work)
-        {
-            self.work = Work::Stuck {
-                attempt,
-                control_steps,
-            };
+        if let (Kill::Stuck, &Work::Running { attempt, control_steps, .. }) = (reason, &self.work) {
+            self.work = Work::Stuck { attempt, control_steps };
         }
     }
 
     /// Records that the process has ended; returns the rollout and the video that were lost with
     /// it. A lost video costs no result: a slot films only after it has handed over the result.
     pub(crate) fn ended(&mut self, now: Instant) -> Loss {
-        self.process = ProcessState::Down {
-            until: now + self.restarts.next_wait(),
-        };
+        self.process = ProcessState::Down { until: now + self.restarts.next_wait() };
         let mut loss = Loss::default();
         if let Video::Filming { attempt, .. } = self.video {
             self.video = Video::None;
             loss.video = Some(attempt);
         }
         let (attempt, control_steps, kind) = match self.work {
-            Work::Running {
-                attempt,
-                control_steps,
-                ..
-            } => (attempt, control_steps, FailureKind::SlotCrashed),
-            Work::Stuck {
-                attempt,
-                control_steps,
-            } => (attempt, control_steps, FailureKind::SlotStuck),
+            Work::Running { attempt, control_steps, .. } => {
+                (attempt, control_steps, FailureKind::SlotCrashed)
+            }
+            Work::Stuck { attempt, control_steps } => {
+                (attempt, control_steps, FailureKind::SlotStuck)
+            }
             Work::Abandoning { .. } => {
                 self.work = Work::Nothing;
                 return loss;
@@ -332,10 +297,7 @@ impl SlotState {
                 return loss;
             }
         };
-        self.work = Work::Delivering {
-            attempt,
-            control_steps,
-        };
+        self.work = Work::Delivering { attempt, control_steps };
         loss.rollout = Some((attempt, kind));
         loss
     }
@@ -345,33 +307,22 @@ impl SlotState {
     /// process that was killed as stuck may still have sent this end.
     pub(crate) fn rollout_ended(&mut self, id: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {
-            Work::Running {
-                attempt,
-                control_steps,
-                ..
+            Work::Running { attempt, control_steps, .. }
+            | Work::Stuck { attempt, control_steps }
+                if attempt == id =>
+            {
+                (ResultState::Delivering, control_steps)
             }
-            | Work::Stuck {
-                attempt,
-                control_steps,
-            } if attempt == id => (ResultState::Delivering, control_steps),
             Work::Abandoning { attempt, .. } if attempt == id => (ResultState::Unwanted, 0),
             _ => return false,
         };
         self.restarts.reset();
         if is_filmed {
-            self.video = Video::Filming {
-                attempt: id,
-                pictures: 0,
-                progressed_at: now,
-                result,
-            };
+            self.video = Video::Filming { attempt: id, pictures: 0, progressed_at: now, result };
         }
         let is_wanted = result == ResultState::Delivering;
         self.work = match is_wanted {
-            true => Work::Delivering {
-                attempt: id,
-                control_steps,
-            },
+            true => Work::Delivering { attempt: id, control_steps },
             false => Work::Nothing,
         };
         is_wanted
@@ -380,10 +331,7 @@ impl SlotState {
     /// Records that an attempt's video is finished or cannot be made. Returns the action on the
     /// video that is due now.
     pub(crate) fn filming_ended(&mut self, id: AttemptId, is_made: bool) -> Option<VideoDecision> {
-        let Video::Filming {
-            attempt, result, ..
-        } = self.video
-        else {
+        let Video::Filming { attempt, result, .. } = self.video else {
             return None;
         };
         if attempt != id {
@@ -410,9 +358,7 @@ impl SlotState {
                 *result = ResultState::Committed;
                 None
             }
-            Video::Filming {
-                result, attempt, ..
-            } => {
+            Video::Filming { result, attempt, .. } => {
                 *result = ResultState::Unwanted;
                 Some(VideoDecision::Abandon(*attempt))
             }
@@ -437,10 +383,7 @@ impl SlotState {
         else {
             return None;
         };
-        self.work = Work::Delivering {
-            attempt,
-            control_steps: 0,
-        };
+        self.work = Work::Delivering { attempt, control_steps: 0 };
         Some(attempt)
     }
 

@@ -238,14 +238,9 @@ impl Supervisor {
         if !self.is_registered {
             return;
         }
-        let request = SignOffRequest {
-            worker_id: self.config.identity.worker.to_string(),
-        };
+        let request = SignOffRequest { worker_id: self.config.identity.worker.to_string() };
         if let Err(status) = self.link.sign_off(request).await {
-            tracing::debug!(
-                "the coordinator did not receive the sign-off: {}",
-                chain(&status)
-            );
+            tracing::debug!("the coordinator did not receive the sign-off: {}", chain(&status));
         }
     }
 
@@ -261,16 +256,10 @@ impl Supervisor {
             Event::HeartbeatDue => self.send_heartbeat(),
             Event::Renewed(answer) => self.renewed(answer, now),
             Event::Claimed { slot, answer } => self.claimed(slot, answer, now),
-            Event::Provided {
-                slot,
-                attempt,
-                outcome,
-            } => self.provided(slot, attempt, outcome, now),
-            Event::Delivered {
-                slot,
-                label,
-                answer,
-            } => self.delivered(slot, &label, answer),
+            Event::Provided { slot, attempt, outcome } => {
+                self.provided(slot, attempt, outcome, now)
+            }
+            Event::Delivered { slot, label, answer } => self.delivered(slot, &label, answer),
             Event::Slot { key, event } => {
                 if self.is_current(key) {
                     self.handle_slot_event(key.slot, event, now);
@@ -316,18 +305,13 @@ impl Supervisor {
     fn start_process(&mut self, slot: usize, now: Instant) {
         let entry = &mut self.slots[slot];
         entry.starts += 1;
-        let key = ProcessKey {
-            slot,
-            number: entry.starts,
-        };
+        let key = ProcessKey { slot, number: entry.starts };
         let program = &self.config.slot_program;
         let started = SlotProcess::start(program, key, &mut self.processes, self.events.clone());
         match started {
             Ok(process) => {
                 entry.process = Some(process);
-                entry.state.process = ProcessState::Starting {
-                    deadline: now + START_DEADLINE,
-                };
+                entry.state.process = ProcessState::Starting { deadline: now + START_DEADLINE };
             }
             Err(error) => self.start_failed(slot, error, now),
         }
@@ -361,10 +345,9 @@ impl Supervisor {
 
     fn handle_slot_event(&mut self, slot: usize, event: SlotEvent, now: Instant) {
         let (attempt, event) = match event {
-            SlotEvent::Ready {
-                renderer,
-                fingerprint,
-            } => return self.became_ready(slot, renderer, &fingerprint),
+            SlotEvent::Ready { renderer, fingerprint } => {
+                return self.became_ready(slot, renderer, &fingerprint);
+            }
             SlotEvent::Rollout { attempt, event } => (attempt, event),
         };
         let state = &mut self.slots[slot].state;
@@ -410,22 +393,14 @@ impl Supervisor {
             Some(registration) if registration.renderer == renderer => {}
             Some(registration) => {
                 let registered = registration.renderer.clone();
-                self.stop(SuperviseError::Renderers {
-                    slot,
-                    renderer,
-                    registered,
-                });
+                self.stop(SuperviseError::Renderers { slot, renderer, registered });
             }
         }
     }
 
     /// Returns campaign and session of the slot's assignment, for messages.
     fn label(&self, slot: usize) -> String {
-        let Slot {
-            assignment,
-            campaign,
-            ..
-        } = &self.slots[slot];
+        let Slot { assignment, campaign, .. } = &self.slots[slot];
         let session = assignment.as_ref().map(|job| job.session.to_string());
         format!("{campaign}: {}", session.unwrap_or_default())
     }
@@ -470,11 +445,8 @@ impl Supervisor {
                 self.calls.spawn(remove(self.video_file(attempt)));
             }
             Some(VideoDecision::Upload(attempt)) => {
-                let upload = Upload {
-                    attempt,
-                    file: self.video_file(attempt),
-                    label: self.label(slot),
-                };
+                let upload =
+                    Upload { attempt, file: self.video_file(attempt), label: self.label(slot) };
                 self.uploads.spawn(self.uploader.clone().upload(upload));
             }
         }
@@ -505,11 +477,7 @@ impl Supervisor {
         let (link, events) = (self.link.clone(), self.events.clone());
         self.calls.spawn(async move {
             let answer = deliver(&link, delivery).await;
-            let delivered = Event::Delivered {
-                slot,
-                label,
-                answer,
-            };
+            let delivered = Event::Delivered { slot, label, answer };
             let _ = events.send(delivered).await;
         });
     }
@@ -544,18 +512,13 @@ fn is_exhaustion(error: &io::Error) -> bool {
     use rustix::io::Errno;
     let limits = [Errno::MFILE, Errno::NFILE, Errno::AGAIN, Errno::NOMEM];
     let code = error.raw_os_error();
-    limits
-        .iter()
-        .any(|limit| code == Some(limit.raw_os_error()))
+    limits.iter().any(|limit| code == Some(limit.raw_os_error()))
 }
 
 fn panicked(ended: Result<(), JoinError>) -> Option<Event> {
     // Tasks are only aborted after the loop, so a `JoinError` here is a panic.
     let error = ended.err()?;
-    Some(Event::Panicked {
-        task: error.id(),
-        error: error.to_string(),
-    })
+    Some(Event::Panicked { task: error.id(), error: error.to_string() })
 }
 
 #[cfg(test)]

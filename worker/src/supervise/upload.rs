@@ -36,10 +36,7 @@ pub(crate) struct Uploader {
 
 impl Uploader {
     pub(crate) fn new(link: Link) -> Self {
-        Self {
-            link,
-            permits: Arc::new(Semaphore::new(UPLOADS_AT_A_TIME)),
-        }
+        Self { link, permits: Arc::new(Semaphore::new(UPLOADS_AT_A_TIME)) }
     }
 
     /// Uploads a video, or drops it and logs the reason. Removes the video's file in either case.

@@ -35,16 +35,11 @@ impl Audit {
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, VariantsError> {
-        let mut audit = Self {
-            runnable: Vec::new(),
-            lacking: Lacking::default(),
-        };
+        let mut audit = Self { runnable: Vec::new(), lacking: Lacking::default() };
         // All trials of a task need the same files.
         let mut last: Option<(Case, Checked)> = None;
         for case in cases {
-            let known = last
-                .take()
-                .filter(|(known, _)| have_the_same_files(known, &case));
+            let known = last.take().filter(|(known, _)| have_the_same_files(known, &case));
             let checked = match known {
                 Some((_, checked)) => checked,
                 None => Checked::new(&rules.row(&case)?, pack, sources)?,
@@ -115,11 +110,7 @@ impl Audit {
     pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
         let mut text = String::new();
         let runnable = [(None, &self.runnable)];
-        let lacking = self
-            .lacking
-            .0
-            .iter()
-            .map(|(lack, cases)| (Some(lack), cases));
+        let lacking = self.lacking.0.iter().map(|(lack, cases)| (Some(lack), cases));
         for (lack, cases) in runnable.into_iter().chain(lacking) {
             for case in cases {
                 let row = rules.row(case)?;
@@ -146,18 +137,10 @@ impl Audit {
 /// Lists the files of LIBERO-Plus' archive that a variant needs, or the task files of a suite file.
 fn needs(case: &Case, row: &ManifestRow) -> String {
     if let Some(own) = &row.own {
-        let OwnTask {
-            folder,
-            bddl,
-            states,
-            ..
-        } = &**own;
+        let OwnTask { folder, bddl, states, .. } = &**own;
         return format!("{folder}/{bddl} {folder}/{states}");
     }
-    let Subject::Plus(Entry {
-        class: Some(class), ..
-    }) = case.subject
-    else {
+    let Subject::Plus(Entry { class: Some(class), .. }) = case.subject else {
         return "-".to_owned();
     };
     let styles = [&class.floor, &class.wall].into_iter().flatten();

@@ -39,10 +39,7 @@ impl Prepared {
                 (prompt, start(&case, &protocol))
             }
         };
-        let row = ManifestRow {
-            instruction: prompt.unwrap_or(sentence),
-            ..row.clone()
-        };
+        let row = ManifestRow { instruction: prompt.unwrap_or(sentence), ..row.clone() };
         Ok(Self { files, start, row })
     }
 }
@@ -120,14 +117,10 @@ fn start(case: &Case, protocol: &Protocol) -> VariantStart {
     };
     VariantStart {
         view: variant.map(|variant| variant.view()),
-        posture: variant
-            .and_then(|variant| variant.robot())
-            .and_then(start_posture),
+        posture: variant.and_then(|variant| variant.robot()).and_then(start_posture),
         seed: protocol.seed,
         earlier_resets: u32::from(case.trial),
         start: reset_or_state(protocol.beginning),
-        corruption: variant
-            .and_then(|variant| variant.corruption())
-            .and_then(Corruption::new),
+        corruption: variant.and_then(|variant| variant.corruption()).and_then(Corruption::new),
     }
 }

@@ -44,12 +44,7 @@ pub struct Choice {
     #[arg(long = "para", value_name = "TYPE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties", "of_suites"])]
     pub para: Vec<TypeName>,
     /// Sentences of these tasks only: libero_goal/8
-    #[arg(
-        long,
-        value_name = "SUITE/N,...",
-        value_delimiter = ',',
-        requires = "para"
-    )]
+    #[arg(long, value_name = "SUITE/N,...", value_delimiter = ',', requires = "para")]
     pub tasks: Vec<TaskRef>,
     /// Trials of each task of LIBERO-PRO or of a suite file, one from each initial state [default:
     /// 50, or as the suite file says]
@@ -164,23 +159,11 @@ mod tests {
             ..Choice::default()
         };
         assert_eq!(some.selection().cases().unwrap().len(), 121);
-        let none = Choice {
-            suites: vec![Suite::Spatial],
-            ..some
-        };
-        assert!(matches!(
-            none.selection().cases(),
-            Err(SelectionError::Nothing)
-        ));
+        let none = Choice { suites: vec![Suite::Spatial], ..some };
+        assert!(matches!(none.selection().cases(), Err(SelectionError::Nothing)));
         let unused = "turn_on_the_stove_table_19".parse().unwrap();
-        let unused = Choice {
-            variants: vec![unused],
-            ..Choice::default()
-        };
-        assert!(matches!(
-            unused.selection().cases(),
-            Err(SelectionError::Unused { .. })
-        ));
+        let unused = Choice { variants: vec![unused], ..Choice::default() };
+        assert!(matches!(unused.selection().cases(), Err(SelectionError::Unused { .. })));
     }
 
     #[test]
@@ -194,25 +177,16 @@ mod tests {
         assert_eq!(Case::unperturbed(&cases).len(), 1);
         assert_eq!(cases[0].name(), "act_pragmatical_hint_eval3_ver1");
         assert!(!hints.may_need_further_assets(&cases));
-        let none = Choice {
-            tasks: vec!["libero_object/8".parse().unwrap()],
-            ..hints
-        };
+        let none = Choice { tasks: vec!["libero_object/8".parse().unwrap()], ..hints };
         assert!(none.selection().cases().is_err());
     }
 
     #[test]
     fn a_pro_suite_has_ten_tasks_of_fifty_trials_and_its_own_protocol() {
-        let pro = Choice {
-            pro: vec!["libero_goal_swap".parse().unwrap()],
-            ..Choice::default()
-        };
+        let pro = Choice { pro: vec!["libero_goal_swap".parse().unwrap()], ..Choice::default() };
         let cases = pro.selection().cases().unwrap();
         assert_eq!((cases.len(), Case::unperturbed(&cases).len()), (500, 500));
-        assert_eq!(
-            cases[1].name(),
-            "libero_goal_swap/open_the_middle_drawer_of_the_cabinet/e01"
-        );
+        assert_eq!(cases[1].name(), "libero_goal_swap/open_the_middle_drawer_of_the_cabinet/e01");
         let mut options = RunOptions {
             protocol: None,
             runnable: false,
@@ -221,18 +195,9 @@ mod tests {
             protocols: false,
         };
         let protocol = |options: &RunOptions, benchmark| options.protocol_of(benchmark);
-        assert_eq!(
-            protocol(&options, Benchmark::Pro).unwrap().name,
-            "pro-official"
-        );
-        assert_eq!(
-            protocol(&options, Benchmark::Plus).unwrap().name,
-            "plus-official"
-        );
+        assert_eq!(protocol(&options, Benchmark::Pro).unwrap().name, "pro-official");
+        assert_eq!(protocol(&options, Benchmark::Plus).unwrap().name, "plus-official");
         options.protocol = Some("plus-rlinf".parse().unwrap());
-        assert!(matches!(
-            protocol(&options, Benchmark::Pro),
-            Err(SelectionError::Foreign { .. })
-        ));
+        assert!(matches!(protocol(&options, Benchmark::Pro), Err(SelectionError::Foreign { .. })));
     }
 }

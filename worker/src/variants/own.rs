@@ -21,10 +21,8 @@ pub(super) struct States {
 impl States {
     /// Returns the lack of an initial state; `None` if the state exists.
     pub(super) fn lack(&self, init_id: u16) -> Option<Lack> {
-        (usize::from(init_id) >= self.count).then(|| Lack::States {
-            path: self.path.clone(),
-            count: self.count,
-        })
+        (usize::from(init_id) >= self.count)
+            .then(|| Lack::States { path: self.path.clone(), count: self.count })
     }
 }
 
@@ -70,10 +68,7 @@ fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<S
         }
     }
     let states = InitialStates::read(&files.init)?;
-    Ok(States {
-        path: files.init.display().to_string(),
-        count: states.count(),
-    })
+    Ok(States { path: files.init.display().to_string(), count: states.count() })
 }
 
 /// Returns the SHA-256 of files in sequence, hex, or the reason why a file cannot be read.

@@ -94,10 +94,7 @@ fn starts(
     simulator: &mut Simulator,
 ) -> Result<Starts, VariantsError> {
     let benchmark = case.benchmark().ok_or(SelectionError::Nothing)?;
-    let unperturbed = Case {
-        subject: Subject::Unperturbed,
-        ..*case
-    };
+    let unperturbed = Case { subject: Subject::Unperturbed, ..*case };
     let official = Protocol::official(benchmark);
     let reference = first_query(&unperturbed, &official, pack, simulator)?;
     let mut official_picture = None;
@@ -138,23 +135,12 @@ fn first_query(
     let prepared = Prepared::new(&case.row(protocol), simulator.sources())?;
     pack.provide_with_bar(slice::from_ref(&prepared.files))?;
     let row = &prepared.row;
-    let failed = |source: SimError| VariantsError::Start {
-        id: row.id,
-        source: Box::new(source),
-    };
-    let mut episode = simulator
-        .begin_variant(prepared.files, row, &prepared.start)
-        .map_err(failed)?;
+    let failed = |source: SimError| VariantsError::Start { id: row.id, source: Box::new(source) };
+    let mut episode =
+        simulator.begin_variant(prepared.files, row, &prepared.start).map_err(failed)?;
     episode.settle().map_err(failed)?;
-    let agentview = CameraRequest {
-        name: "agentview".to_owned(),
-        width: SIDE,
-        height: SIDE,
-    };
-    let request = ObservationRequest {
-        cameras: vec![agentview],
-        privileged: false,
-    };
+    let agentview = CameraRequest { name: "agentview".to_owned(), width: SIDE, height: SIDE };
+    let request = ObservationRequest { cameras: vec![agentview], privileged: false };
     let mut observation = episode.observe(&request).map_err(failed)?;
     Ok(FirstQuery {
         prompt: row.instruction.clone(),
@@ -165,11 +151,7 @@ fn first_query(
 }
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b).powi(2))
-        .sum::<f64>()
-        .sqrt()
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Returns the angle between two orientations, rad.
@@ -219,10 +201,7 @@ impl Starts {
         let mut prompts: Vec<(&str, String)> = Vec::new();
         for start in &self.lines {
             let name = start.protocol.name;
-            match prompts
-                .iter_mut()
-                .find(|(prompt, _)| *prompt == start.prompt)
-            {
+            match prompts.iter_mut().find(|(prompt, _)| *prompt == start.prompt) {
                 Some((_, names)) => drop(write!(names, ", {name}")),
                 None => prompts.push((&start.prompt, name.to_owned())),
             }

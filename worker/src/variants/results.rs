@@ -174,10 +174,7 @@ impl Results {
     /// Reads existing results, and opens the file for appending.
     pub(super) fn open(folder: &Path, pin: Pin) -> Result<Self, VariantsError> {
         let path = folder.join("results.jsonl");
-        let file_error = |source: io::Error| VariantsError::File {
-            path: path.clone(),
-            source,
-        };
+        let file_error = |source: io::Error| VariantsError::File { path: path.clone(), source };
         fs::create_dir_all(folder).map_err(file_error)?;
         let text = match fs::read_to_string(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
@@ -194,12 +191,7 @@ impl Results {
         }
         let file = OpenOptions::new().create(true).append(true).open(&path);
         let file = file.map_err(file_error)?;
-        let results = Self {
-            path,
-            file,
-            pin,
-            rows,
-        };
+        let results = Self { path, file, pin, rows };
         for row in &results.rows {
             results.check(row)?;
         }
@@ -217,10 +209,7 @@ impl Results {
         line.push('\n');
         let written = self.file.write_all(line.as_bytes());
         let written = written.and_then(|()| self.file.sync_data());
-        written.map_err(|source| VariantsError::File {
-            path: self.path.clone(),
-            source,
-        })?;
+        written.map_err(|source| VariantsError::File { path: self.path.clone(), source })?;
         self.rows.push(row);
         Ok(())
     }
@@ -241,11 +230,7 @@ impl Results {
         };
         for (what, found, expected) in [
             ("policy", &first.policy, &row.policy),
-            (
-                "policy weights",
-                &first.policy_checkpoint_digest,
-                &row.policy_checkpoint_digest,
-            ),
+            ("policy weights", &first.policy_checkpoint_digest, &row.policy_checkpoint_digest),
             ("renderer", &first.renderer, &row.renderer),
         ] {
             if found != expected {
@@ -293,25 +278,19 @@ impl Tally {
     /// Counts the rows.
     pub fn from_rows(rows: &[Row]) -> Self {
         let unperturbed = rows.iter().filter(|row| row.group.is_none());
-        let unperturbed: BTreeMap<(&str, u16), bool> = unperturbed
-            .map(|row| ((row.task.as_str(), row.trial), row.success))
-            .collect();
+        let unperturbed: BTreeMap<(&str, u16), bool> =
+            unperturbed.map(|row| ((row.task.as_str(), row.trial), row.success)).collect();
         let mut groups: BTreeMap<&str, Count> = BTreeMap::new();
         let mut all = Count::default();
         for row in rows {
             let Some(group) = &row.group else { continue };
             let unperturbed_success = unperturbed.get(&(row.task.as_str(), row.trial)).copied();
-            groups
-                .entry(group)
-                .or_default()
-                .add(row.success, unperturbed_success);
+            groups.entry(group).or_default().add(row.success, unperturbed_success);
             all.add(row.success, unperturbed_success);
         }
         let groups = groups.into_iter();
         let groups = groups.map(|(name, count)| (name.to_owned(), count));
-        Self {
-            lines: groups.chain([("all".to_owned(), all)]).collect(),
-        }
+        Self { lines: groups.chain([("all".to_owned(), all)]).collect() }
     }
 }
 
@@ -325,12 +304,7 @@ impl fmt::Display for Tally {
             "", "rollouts", "successes", "percent", "broken", "gained"
         )?;
         for (name, count) in &self.lines {
-            let Count {
-                rollouts,
-                successes,
-                broken,
-                gained,
-            } = count;
+            let Count { rollouts, successes, broken, gained } = count;
             let percent = match rollouts {
                 0 => "-".to_owned(),
                 _ => format!("{:.1}", 100.0 * *successes as f64 / *rollouts as f64),
@@ -392,10 +366,7 @@ mod tests {
         results.add(row("one", None, true)).unwrap();
         let mut results = open("plus-official").unwrap();
         assert!(results.has("one") && !results.has("two"));
-        let another = Row {
-            policy_checkpoint_digest: "cd".to_owned(),
-            ..row("two", None, true)
-        };
+        let another = Row { policy_checkpoint_digest: "cd".to_owned(), ..row("two", None, true) };
         let error = results.add(another).unwrap_err();
         let what = |error: &VariantsError| match error {
             VariantsError::Pinned { what, .. } => *what,
@@ -419,17 +390,9 @@ mod tests {
             row("task_noise_2", noise, true),
             row("task_light_1", Some("light"), true),
         ];
-        let count = |rollouts, successes, broken| Count {
-            rollouts,
-            successes,
-            broken,
-            gained: 0,
-        };
-        let expected = [
-            ("light", count(1, 1, 0)),
-            ("noise", count(2, 1, 1)),
-            ("all", count(3, 2, 1)),
-        ];
+        let count = |rollouts, successes, broken| Count { rollouts, successes, broken, gained: 0 };
+        let expected =
+            [("light", count(1, 1, 0)), ("noise", count(2, 1, 1)), ("all", count(3, 2, 1))];
         let expected = expected.map(|(name, count)| (name.to_owned(), count));
         assert_eq!(Tally::from_rows(&rows).lines, expected);
         let rows = [row("task", None, false), row("task_noise_2", noise, true)];

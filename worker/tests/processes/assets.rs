@@ -12,10 +12,7 @@ use crate::worker_process::{WorkerProcess, lease, program, ready, run};
 
 fn code_and_output(output: Output) -> (Option<i32>, String) {
     let output_text = [output.stdout, output.stderr].concat();
-    (
-        output.status.code(),
-        String::from_utf8(output_text).expect("text"),
-    )
+    (output.status.code(), String::from_utf8(output_text).expect("text"))
 }
 
 /// Creates a folder of sources without any assets except the built-in ones.
@@ -31,10 +28,7 @@ fn copy_of_primitives(folder: &Path) -> PathBuf {
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
     let primitives = scene::AssetPack::open("primitives", &sources).expect("built in");
     let copy = folder.join("assets");
-    let copied = Command::new("cp")
-        .arg("-r")
-        .args([primitives.dir(), &copy])
-        .status();
+    let copied = Command::new("cp").arg("-r").args([primitives.dir(), &copy]).status();
     assert!(copied.expect("cp runs").success());
     copy
 }
@@ -69,11 +63,7 @@ async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
     let _worker = WorkerProcess::start_command(&mut worker);
     for number in 1..=2 {
         let release = coordinator.message(number).await.release(Reason::Draining);
-        assert!(
-            release.error.contains("find the wheel"),
-            "{}",
-            release.error
-        );
+        assert!(release.error.contains("find the wheel"), "{}", release.error);
     }
     let claims = coordinator.claims();
     assert!(claims.iter().all(|claim| lacking(claim, "").is_empty()));
@@ -93,25 +83,14 @@ async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
     fs::remove_file(pack.join("articulated_objects/microwave.xml")).expect("the model exists");
     let coordinator = ScriptedCoordinator::start().await;
     let mut worker = program();
-    worker
-        .args(["--connect", &coordinator.url(), "--assets"])
-        .arg(&pack);
+    worker.args(["--connect", &coordinator.url(), "--assets"]).arg(&pack);
     let worker = WorkerProcess::start_command(&mut worker);
     coordinator.wait_for_claims(1).await;
     let claim = &coordinator.claims()[0];
-    assert_eq!(
-        lacking(claim, ""),
-        ["libero_10/9"],
-        "the only task with a microwave"
-    );
+    assert_eq!(lacking(claim, ""), ["libero_10/9"], "the only task with a microwave");
     assert!(lacking(claim, "+libero-pro").contains(&"libero_10/9+libero-pro".to_owned()));
     let log = worker.terminated();
-    for words in [
-        "libero_10/9",
-        "microwave",
-        "39 of 40 can be shown",
-        "`custom`",
-    ] {
+    for words in ["libero_10/9", "microwave", "39 of 40 can be shown", "`custom`"] {
         assert!(log.contains(words), "{log}");
     }
 }
@@ -132,12 +111,9 @@ fn packs_are_verified_against_liberos_files() {
     let path = copy.to_str().expect("UTF-8");
     let (code, verified) = code_and_output(run(&["assets", "verify", path]));
     assert_eq!(code, Some(1), "{verified}");
-    for words in [
-        "not LIBERO's",
-        "scenes/libero_floor_base_style.xml (altered: ",
-        "and 18 more",
-        "`custom`",
-    ] {
+    for words in
+        ["not LIBERO's", "scenes/libero_floor_base_style.xml (altered: ", "and 18 more", "`custom`"]
+    {
         assert!(verified.contains(words), "{verified}");
     }
     let (code, listed) = code_and_output(run(&["assets", "list", path]));

@@ -19,9 +19,7 @@ async fn busy_worker_with(
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     let mut long = lease(1, "slow", &policy.url());
-    long.manifest_row = long
-        .manifest_row
-        .replace("\"max_steps\":24", "\"max_steps\":80");
+    long.manifest_row = long.manifest_row.replace("\"max_steps\":24", "\"max_steps\":80");
     coordinator.lease(long);
     let worker = WorkerProcess::start_with(&coordinator.url(), arguments);
     coordinator.wait_for_progress(1, 10).await;
@@ -45,10 +43,7 @@ async fn a_drain_finishes_the_running_rollout_and_starts_no_other() {
     let log = worker.ended();
     // Log lines name their campaign, since one worker may serve several.
     assert!(log.contains(" test: object/t0/clean/i03"), "{log}");
-    assert_eq!(
-        (coordinator.messages().len(), coordinator.claims().len()),
-        (2, 1)
-    );
+    assert_eq!((coordinator.messages().len(), coordinator.claims().len()), (2, 1));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -88,11 +83,7 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     assert_eq!(result.expect("a result").steps, 80);
     let log = worker.ended();
     assert!(log.contains("no work for 1 s"), "{log}");
-    assert_eq!(
-        coordinator.signed_off().len(),
-        1,
-        "the worker signed off once"
-    );
+    assert_eq!(coordinator.signed_off().len(), 1, "the worker signed off once");
 }
 
 /// Regression: a worker that was shutting down leased once more and gave the job back, which pinned
@@ -109,11 +100,7 @@ async fn a_draining_worker_withdraws_its_claim() {
     coordinator.wait_for_withdrawn_claim().await;
     worker.ended();
     assert_eq!(coordinator.claims().len(), 1);
-    assert_eq!(
-        coordinator.messages().len(),
-        1,
-        "the worker sent only its registration"
-    );
+    assert_eq!(coordinator.messages().len(), 1, "the worker sent only its registration");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -129,10 +116,7 @@ async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
     worker.terminated();
     slots.into_iter().for_each(wait_for_the_end_of);
     let claimed = &coordinator.claims()[0];
-    assert_eq!(
-        coordinator.signed_off(),
-        std::slice::from_ref(&claimed.worker_id)
-    );
+    assert_eq!(coordinator.signed_off(), std::slice::from_ref(&claimed.worker_id));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -46,23 +46,11 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
                  `policy-gateway doctor`",
             ),
             ("narrow", "its actions are 6 numbers wide, not 7"),
-            (
-                "ragged",
-                "it answered 13 numbers, which is not a multiple of 7",
-            ),
+            ("ragged", "it answered 13 numbers, which is not a multiple of 7"),
             ("empty", "it answered no action"),
-            (
-                "generous",
-                "it answered 9 actions, but its description declares at most 8",
-            ),
-            (
-                "broken",
-                "failed at query 0: CUDA error: device-side assert triggered",
-            ),
-            (
-                "refusing",
-                "failed at Reset: this instruction is not one of 40",
-            ),
+            ("generous", "it answered 9 actions, but its description declares at most 8"),
+            ("broken", "failed at query 0: CUDA error: device-side assert triggered"),
+            ("refusing", "failed at Reset: this instruction is not one of 40"),
         ],
     )
     .await;
@@ -98,13 +86,7 @@ async fn an_endpoint_where_nobody_listens_is_named() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let nobody = "http://127.0.0.1:9";
-    check(
-        coordinator,
-        nobody,
-        Reason::PolicyUnavailable,
-        &[("any", nobody)],
-    )
-    .await;
+    check(coordinator, nobody, Reason::PolicyUnavailable, &[("any", nobody)]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -121,11 +103,7 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
         signal(slot, "KILL");
     }
     let release = coordinator.message(1).await.release(Reason::SlotCrashed);
-    assert!(
-        release.error.contains("killed by SIGKILL"),
-        "{}",
-        release.error
-    );
+    assert!(release.error.contains("killed by SIGKILL"), "{}", release.error);
     coordinator.lease(lease(2, "still", &policy.url()));
     let commit = coordinator.message(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
@@ -187,8 +165,5 @@ async fn a_worker_stopped_by_the_coordinator_fails_with_the_reason() {
     let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
     assert!(log.contains("it has failed 5 times in a row"), "{log}");
-    assert!(matches!(
-        coordinator.messages()[..],
-        [_, WorkerMessage::Released(_)]
-    ));
+    assert!(matches!(coordinator.messages()[..], [_, WorkerMessage::Released(_)]));
 }

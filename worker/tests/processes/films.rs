@@ -91,10 +91,7 @@ async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
     let coordinator = ScriptedCoordinator::start().await;
     let film = filmable_rollout(&coordinator).await;
     for number in 1..=3 {
-        coordinator.film(Film {
-            attempt_id: attempt_id(number),
-            ..film.clone()
-        });
+        coordinator.film(Film { attempt_id: attempt_id(number), ..film.clone() });
     }
     let mut command = program();
     command.env("COORDINATOR_URL", coordinator.url());
@@ -105,16 +102,8 @@ async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
     let summary = String::from_utf8(output.stdout).expect("text");
     assert!(summary.starts_with("3 videos stored; "), "{summary}");
     assert!(log.contains("filming 2 rollouts at a time"), "{log}");
-    assert!(
-        log.contains("(2 left)") && log.contains("(0 left)"),
-        "{log}"
-    );
-    assert_eq!(
-        log.matches("filmed test object/t0/clean/i03#r0 in ")
-            .count(),
-        3,
-        "{log}"
-    );
+    assert!(log.contains("(2 left)") && log.contains("(0 left)"), "{log}");
+    assert_eq!(log.matches("filmed test object/t0/clean/i03#r0 in ").count(), 3, "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -157,19 +146,13 @@ async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
     }
     let row = |id: String| {
         let row = libero_ctrl::row_of(id.parse().expect("an id"));
-        ManifestRow {
-            max_steps: MAX_STEPS,
-            ..row.expect("a row")
-        }
+        ManifestRow { max_steps: MAX_STEPS, ..row.expect("a row") }
     };
     let sensor = row("object/t0/sensor/L3/c03".to_owned());
     let nominal = row(format!("object/t0/clean/i{:02}", sensor.init_id));
     let [by_the_slot, afterwards] = films_of(&sensor).await;
     assert!(by_the_slot == afterwards, "equal pictures give equal bytes");
     let [unperturbed, unperturbed_afterwards] = films_of(&nominal).await;
-    assert!(
-        unperturbed == unperturbed_afterwards,
-        "equal pictures give equal bytes"
-    );
+    assert!(unperturbed == unperturbed_afterwards, "equal pictures give equal bytes");
     assert!(by_the_slot != unperturbed, "the corruption is visible");
 }

@@ -20,10 +20,7 @@ fn bench_adds_up_slots_and_recommends_a_number() {
     assert!(ran.status.success(), "{stderr}");
     let table = String::from_utf8(ran.stdout).expect("UTF-8");
     println!("{table}");
-    assert!(
-        table.lines().all(|line| line.chars().count() <= 80),
-        "{table}"
-    );
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     // Columns: slots, steps/s, frames/s, slowest–fastest, MiB of a slot, PSS, MiB more.
     let row = |slots: &str| -> Vec<f64> {
         let row = table.lines().map(|line| line.split_whitespace().collect());
@@ -72,11 +69,7 @@ fn bench_tries_more_slots_for_a_slow_policy() {
     let rows = table.lines().filter_map(|line| {
         let mut columns = line.split_whitespace();
         let slots: usize = columns.next()?.parse().ok()?;
-        columns
-            .next()?
-            .parse::<f64>()
-            .ok()
-            .map(|rate| (slots, rate))
+        columns.next()?.parse::<f64>().ok().map(|rate| (slots, rate))
     });
     let rows: Vec<(usize, f64)> = rows.collect();
     let alone = rows.first().expect("a row").1;
@@ -85,9 +78,7 @@ fn bench_tries_more_slots_for_a_slow_policy() {
     // A single slot keeps no core busy, so more slots than twice the cores are tried, unless memory
     // is too small.
     let cores = available_parallelism().expect("a number of cores").get();
-    let tried = table
-        .lines()
-        .filter_map(|line| line.split_whitespace().next()?.parse().ok());
+    let tried = table.lines().filter_map(|line| line.split_whitespace().next()?.parse().ok());
     let most: usize = tried
         // The line about the memory begins with a larger number, of MiB.
         .filter(|slots| *slots < 10_000)

@@ -64,35 +64,19 @@ async fn a_policy_gets_the_requested_observation_once_per_query() {
     coordinator.message(1).await.commit();
 
     let received = policy.received.lock().expect("unpoisoned");
-    let [reset] = received.resets.as_slice() else {
-        panic!("{:?}", received.resets)
-    };
+    let [reset] = received.resets.as_slice() else { panic!("{:?}", received.resets) };
     let session = format!("object/t0/clean/i03#r0#{}", attempt_id(1));
     assert_eq!(reset.session, session);
     assert_eq!((reset.suite.as_str(), reset.seed), ("libero_object", 7));
-    assert_eq!(
-        reset.instruction,
-        "pick up the alphabet soup and place it in the basket"
-    );
-    let indices: Vec<u32> = received
-        .queries
-        .iter()
-        .map(|query| query.query_index)
-        .collect();
+    assert_eq!(reset.instruction, "pick up the alphabet soup and place it in the basket");
+    let indices: Vec<u32> = received.queries.iter().map(|query| query.query_index).collect();
     assert_eq!(indices, [0, 1, 2]);
     for query in &received.queries {
         let sent_observation = query.observation.as_ref().expect("an observation");
-        let frames: Vec<_> = sent_observation
-            .images
-            .iter()
-            .map(|image| image.rgb.len())
-            .collect();
+        let frames: Vec<_> = sent_observation.images.iter().map(|image| image.rgb.len()).collect();
         assert_eq!(frames, [(FRAME_SIDE * FRAME_SIDE * 3) as usize; 2]);
-        let widths: Vec<_> = sent_observation
-            .state
-            .iter()
-            .map(|reading| reading.values.len())
-            .collect();
+        let widths: Vec<_> =
+            sent_observation.state.iter().map(|reading| reading.values.len()).collect();
         assert_eq!(widths, [3, 3, 2]);
         assert!(sent_observation.privileged.is_none());
     }
@@ -126,10 +110,7 @@ async fn a_canonical_only_policy_gets_no_paraphrase() {
         instructions,
         [
             ("observing", "kindly put the soup into the basket"),
-            (
-                "by-heart",
-                "pick up the alphabet soup and place it in the basket"
-            ),
+            ("by-heart", "pick up the alphabet soup and place it in the basket"),
         ]
     );
 }
@@ -186,11 +167,7 @@ async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
     let received = policy.received.lock().expect("unpoisoned");
     let (first, second) = received.queries.split_at(received.queries.len() / 2);
     for (first, second) in first.iter().zip(second) {
-        assert!(
-            first.observation == second.observation,
-            "query {}",
-            first.query_index
-        );
+        assert!(first.observation == second.observation, "query {}", first.query_index);
     }
 }
 
@@ -242,25 +219,15 @@ async fn worker_rollout_writes_its_result_and_frames() {
         ])
     });
     let ran = ran.await.expect("runs");
-    assert!(
-        ran.status.success(),
-        "{}",
-        String::from_utf8_lossy(&ran.stderr)
-    );
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
     let result = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 220);
     let realised = &result["finished"]["evidence"]["realised"]["sensor"];
     assert!(realised["parameters"].is_array(), "{result}");
-    for picture in [
-        "query-000-agentview.png",
-        "query-027-robot0_eye_in_hand.png",
-    ] {
+    for picture in ["query-000-agentview.png", "query-027-robot0_eye_in_hand.png"] {
         let picture = image::open(folder.path().join("frames").join(picture)).expect(picture);
-        assert_eq!(
-            (picture.width(), picture.height()),
-            (FRAME_SIDE, FRAME_SIDE)
-        );
+        assert_eq!((picture.width(), picture.height()), (FRAME_SIDE, FRAME_SIDE));
     }
 }
 
@@ -283,11 +250,7 @@ fn a_replay_without_pictures_opens_no_renderer() {
     let line: Vec<&str> = line.split_whitespace().collect();
     let ran = run(&line);
     let stderr = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(
-        ran.status.code(),
-        Some(1),
-        "a video needs a renderer: {stderr}"
-    );
+    assert_eq!(ran.status.code(), Some(1), "a video needs a renderer: {stderr}");
     let ran = run(&[&line[..], &["--no-video"]].concat());
     let stderr = String::from_utf8_lossy(&ran.stderr);
     assert!(ran.status.success(), "{stderr}");
@@ -295,10 +258,7 @@ fn a_replay_without_pictures_opens_no_renderer() {
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 3);
     let evidence = &result["finished"]["evidence"];
-    assert_eq!(
-        (&evidence["renderer"], &evidence["fingerprint"]),
-        (&"".into(), &"".into())
-    );
+    assert_eq!((&evidence["renderer"], &evidence["fingerprint"]), (&"".into(), &"".into()));
 }
 
 /// A row that this version cannot read comes from another version. The attempt is released with the
@@ -314,9 +274,5 @@ async fn an_unreadable_row_is_released_with_the_reason() {
     coordinator.lease(unreadable);
     let _worker = WorkerProcess::start(&coordinator.url());
     let release = coordinator.message(1).await.release(Reason::SimulatorError);
-    assert!(
-        release.error.contains("`task_id` is 0"),
-        "{}",
-        release.error
-    );
+    assert!(release.error.contains("`task_id` is 0"), "{}", release.error);
 }

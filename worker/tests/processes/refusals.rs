@@ -7,11 +7,7 @@ use crate::worker_process::{ready, run};
 fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
     let ran = run(arguments);
     let stderr = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(
-        ran.status.code(),
-        Some(exit_code),
-        "{arguments:?}: {stderr}"
-    );
+    assert_eq!(ran.status.code(), Some(exit_code), "{arguments:?}: {stderr}");
     for words in expected {
         assert!(stderr.contains(words), "{arguments:?}: {stderr}");
     }
@@ -22,11 +18,7 @@ fn missing_sources_are_reported_with_the_remedy() {
     let arguments = ["--connect", "http://127.0.0.1:9", "--assets", "primitives"];
     let sources = ["--sources", "/nonexistent"];
     let expected = ["/nonexistent/robosuite", "cargo xtask setup"];
-    check(
-        &[arguments, [sources[0], sources[1], "--slots", "2"]].concat(),
-        1,
-        &expected,
-    );
+    check(&[arguments, [sources[0], sources[1], "--slots", "2"]].concat(), 1, &expected);
 }
 
 /// Options of the command line exclude a subcommand; `ROLLOUT_SOURCES` must not count as one.
@@ -44,10 +36,7 @@ fn the_environment_names_the_sources_in_every_mode() {
             .expect("runs");
         let stderr = String::from_utf8_lossy(&ran.stderr);
         assert_eq!(ran.status.code(), Some(1), "{mode}: {stderr}");
-        assert!(
-            stderr.contains("/nonexistent/robosuite"),
-            "{mode}: {stderr}"
-        );
+        assert!(stderr.contains("/nonexistent/robosuite"), "{mode}: {stderr}");
     }
 }
 
@@ -55,22 +44,10 @@ fn the_environment_names_the_sources_in_every_mode() {
 #[test]
 fn only_commands_that_call_a_coordinator_check_its_variable() {
     for (mode, problem) in [
-        (
-            "--assets primitives --sources /nonexistent",
-            "COORDINATOR_URL",
-        ),
-        (
-            "film --assets primitives --sources /nonexistent",
-            "COORDINATOR_URL",
-        ),
-        (
-            "slot --assets primitives --sources /nonexistent",
-            "/nonexistent/robosuite",
-        ),
-        (
-            "assets list --sources /nonexistent",
-            "/nonexistent/robosuite",
-        ),
+        ("--assets primitives --sources /nonexistent", "COORDINATOR_URL"),
+        ("film --assets primitives --sources /nonexistent", "COORDINATOR_URL"),
+        ("slot --assets primitives --sources /nonexistent", "/nonexistent/robosuite"),
+        ("assets list --sources /nonexistent", "/nonexistent/robosuite"),
         (
             "--connect http://127.0.0.1:9 --assets primitives --sources /nonexistent",
             "/nonexistent/robosuite",
@@ -83,10 +60,7 @@ fn only_commands_that_call_a_coordinator_check_its_variable() {
                 .output()
                 .expect("runs");
             let stderr = String::from_utf8_lossy(&ran.stderr);
-            assert!(
-                !ran.status.success() && stderr.contains(problem),
-                "{mode}: {stderr}"
-            );
+            assert!(!ran.status.success() && stderr.contains(problem), "{mode}: {stderr}");
         }
     }
 }
@@ -96,12 +70,7 @@ fn a_missing_pack_is_named() {
     if !ready("a_missing_pack_is_named") {
         return;
     }
-    let arguments = [
-        "--connect",
-        "http://127.0.0.1:9",
-        "--assets",
-        "no/such/pack",
-    ];
+    let arguments = ["--connect", "http://127.0.0.1:9", "--assets", "no/such/pack"];
     check(&arguments, 1, &["no/such/pack", "`primitives`"]);
 }
 
@@ -109,19 +78,9 @@ fn a_missing_pack_is_named() {
 fn invalid_command_lines_exit_with_2() {
     let check = |arguments: &[&str], expected: &str| check(arguments, 2, &[expected]);
     check(&[], "--connect");
+    check(&["--connect", "localhost:7411", "--assets", "primitives"], "http://HOST:PORT");
     check(
-        &["--connect", "localhost:7411", "--assets", "primitives"],
-        "http://HOST:PORT",
-    );
-    check(
-        &[
-            "--connect",
-            "http://127.0.0.1:9",
-            "--assets",
-            "primitives",
-            "--renderer",
-            "gl:card",
-        ],
+        &["--connect", "http://127.0.0.1:9", "--assets", "primitives", "--renderer", "gl:card"],
         "`gl:N` for the N-th device",
     );
     check(

@@ -116,11 +116,7 @@ impl ScriptedCoordinator {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("an address");
         let runtime = Some(serve(service.clone(), listener));
-        Self {
-            service,
-            address,
-            runtime,
-        }
+        Self { service, address, runtime }
     }
 
     pub(crate) fn url(&self) -> String {
@@ -159,10 +155,7 @@ impl ScriptedCoordinator {
 
     /// Waits until this number of videos were refused.
     pub(crate) async fn wait_for_refused_artifacts(&self, times: u32) {
-        self.wait_for("videos", |state| {
-            (state.refused_artifacts >= times).then_some(())
-        })
-        .await;
+        self.wait_for("videos", |state| (state.refused_artifacts >= times).then_some(())).await;
     }
 
     pub(crate) fn answer_commits(&self, verdict: commit_response::Verdict) {
@@ -190,16 +183,13 @@ impl ScriptedCoordinator {
 
     /// Waits until a claim was withdrawn before it was answered.
     pub(crate) async fn wait_for_withdrawn_claim(&self) {
-        self.wait_for("a withdrawn claim", |state| {
-            (state.claims_withdrawn > 0).then_some(())
-        })
-        .await;
+        self.wait_for("a withdrawn claim", |state| (state.claims_withdrawn > 0).then_some(()))
+            .await;
     }
 
     /// Waits for message `number`; the registration is message 0.
     pub(crate) async fn message(&self, number: usize) -> WorkerMessage {
-        self.wait_for("a message", |state| state.messages.get(number).cloned())
-            .await
+        self.wait_for("a message", |state| state.messages.get(number).cloned()).await
     }
 
     /// Waits until a heartbeat reports at least this number of control steps of a job.
@@ -232,20 +222,12 @@ impl ScriptedCoordinator {
 
     /// Waits until the worker has requested work this number of times.
     pub(crate) async fn wait_for_claims(&self, times: usize) {
-        self.wait_for("claims", |state| {
-            (state.claims.len() >= times).then_some(())
-        })
-        .await;
+        self.wait_for("claims", |state| (state.claims.len() >= times).then_some(())).await;
     }
 
     /// Returns all messages so far, in order.
     pub(crate) fn messages(&self) -> Vec<WorkerMessage> {
-        self.service
-            .state
-            .lock()
-            .expect("unpoisoned")
-            .messages
-            .clone()
+        self.service.state.lock().expect("unpoisoned").messages.clone()
     }
 
     /// Returns the ids of the workers that signed off.
@@ -275,18 +257,14 @@ impl ScriptedCoordinator {
                 if let Some(found) = probe(&self.service.state.lock().expect("unpoisoned")) {
                     return found;
                 }
-                changes
-                    .changed()
-                    .await
-                    .expect("the service holds the sender");
+                changes.changed().await.expect("the service holds the sender");
             }
         };
         match tokio::time::timeout(PATIENCE, waiting).await {
             Ok(found) => found,
-            Err(_) => panic!(
-                "waited {PATIENCE:?} for {expectation}; received {:#?}",
-                self.messages()
-            ),
+            Err(_) => {
+                panic!("waited {PATIENCE:?} for {expectation}; received {:#?}", self.messages())
+            }
         }
     }
 }
@@ -363,10 +341,7 @@ impl WorkerService for Service {
         let claim = request.into_inner();
         let wait = Duration::from_secs_f64(claim.wait_secs);
         self.change(|state| state.claims.push(claim.clone()));
-        let mut waiting = WaitingClaim {
-            service: self,
-            is_answered: false,
-        };
+        let mut waiting = WaitingClaim { service: self, is_answered: false };
         let mut changes = self.changed.subscribe();
         let leasing = async {
             loop {
@@ -377,10 +352,7 @@ impl WorkerService for Service {
                 if let Some(lease) = lease {
                     return lease;
                 }
-                changes
-                    .changed()
-                    .await
-                    .expect("the service holds the sender");
+                changes.changed().await.expect("the service holds the sender");
             }
         };
         let lease = tokio::time::timeout(wait, leasing).await.ok();
@@ -396,10 +368,7 @@ impl WorkerService for Service {
         });
         match is_lost {
             true => Err(Status::unavailable("the answer was lost")),
-            false => Ok(Response::new(ClaimResponse {
-                lease,
-                idle_reason: String::new(),
-            })),
+            false => Ok(Response::new(ClaimResponse { lease, idle_reason: String::new() })),
         }
     }
 
@@ -445,10 +414,7 @@ impl WorkerService for Service {
         _request: Request<NextFilmRequest>,
     ) -> Result<Response<NextFilmResponse>, Status> {
         let (film, left) = self.change(|state| (state.films.pop_front(), state.films.len()));
-        Ok(Response::new(NextFilmResponse {
-            film,
-            left: left as u64,
-        }))
+        Ok(Response::new(NextFilmResponse { film, left: left as u64 }))
     }
 
     async fn sign_off(
@@ -479,8 +445,6 @@ impl WorkerService for Service {
             return Err(Status::internal("no space left on the device"));
         }
         self.record(WorkerMessage::Video { attempt, bytes });
-        Ok(Response::new(PutArtifactResponse {
-            path: "video.mp4".to_owned(),
-        }))
+        Ok(Response::new(PutArtifactResponse { path: "video.mp4".to_owned() }))
     }
 }

@@ -40,9 +40,7 @@ impl ScriptedPolicy {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("an address");
         let received: Arc<Mutex<ReceivedRequests>> = Arc::default();
-        let service = Service {
-            received: Arc::clone(&received),
-        };
+        let service = Service { received: Arc::clone(&received) };
         let mut serving = JoinSet::new();
         serving.spawn(async move {
             let served = Server::builder()
@@ -50,11 +48,7 @@ impl ScriptedPolicy {
                 .serve_with_incoming(TcpListenerStream::new(listener));
             served.await.expect("serves");
         });
-        Self {
-            address,
-            received,
-            _serving: serving,
-        }
+        Self { address, received, _serving: serving }
     }
 
     pub(crate) fn url(&self) -> String {
@@ -68,10 +62,7 @@ struct Service {
 
 /// Returns an answer of this number of values, as actions of this width.
 fn answer(numbers: usize, action_width: u32) -> InferResponse {
-    InferResponse {
-        actions: vec![0.0; numbers],
-        action_width,
-    }
+    InferResponse { actions: vec![0.0; numbers], action_width }
 }
 
 #[tonic::async_trait]
@@ -103,13 +94,10 @@ impl Policy for Service {
             "by-heart" => about.language = Language::CanonicalOnly as i32,
             "observing" => {
                 about.cameras = ["agentview", "robot0_eye_in_hand"].map(camera).to_vec();
-                about.state = [
-                    StateField::EefPos,
-                    StateField::EefAxisAngle,
-                    StateField::GripperPos,
-                ]
-                .map(|field| field as i32)
-                .to_vec();
+                about.state =
+                    [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos]
+                        .map(|field| field as i32)
+                        .to_vec();
             }
             _ => {}
         }
@@ -122,15 +110,9 @@ impl Policy for Service {
     ) -> Result<Response<ResetResponse>, Status> {
         let request = request.into_inner();
         let policy = request.policy.clone();
-        self.received
-            .lock()
-            .expect("unpoisoned")
-            .resets
-            .push(request);
+        self.received.lock().expect("unpoisoned").resets.push(request);
         match policy.as_str() {
-            "refusing" => Err(Status::invalid_argument(
-                "this instruction is not one of 40",
-            )),
+            "refusing" => Err(Status::invalid_argument("this instruction is not one of 40")),
             _ => Ok(Response::new(ResetResponse {})),
         }
     }
@@ -141,11 +123,7 @@ impl Policy for Service {
     ) -> Result<Response<InferResponse>, Status> {
         let request = request.into_inner();
         let (policy, query) = (request.policy.clone(), request.query_index);
-        self.received
-            .lock()
-            .expect("unpoisoned")
-            .queries
-            .push(request);
+        self.received.lock().expect("unpoisoned").queries.push(request);
         let full = HORIZON as usize * 7;
         let mut actions = answer(full, 7);
         match policy.as_str() {

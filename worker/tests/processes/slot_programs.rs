@@ -136,11 +136,9 @@ async fn slots_with_different_renderers_stop_the_worker() {
     assert_eq!(registered.renderer, "one");
     let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
-    for words in [
-        "its renderer is `another`",
-        "is registered with `one`",
-        "one worker for each renderer",
-    ] {
+    for words in
+        ["its renderer is `another`", "is registered with `one`", "one worker for each renderer"]
+    {
         assert!(log.contains(words), "{log}");
     }
     assert_eq!(coordinator.messages().len(), 1);
@@ -157,16 +155,9 @@ async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() 
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", &program]);
     let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
-    for words in [
-        "ended 5 times in a row",
-        "exited with code 3",
-        "libEGL is missing",
-    ] {
+    for words in ["ended 5 times in a row", "exited with code 3", "libEGL is missing"] {
         assert!(log.contains(words), "{log}");
     }
     let messages = coordinator.messages();
-    assert!(
-        messages.is_empty(),
-        "registered without a renderer: {messages:?}"
-    );
+    assert!(messages.is_empty(), "registered without a renderer: {messages:?}");
 }

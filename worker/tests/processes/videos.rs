@@ -14,9 +14,7 @@ use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal};
 /// Returns the lease of a filmed rollout of at most 160 control steps.
 fn filmed(job: i64, policy: &str) -> Lease {
     let mut lease = lease(job, "still", policy);
-    lease.manifest_row = lease
-        .manifest_row
-        .replace("\"max_steps\":24", "\"max_steps\":160");
+    lease.manifest_row = lease.manifest_row.replace("\"max_steps\":24", "\"max_steps\":160");
     lease.record_video = true;
     lease
 }
@@ -137,9 +135,7 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     let policy = ScriptedPolicy::start().await;
     let mut slow = filmed(1, &policy.url());
     slow.policy = "slow".to_owned();
-    slow.manifest_row = slow
-        .manifest_row
-        .replace("\"max_steps\":160", "\"max_steps\":24");
+    slow.manifest_row = slow.manifest_row.replace("\"max_steps\":160", "\"max_steps\":24");
     coordinator.lease(slow);
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.wait_for_progress(1, 10).await;

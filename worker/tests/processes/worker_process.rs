@@ -69,11 +69,7 @@ impl WorkerProcess {
 
     /// Starts the program from a prepared command.
     pub(crate) fn start_command(program: &mut Command) -> Self {
-        let child = program
-            .stderr(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("starts");
+        let child = program.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("starts");
         Self { child }
     }
 
@@ -89,10 +85,7 @@ impl WorkerProcess {
         let pid = self.child.id();
         let children = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
         let children = children.unwrap_or_default();
-        children
-            .split_whitespace()
-            .filter_map(|pid| pid.parse().ok())
-            .collect()
+        children.split_whitespace().filter_map(|pid| pid.parse().ok()).collect()
     }
 
     pub(crate) fn signal(&self, name: &str) {
@@ -124,12 +117,8 @@ impl WorkerProcess {
         };
         let mut output = String::new();
         let (out, err) = (self.child.stdout.take(), self.child.stderr.take());
-        out.expect("piped")
-            .read_to_string(&mut output)
-            .expect("UTF-8");
-        err.expect("piped")
-            .read_to_string(&mut output)
-            .expect("UTF-8");
+        out.expect("piped").read_to_string(&mut output).expect("UTF-8");
+        err.expect("piped").read_to_string(&mut output).expect("UTF-8");
         (status, output)
     }
 }
@@ -144,9 +133,7 @@ impl Drop for WorkerProcess {
 
 /// Sends a signal to a process: `KILL`, `STOP`, `TERM`.
 pub(crate) fn signal(pid: u32, name: &str) {
-    let status = Command::new("kill")
-        .args([&format!("-{name}"), &pid.to_string()])
-        .status();
+    let status = Command::new("kill").args([&format!("-{name}"), &pid.to_string()]).status();
     assert!(status.expect("kill runs").success(), "no process {pid}");
 }
 
@@ -155,10 +142,7 @@ pub(crate) fn wait_for_the_end_of(pid: u32) {
     let started = Instant::now();
     // A process that exited and was not reaped is a zombie, whose `exe` is empty.
     while fs::read_link(format!("/proc/{pid}/exe")).is_ok() {
-        assert!(
-            started.elapsed() < PATIENCE,
-            "process {pid} is still running"
-        );
+        assert!(started.elapsed() < PATIENCE, "process {pid} is still running");
         sleep(Duration::from_millis(20));
     }
 }

@@ -47,24 +47,18 @@ impl BareRoot {
         let world_writable = std::fs::Permissions::from_mode(0o1777);
         std::fs::set_permissions(dir.join("tmp"), world_writable)?;
         let entry = "rollout:x";
-        write(
-            "/etc/passwd",
-            format!("{entry}:{USER}:{USER}::{DATA}:/none\n"),
-        )?;
+        write("/etc/passwd", format!("{entry}:{USER}:{USER}::{DATA}:/none\n"))?;
         write("/etc/group", format!("{entry}:{USER}:\n"))?;
         write("/etc/nsswitch.conf", "hosts: files dns\n".to_owned())?;
 
         let mut tar = Command::new("tar");
-        tar.args(["--extract", "--no-same-owner", "--file"])
-            .arg(&archive.file);
+        tar.args(["--extract", "--no-same-owner", "--file"]).arg(&archive.file);
         capture(tar.arg("--directory").arg(dir.join("opt")))?;
         let unpacked = dir.join("opt").join(&archive.name);
         let prefix = inside(dir, Path::new(PREFIX));
         std::fs::rename(&unpacked, &prefix)?;
 
-        let linker = archive
-            .elf
-            .interpreter(&prefix.join("bin").join(PROGRAMS[0]))?;
+        let linker = archive.elf.interpreter(&prefix.join("bin").join(PROGRAMS[0]))?;
         for file in native::glibc().iter().chain([&linker]) {
             let to = inside(dir, file);
             std::fs::create_dir_all(to.parent().context("name a file")?)?;
@@ -74,10 +68,7 @@ impl BareRoot {
         std::fs::create_dir_all(dir.join("usr"))?;
         symlink(format!("{PREFIX}/bin"), dir.join("usr/bin"))?;
         let id = capture(Command::new("id").arg("-u"))?;
-        Ok(Self {
-            dir: dir.to_owned(),
-            is_root: id == "0",
-        })
+        Ok(Self { dir: dir.to_owned(), is_root: id == "0" })
     }
 
     pub(super) fn dir(&self) -> &Path {
@@ -97,13 +88,9 @@ impl BareRoot {
     /// Returns the reason why the root cannot be entered on this machine; `None` if it can be
     /// entered.
     pub(super) fn entry_problem(&self) -> Option<String> {
-        capture(
-            Command::new("unshare")
-                .args(self.namespace_options())
-                .arg("true"),
-        )
-        .err()
-        .map(|error| format!("{error:#}").replace('\n', ": "))
+        capture(Command::new("unshare").args(self.namespace_options()).arg("true"))
+            .err()
+            .map(|error| format!("{error:#}").replace('\n', ": "))
     }
 
     /// Returns `unshare`'s options for namespaces in which mounts and `chroot` are allowed.
@@ -118,13 +105,8 @@ impl BareRoot {
     /// process runs as root, the program runs as [`USER`].
     pub(super) fn program(&self, name: &str) -> Command {
         let mut command = Command::new("unshare");
-        command
-            .env_clear()
-            .env("PATH", std::env::var_os("PATH").unwrap_or_default());
-        command
-            .args(self.namespace_options())
-            .args(["sh", "-c", ENTER])
-            .arg(&self.dir);
+        command.env_clear().env("PATH", std::env::var_os("PATH").unwrap_or_default());
+        command.args(self.namespace_options()).args(["sh", "-c", ENTER]).arg(&self.dir);
         if self.is_root {
             command.arg(format!("--userspec={USER}:{USER}"));
         }

@@ -47,9 +47,7 @@ pub(super) fn add(bill: &mut Value, component: &Component) {
 pub(super) fn names(bill: &Value) -> Vec<&str> {
     let listed = bill["components"].as_array();
     let listed = listed.into_iter().flatten();
-    listed
-        .filter_map(|component| component["name"].as_str())
-        .collect()
+    listed.filter_map(|component| component["name"].as_str()).collect()
 }
 
 fn entry(part: &Component) -> Value {

@@ -16,16 +16,8 @@ use super::{bill, crates, image, stage};
 
 /// Options of a campaign of two rollouts that the expert solves: one nominal, one with a perturbed
 /// camera.
-const CAMPAIGN: [&str; 8] = [
-    "--tasks",
-    "libero_object/1",
-    "--axes",
-    "camera",
-    "--levels",
-    "L1",
-    "--configs",
-    "1",
-];
+const CAMPAIGN: [&str; 8] =
+    ["--tasks", "libero_object/1", "--axes", "camera", "--levels", "L1", "--configs", "1"];
 
 /// Packs the programs that were built for the tests, and tests the archive. Makes and tests the
 /// container image, too, if `buildah` is installed.
@@ -68,23 +60,16 @@ pub(super) fn check_archive(root: &Path, archive: &Archive, schemas: Option<&Pat
         return Ok(());
     }
     step("versions in a bare root", || check_versions(root, &bare))?;
-    step("a campaign in a bare root", || {
-        run_campaign(&bare, folder.path())
-    })?;
-    step("unpacked archive", || {
-        verify_digests(&unpacked).map(|_| "unchanged")
-    })?;
+    step("a campaign in a bare root", || run_campaign(&bare, folder.path()))?;
+    step("unpacked archive", || verify_digests(&unpacked).map(|_| "unchanged"))?;
     Ok(())
 }
 
 fn verify_digests(unpacked: &Path) -> Result<String> {
     let mut sums = Command::new("sha256sum");
-    sums.current_dir(unpacked)
-        .args(["--check", "--strict", "--quiet", archive::SUMS]);
+    sums.current_dir(unpacked).args(["--check", "--strict", "--quiet", archive::SUMS]);
     capture(&mut sums)?;
-    let listed = std::fs::read_to_string(unpacked.join(archive::SUMS))?
-        .lines()
-        .count();
+    let listed = std::fs::read_to_string(unpacked.join(archive::SUMS))?.lines().count();
     let present = stage::files(unpacked)?.len();
     // The list of digests does not include itself.
     ensure!(
@@ -97,24 +82,13 @@ fn verify_digests(unpacked: &Path) -> Result<String> {
 
 /// Checks that the archive has manual pages, files for users, licences and a bill of materials.
 fn check_documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
-    for page in [
-        "worker.1",
-        "coordinator-campaign-create.1",
-        "policy-gateway-doctor.1",
-    ] {
+    for page in ["worker.1", "coordinator-campaign-create.1", "policy-gateway-doctor.1"] {
         let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
-        ensure!(
-            text.contains(".SH OPTIONS"),
-            "read {page}: the manual page has no options"
-        );
+        ensure!(text.contains(".SH OPTIONS"), "read {page}: the manual page has no options");
     }
     for file in ["policies/pyproject.toml", "examples/openvla_oft/about.json"] {
         let path = unpacked.join(stage::FOR_USERS).join(file);
-        ensure!(
-            path.is_file(),
-            "find {}: the archive lacks it",
-            path.display()
-        );
+        ensure!(path.is_file(), "find {}: the archive lacks it", path.display());
     }
     let documents = unpacked.join(stage::DOCUMENTS);
     let licences = std::fs::read_to_string(documents.join(stage::LICENCES))?;
@@ -124,14 +98,8 @@ fn check_documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
     let crates = crates::shipped(root)?;
     let crates = crates.iter().map(|part| part.name.as_str());
     for name in crates.chain(["mujoco", "robosuite", "hf-libero"]) {
-        ensure!(
-            licences.contains(&format!("\n{name} ")),
-            "find {name} among the licences"
-        );
-        ensure!(
-            listed.contains(&name),
-            "find {name} in the bill of materials"
-        );
+        ensure!(licences.contains(&format!("\n{name} ")), "find {name} among the licences");
+        ensure!(listed.contains(&name), "find {name} in the bill of materials");
     }
     Ok("complete")
 }
@@ -153,8 +121,7 @@ sys.exit(JsonStrictValidator(SchemaVersion.V1_5).validate_str(text) and 'violate
 /// Checks that every program prints the release and the commit; returns what they print.
 fn check_versions(root: &Path, bare: &BareRoot) -> Result<String> {
     let mut git = Command::new("git");
-    git.current_dir(root)
-        .args(["log", "-1", "--format=%h, %cs"]);
+    git.current_dir(root).args(["log", "-1", "--format=%h, %cs"]);
     let expected = match capture(&mut git) {
         Ok(commit) => format!("{VERSION} ({commit})"),
         Err(_) => VERSION.to_owned(),
@@ -175,42 +142,20 @@ fn run_campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
         Running::start(name, bare.program(name).args(arguments), logs)
     };
     let data = format!("{DATA}/campaigns");
-    let coordinator = start(
-        "coordinator",
-        &["serve", "--data", &data, "--listen", "127.0.0.1:0"],
-    )?;
+    let coordinator = start("coordinator", &["serve", "--data", &data, "--listen", "127.0.0.1:0"])?;
     let route = ["--route", "expert=builtin:expert"];
-    let gateway = start(
-        "policy-gateway",
-        &[&["--listen", "127.0.0.1:0"], &route[..]].concat(),
-    )?;
+    let gateway = start("policy-gateway", &[&["--listen", "127.0.0.1:0"], &route[..]].concat())?;
     let connect = ["--connect", coordinator.url.as_str()];
-    let _worker = start(
-        "worker",
-        &[&connect[..], &["--assets", "primitives"]].concat(),
-    )?;
+    let _worker = start("worker", &[&connect[..], &["--assets", "primitives"]].concat())?;
     let call =
         |arguments: &[&str]| capture(bare.program("coordinator").args(arguments).args(connect));
     let policy = ["--policy", "expert", "--endpoint", &gateway.url];
-    call(
-        &[
-            &["campaign", "create", "--name", "bare"],
-            &policy[..],
-            &CAMPAIGN,
-        ]
-        .concat(),
-    )?;
+    call(&[&["campaign", "create", "--name", "bare"], &policy[..], &CAMPAIGN].concat())?;
     call(&["campaign", "status", "bare", "--watch"])?;
     let results = call(&["export", "bare", "--format", "jsonl"])?;
-    let successes = results
-        .lines()
-        .filter(|row| row.contains("\"success\":true"))
-        .count();
+    let successes = results.lines().filter(|row| row.contains("\"success\":true")).count();
     let rollouts = results.lines().count();
-    ensure!(
-        rollouts > 0 && successes == rollouts,
-        "check that the expert succeeds:\n{results}"
-    );
+    ensure!(rollouts > 0 && successes == rollouts, "check that the expert succeeds:\n{results}");
     call(&["report", "bare"])?;
     Ok(format!("{successes} of {rollouts} rollouts successful"))
 }

@@ -25,10 +25,7 @@ const WHEEL_LICENCES: [&str; 3] = ["Apache-2.0", "MIT", "MIT"];
 pub(super) fn from_wheels(cache: &Path) -> Result<Vec<Component>> {
     let described = WHEELS.iter().zip(WHEEL_LICENCES);
     let described = described.map(|(wheel, licence)| {
-        let (name, version) = wheel
-            .requirement
-            .split_once("==")
-            .context("read a version")?;
+        let (name, version) = wheel.requirement.split_once("==").context("read a version")?;
         Ok(Component {
             name: name.to_owned(),
             version: version.to_owned(),

@@ -99,11 +99,7 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
             name: package.name,
             version: package.version,
             // Crates from before SPDX expressions separate licences by a slash.
-            licence: package
-                .license
-                .unwrap_or_default()
-                .replace(" / ", "/")
-                .replace('/', " OR "),
+            licence: package.license.unwrap_or_default().replace(" / ", "/").replace('/', " OR "),
             authors: package.authors,
             folder: package.manifest_path.with_file_name(""),
         })
@@ -114,17 +110,10 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
 
 /// Returns the ids of all packages that the programs link, including the programs' own packages.
 fn linked_packages(metadata: &Metadata) -> BTreeSet<String> {
-    let nodes: BTreeMap<_, _> = metadata
-        .resolve
-        .nodes
-        .iter()
-        .map(|node| (&node.id, node))
-        .collect();
-    let packages: BTreeMap<_, _> = metadata
-        .packages
-        .iter()
-        .map(|package| (&package.id, package))
-        .collect();
+    let nodes: BTreeMap<_, _> =
+        metadata.resolve.nodes.iter().map(|node| (&node.id, node)).collect();
+    let packages: BTreeMap<_, _> =
+        metadata.packages.iter().map(|package| (&package.id, package)).collect();
     let programs = metadata.packages.iter();
     let programs = programs.filter(|package| PROGRAMS.contains(&package.name.as_str()));
     let mut pending: Vec<&String> = programs.map(|package| &package.id).collect();
@@ -148,11 +137,7 @@ fn checksums(lock: &str) -> BTreeMap<(&str, &str), &str> {
     let packages = packages.filter_map(|package| {
         let field = |name: &str| {
             let mut lines = package.lines();
-            lines.find_map(|line| {
-                line.strip_prefix(name)?
-                    .strip_prefix(" = \"")?
-                    .strip_suffix('"')
-            })
+            lines.find_map(|line| line.strip_prefix(name)?.strip_prefix(" = \"")?.strip_suffix('"'))
         };
         Some(((field("name")?, field("version")?), field("checksum")?))
     });
@@ -173,17 +158,8 @@ mod tests {
         assert!(!named("proptest"), "a test dependency");
         assert!(!named("worker"), "a crate of this workspace");
         for part in &crates {
-            assert_eq!(
-                part.checksum.as_deref().map(str::len),
-                Some(64),
-                "{}",
-                part.name
-            );
-            assert!(
-                !part.licence.is_empty() && !part.licence.contains('/'),
-                "{}",
-                part.name
-            );
+            assert_eq!(part.checksum.as_deref().map(str::len), Some(64), "{}", part.name);
+            assert!(!part.licence.is_empty() && !part.licence.contains('/'), "{}", part.name);
         }
     }
 }

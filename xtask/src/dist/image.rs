@@ -33,19 +33,12 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
     let bare = BareRoot::make(&context.join("root"), archive)?;
     step("bill of materials, with glibc", || add_glibc(&bare))?;
     let tag = format!("localhost/rollout:{VERSION}");
-    let file = archive
-        .file
-        .with_file_name(format!("{}.oci.tar", archive.name));
+    let file = archive.file.with_file_name(format!("{}.oci.tar", archive.name));
     let buildah = |arguments: &[&str]| {
         let mut buildah = Command::new("buildah");
         // Storage in the temporary folder leaves nothing on the machine.
-        buildah
-            .args(["--storage-driver", "vfs", "--root"])
-            .arg(folder.path().join("images"));
-        buildah
-            .arg("--runroot")
-            .arg(folder.path().join("run"))
-            .args(arguments);
+        buildah.args(["--storage-driver", "vfs", "--root"]).arg(folder.path().join("images"));
+        buildah.arg("--runroot").arg(folder.path().join("run")).args(arguments);
         buildah
     };
     step("image", || {
@@ -56,11 +49,7 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
             "--label", &format!("org.opencontainers.image.version={VERSION}"), "--tag", &tag,
             "--file",
         ]);
-        capture(
-            build
-                .arg(root.join("deploy/container/Containerfile"))
-                .arg(&context),
-        )?;
+        capture(build.arg(root.join("deploy/container/Containerfile")).arg(&context))?;
         let _ = std::fs::remove_file(&file);
         let to = format!("oci-archive:{}:rollout:{VERSION}", file.display());
         capture(&mut buildah(&["push", "--quiet", &tag, &to]))?;
@@ -78,21 +67,14 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
 
 /// Adds the C library to the image's bill of materials.
 fn add_glibc(bare: &BareRoot) -> Result<&'static str> {
-    let documents = bare
-        .dir()
-        .join(PREFIX.trim_start_matches('/'))
-        .join(stage::DOCUMENTS);
+    let documents = bare.dir().join(PREFIX.trim_start_matches('/')).join(stage::DOCUMENTS);
     let path = documents.join(stage::BILL);
     let mut listed = serde_json::from_str(&std::fs::read_to_string(&path)?)?;
     let glibc = components::glibc()?;
     bill::add(&mut listed, &glibc);
     std::fs::write(&path, serde_json::to_string_pretty(&listed)? + "\n")?;
-    let text = format!(
-        "glibc {}: {}\n\n{}\n",
-        glibc.version,
-        glibc.licence,
-        glibc.texts.join("\n")
-    );
+    let text =
+        format!("glibc {}: {}\n\n{}\n", glibc.version, glibc.licence, glibc.texts.join("\n"));
     std::fs::write(documents.join("GLIBC-LICENSE.txt"), text)?;
     Ok("written")
 }
@@ -124,10 +106,7 @@ fn start_program(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<Stri
         "list",
         "primitives",
     ]))?;
-    ensure!(
-        started.contains("40"),
-        "list the tasks of the built-in pack:\n{started}"
-    );
+    ensure!(started.contains("40"), "list the tasks of the built-in pack:\n{started}");
     let first = started.lines().next().unwrap_or_default();
     Ok(first.chars().take(60).collect())
 }

@@ -10,14 +10,7 @@ use super::components::Component;
 use super::crates::Crate;
 
 /// Prefixes of the names of licence files, in lower case.
-const NAMES: [&str; 6] = [
-    "license",
-    "licence",
-    "copying",
-    "notice",
-    "unlicense",
-    "copyright",
-];
+const NAMES: [&str; 6] = ["license", "licence", "copying", "notice", "unlicense", "copyright"];
 
 /// Depth to which a crate's folder is searched for licence files, since C libraries inside a crate
 /// have their own licence files.
@@ -41,10 +34,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
     }
     for part in crates {
         let name = format!("{} {}", part.name, part.version);
-        ensure!(
-            !part.licence.is_empty(),
-            "pack {name}: it declares no licence"
-        );
+        ensure!(!part.licence.is_empty(), "pack {name}: it declares no licence");
         let _ = writeln!(text, "{name}: {}", part.licence);
         let mut found = files(&part.folder, 0)?;
         if found.is_empty() {
@@ -53,10 +43,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
                 [] => format!("the authors of {}", part.name),
                 authors => authors.join(", "),
             };
-            found.push(format!(
-                "Copyright {authors}\n\n{}",
-                standard_text(root, &part.licence)?
-            ));
+            found.push(format!("Copyright {authors}\n\n{}", standard_text(root, &part.licence)?));
         }
         for text in found {
             texts.entry(text).or_default().push(name.clone());
@@ -74,9 +61,7 @@ fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
     let mut found = Vec::new();
     let entries = std::fs::read_dir(folder);
     let entries = entries.with_context(|| format!("read {}", folder.display()))?;
-    let mut paths: Vec<_> = entries
-        .map(|entry| Ok(entry?.path()))
-        .collect::<Result<_>>()?;
+    let mut paths: Vec<_> = entries.map(|entry| Ok(entry?.path())).collect::<Result<_>>()?;
     paths.sort();
     for path in paths {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -103,9 +88,7 @@ fn standard_text(root: &Path, licence: &str) -> Result<String> {
     };
     let text = std::fs::read_to_string(root.join(file))?;
     // Leaves out this project's own copyright line.
-    let lines = text
-        .lines()
-        .filter(|line| !line.starts_with("Copyright (c)"));
+    let lines = text.lines().filter(|line| !line.starts_with("Copyright (c)"));
     Ok(lines.collect::<Vec<_>>().join("\n"))
 }
 

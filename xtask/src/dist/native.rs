@@ -81,10 +81,7 @@ impl Elf {
         let fallback = lib.join("fallback");
         let mut provided = Vec::new();
         for name in needed {
-            if let Some(name) = COMPILER_LIBRARIES
-                .into_iter()
-                .find(|library| library == name)
-            {
+            if let Some(name) = COMPILER_LIBRARIES.into_iter().find(|library| library == name) {
                 std::fs::create_dir_all(&fallback)?;
                 let found = installed(name)?;
                 std::fs::copy(&found, fallback.join(name))
@@ -117,9 +114,7 @@ fn installed(library: &str) -> Result<PathBuf> {
     // Uses the name under which programs load it, in a folder without `..`.
     let folder = folder.and_then(|folder| folder.canonicalize().ok());
     let found = folder.map(|folder| folder.join(library));
-    found
-        .filter(|file| file.is_file())
-        .with_context(|| format!("find {library} on this machine"))
+    found.filter(|file| file.is_file()).with_context(|| format!("find {library} on this machine"))
 }
 
 /// Returns the oldest glibc that has all symbols used by these files, as (2, minor).

@@ -64,11 +64,7 @@ pub(super) fn fill(
         std::fs::write(to.join(LICENCES), licences::text(root, &crates, &parts)?)?;
         let bill = serde_json::to_string_pretty(&bill::cyclonedx(&crates, &parts))?;
         std::fs::write(to.join(BILL), bill + "\n")?;
-        Ok(format!(
-            "of {} crates, {} other components",
-            crates.len(),
-            parts.len()
-        ))
+        Ok(format!("of {} crates, {} other components", crates.len(), parts.len()))
     })?;
     Ok(())
 }
@@ -79,11 +75,7 @@ struct NeededLibraries(Vec<&'static str>, (u32, u32));
 impl std::fmt::Display for NeededLibraries {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self(libraries, (major, minor)) = self;
-        write!(
-            f,
-            "with {}, for glibc {major}.{minor} or newer",
-            libraries.join(", ")
-        )
+        write!(f, "with {}, for glibc {major}.{minor} or newer", libraries.join(", "))
     }
 }
 
@@ -125,10 +117,7 @@ fn shell_files(folder: &Path) -> Result<String> {
             let completions = folder.join("share").join(subfolder);
             std::fs::create_dir_all(&completions)?;
             let script = capture(program(folder, name).args(["completions", shell]))?;
-            std::fs::write(
-                completions.join(format!("{prefix}{name}{suffix}")),
-                script + "\n",
-            )?;
+            std::fs::write(completions.join(format!("{prefix}{name}{suffix}")), script + "\n")?;
         }
     }
     let pages = std::fs::read_dir(&pages)?.count();
@@ -142,10 +131,7 @@ fn scenes(cache: &Path, folder: &Path) -> Result<String> {
     for part in ["robosuite", "libero"] {
         let from = cache.join("sources").join(part);
         for file in files(&from)? {
-            let ending = file
-                .extension()
-                .and_then(|name| name.to_str())
-                .unwrap_or_default();
+            let ending = file.extension().and_then(|name| name.to_str()).unwrap_or_default();
             if SCENE_EXTENSIONS.contains(&ending) {
                 copy(&from.join(&file), &to.join(part).join(&file))?;
             }
@@ -182,10 +168,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
 /// Returns true if a file is a source, not one of Python's by-products.
 fn is_source(file: &Path) -> bool {
     let is_by_product = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
-    !file
-        .iter()
-        .filter_map(|part| part.to_str())
-        .any(is_by_product)
+    !file.iter().filter_map(|part| part.to_str()).any(is_by_product)
 }
 
 fn copy(from: &Path, to: &Path) -> Result<()> {

@@ -35,9 +35,9 @@ pub(super) fn slurm_word(
     let is_plain_char = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
     match !value.is_empty() && value.chars().all(is_plain_char) {
         true => Ok(Some(value.clone())),
-        false => Err(usage(anyhow!(
-            "use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/"
-        ))),
+        false => {
+            Err(usage(anyhow!("use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/")))
+        }
     }
 }
 

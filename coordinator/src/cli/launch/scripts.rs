@@ -48,20 +48,10 @@ pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
         let output = sbatch.arg(path).output();
         let output = output.context("run sbatch: use a machine that has Slurm's commands")?;
         let error_text = String::from_utf8_lossy(&output.stderr);
-        ensure!(
-            output.status.success(),
-            "submit {}: {}",
-            path.display(),
-            error_text.trim()
-        );
+        ensure!(output.status.success(), "submit {}: {}", path.display(), error_text.trim());
         let printed = String::from_utf8_lossy(&output.stdout);
         // With several clusters, `sbatch --parsable` prints `JOB;CLUSTER`.
-        let job = printed
-            .trim()
-            .split(';')
-            .next()
-            .unwrap_or_default()
-            .to_owned();
+        let job = printed.trim().split(';').next().unwrap_or_default().to_owned();
         print_line(&format!("submitted {} as job {job}", path.display()))?;
         previous_job = Some(job);
     }

@@ -19,18 +19,12 @@ const PRIMITIVES: &str = "primitives";
 const LIBERO: &str = "libero";
 
 /// File names and templates of the scripts.
-const COORDINATOR: (&str, &str) = (
-    "coordinator.sh",
-    include_str!("../../../../deploy/slurm/coordinator.sh"),
-);
-const GATEWAY: (&str, &str) = (
-    "gateway.sbatch",
-    include_str!("../../../../deploy/slurm/gateway.sbatch"),
-);
-const WORKERS: (&str, &str) = (
-    "workers.sbatch",
-    include_str!("../../../../deploy/slurm/workers.sbatch"),
-);
+const COORDINATOR: (&str, &str) =
+    ("coordinator.sh", include_str!("../../../../deploy/slurm/coordinator.sh"));
+const GATEWAY: (&str, &str) =
+    ("gateway.sbatch", include_str!("../../../../deploy/slurm/gateway.sbatch"));
+const WORKERS: (&str, &str) =
+    ("workers.sbatch", include_str!("../../../../deploy/slurm/workers.sbatch"));
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -108,12 +102,7 @@ struct WorkerArguments {
         value_parser = number(1..=1_024_u32, "slots"))]
     slots: u32,
     /// Memory of a slot.
-    #[arg(
-        long,
-        hide_short_help = true,
-        value_name = "SIZE",
-        default_value = "2G"
-    )]
+    #[arg(long, hide_short_help = true, value_name = "SIZE", default_value = "2G")]
     slot_memory: String,
     /// Seconds that a worker has to finish its rollouts after the signal to end. It then gives the
     /// unfinished rollouts back, which takes up to ten seconds more. The sum of the two times must
@@ -127,12 +116,7 @@ struct WorkerArguments {
     idle_secs: u32,
     /// Further sbatch option for the workers, such as `--worker-sbatch=--constraint=avx2`.
     /// (repeatable)
-    #[arg(
-        long,
-        hide_short_help = true,
-        value_name = "OPTION",
-        allow_hyphen_values = true
-    )]
+    #[arg(long, hide_short_help = true, value_name = "OPTION", allow_hyphen_values = true)]
     worker_sbatch: Vec<String>,
 }
 
@@ -173,11 +157,7 @@ pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
     let scripts = arguments.scripts()?;
     if arguments.into.is_none() {
         for script in &scripts {
-            print(&format!(
-                "==> {} <==\n{}\n",
-                script.path.display(),
-                script.text
-            ))?;
+            print(&format!("==> {} <==\n{}\n", script.path.display(), script.text))?;
         }
         return Ok(print_line(
             "Nothing was written. --into DIR writes the scripts, --submit submits them.",
@@ -222,17 +202,11 @@ impl SlurmArguments {
         self.set_servers(&mut values)?;
         let folder = absolute_path(self.into.as_deref().unwrap_or(Path::new(".")))?;
         values.set("folder", one_line("--into", path_text(&folder)?)?);
-        values.set(
-            "data",
-            one_line("--data", path_text(&absolute_path(&self.data)?)?)?,
-        );
+        values.set("data", one_line("--data", path_text(&absolute_path(&self.data)?)?)?);
         let partition = slurm_word("--partition", self.partition.as_ref())?;
         let partition_of_gateway =
             slurm_word("--gateway-partition", gateway.gateway_partition.as_ref())?;
-        values.set_all(
-            "gateway_partition",
-            partition_of_gateway.or_else(|| partition.clone()),
-        );
+        values.set_all("gateway_partition", partition_of_gateway.or_else(|| partition.clone()));
         values.set_all("partition", partition);
         values.set_all("account", slurm_word("--account", self.account.as_ref())?);
         values.set_all("time", self.time.as_ref().map(TimeLimit::to_string));
@@ -254,21 +228,14 @@ impl SlurmArguments {
 
         values.set_all("route", gateway.route()?);
         let server = gateway.policy_server.clone();
-        let server = server
-            .map(|command| one_line("--policy-server", command))
-            .transpose()?;
+        let server = server.map(|command| one_line("--policy-server", command)).transpose()?;
         values.set_all("policy_server", server);
         values.set_all("gpus", slurm_word("--gpus", gateway.gpus.as_ref())?);
         let further_options = sbatch_options("--gateway-sbatch", &gateway.gateway_sbatch)?;
         values.set_all("gateway_options", further_options);
 
         let mut programs = vec![("worker", "worker"), ("coordinator", "coordinator")];
-        programs.extend(
-            gateway
-                .policy
-                .is_some()
-                .then_some(("gateway", "policy-gateway")),
-        );
+        programs.extend(gateway.policy.is_some().then_some(("gateway", "policy-gateway")));
         let folder = self.programs_folder()?;
         for (name, program) in programs {
             let path = folder.join(program);
@@ -325,10 +292,9 @@ impl SlurmArguments {
         values.set("coordinator_port", port);
         values.set("gateway_port", self.gateway.gateway_port);
         let mut security_flags = Vec::new();
-        for (flag, file) in [
-            ("--tls-cert", &self.security.tls_cert),
-            ("--tls-key", &self.security.tls_key),
-        ] {
+        for (flag, file) in
+            [("--tls-cert", &self.security.tls_cert), ("--tls-key", &self.security.tls_key)]
+        {
             if let Some(file) = file {
                 let path = path_text(&absolute_path(file)?)?;
                 security_flags.extend([flag.to_owned(), one_line(flag, path)?]);

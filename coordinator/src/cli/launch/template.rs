@@ -21,9 +21,7 @@ impl Values {
 
     fn get(&self, name: &str) -> &[String] {
         let entry = self.0.iter().find(|(placeholder, _)| *placeholder == name);
-        &entry
-            .unwrap_or_else(|| panic!("placeholder {{{{{name}}}}} of a template was never set"))
-            .1
+        &entry.unwrap_or_else(|| panic!("placeholder {{{{{name}}}}} of a template was never set")).1
     }
 }
 
@@ -58,9 +56,7 @@ pub(super) fn fill(template: &str, values: &Values) -> String {
 
 fn placeholders(line: &str) -> Vec<&str> {
     let parts = line.split("{{").skip(1);
-    parts
-        .filter_map(|part| part.split_once("}}").map(|(name, _)| name))
-        .collect()
+    parts.filter_map(|part| part.split_once("}}").map(|(name, _)| name)).collect()
 }
 
 /// Replaces each placeholder of a line by `value(name)`.
@@ -109,10 +105,7 @@ mod tests {
     fn values() -> Values {
         let mut values = Values::default();
         values.set("folder", "/home/me/a \"b\" 'c'\\d");
-        values.set_all(
-            "options",
-            ["--qos=x".to_owned(), "--comment=a b".to_owned()],
-        );
+        values.set_all("options", ["--qos=x".to_owned(), "--comment=a b".to_owned()]);
         values.set_all("nothing", []);
         values.set("number", 7);
         values

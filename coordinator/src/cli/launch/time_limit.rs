@@ -28,10 +28,7 @@ impl FromStr for TimeLimit {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let limit = |secs| TimeLimit {
-            text: text.to_owned(),
-            secs,
-        };
+        let limit = |secs| TimeLimit { text: text.to_owned(), secs };
         if text.eq_ignore_ascii_case("unlimited") {
             return Ok(limit(None));
         }

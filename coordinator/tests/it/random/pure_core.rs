@@ -99,10 +99,7 @@ impl Model {
 
     fn granted(&self, number: usize) -> Option<Granted> {
         let newest_first = self.granted.iter().rev();
-        newest_first
-            .cycle()
-            .nth(number % self.granted.len().max(1))
-            .cloned()
+        newest_first.cycle().nth(number % self.granted.len().max(1)).cloned()
     }
 
     fn job(&mut self, id: JobId) -> &mut Job {
@@ -131,18 +128,10 @@ impl Model {
             ceiling: now.plus(CEILING),
             is_acknowledged: false,
         });
-        let granted = Granted {
-            job: job.id,
-            attempt,
-            worker: owner,
-        };
+        let granted = Granted { job: job.id, attempt, worker: owner };
         if allowance == Allowance::Probe {
             self.policy = self.policy.with_probe(attempt);
-            assert_eq!(
-                self.policy.allowance(now),
-                Allowance::Nothing,
-                "one probe at a time"
-            );
+            assert_eq!(self.policy.allowance(now), Allowance::Nothing, "one probe at a time");
         }
         self.granted.push(granted);
     }
@@ -198,15 +187,9 @@ impl Model {
             *in_a_row = strike(*in_a_row).in_a_row;
         }
         self.policy = match reason {
-            FailureReason::PolicyUnavailable | FailureReason::PolicyLost => {
-                self.policy.after_outage(
-                    granted.attempt,
-                    lease.granted,
-                    "down",
-                    self.now,
-                    &mut self.rng,
-                )
-            }
+            FailureReason::PolicyUnavailable | FailureReason::PolicyLost => self
+                .policy
+                .after_outage(granted.attempt, lease.granted, "down", self.now, &mut self.rng),
             FailureReason::PolicyMisbehaved => self.policy.after_misbehaviour(
                 granted.attempt,
                 "misbehaved",
@@ -279,10 +262,7 @@ impl Model {
         let now = self.now;
         let charged = reason.is_charged();
         if charged {
-            self.failed_on
-                .entry(granted.job)
-                .or_default()
-                .push(granted.worker.clone());
+            self.failed_on.entry(granted.job).or_default().push(granted.worker.clone());
         }
         let silences = self.suspicion(granted).silences;
         let workers = self.suspicion(granted).failed_on_machines;
@@ -295,10 +275,7 @@ impl Model {
                 assert!(backoff <= Duration::from_secs(60), "{backoff:?}");
                 let waits = backoff >= Duration::from_secs(1);
                 let may_wait_uncharged = reason.is_loss() || reason == FailureReason::WorkerSilent;
-                assert!(
-                    charged == waits || may_wait_uncharged && waits,
-                    "{reason:?}: {backoff:?}"
-                );
+                assert!(charged == waits || may_wait_uncharged && waits, "{reason:?}: {backoff:?}");
                 JobState::Queued { not_before }
             }
             AfterFailure::Quarantine => {
@@ -338,10 +315,7 @@ impl Model {
             assert!(!was_committed || old == new, "committed is final");
             let is_leased = matches!(new.state, JobState::Leased(_));
             let is_cancelled = matches!(self.campaign, CampaignState::Cancelled { .. });
-            assert!(
-                !(is_leased && is_cancelled),
-                "a cancelled campaign holds no lease"
-            );
+            assert!(!(is_leased && is_cancelled), "a cancelled campaign holds no lease");
             let is_new_lease = new.attempt > old.attempt;
             assert!(
                 !is_new_lease || self.campaign.may_lease(),

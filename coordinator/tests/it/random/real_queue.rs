@@ -66,10 +66,7 @@ async fn run_on_real_queue(events: &[Event]) {
     let created = queue.create_campaign(&campaign.expect("a campaign")).await;
     assert!(created.expect("created").jobs_total > 1);
     for worker in 0..WORKERS {
-        queue
-            .register(&worker_info(worker))
-            .await
-            .expect("registered");
+        queue.register(&worker_info(worker)).await.expect("registered");
     }
     let mut state = WorkerState::default();
     let mut accepted = 0;
@@ -90,9 +87,7 @@ async fn run_on_real_queue(events: &[Event]) {
             match effect {
                 Effect::Claimed(claim, attempt) => {
                     let worker = claim.worker.clone();
-                    state
-                        .granted
-                        .extend(attempt.map(|attempt| (worker, attempt)));
+                    state.granted.extend(attempt.map(|attempt| (worker, attempt)));
                     state.claims.push((claim, attempt));
                 }
                 Effect::Accepted => accepted += 1,
@@ -195,19 +190,13 @@ async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
     for round in 0..60 {
         // A new worker id, since the random workers may have been stopped.
         let worker = 100 + round;
-        queue
-            .register(&worker_info(worker))
-            .await
-            .expect("registered");
+        queue.register(&worker_info(worker)).await.expect("registered");
         for number in 0.. {
             let request = claim_of(worker, number, None);
             let Some(attempt) = claim(queue, &request).await else {
                 break;
             };
-            let reply = queue
-                .commit(&report(attempt, true))
-                .await
-                .expect("a verdict");
+            let reply = queue.commit(&report(attempt, true)).await.expect("a verdict");
             assert_eq!(reply.verdict, CommitVerdict::Accepted);
             accepted += 1;
         }
@@ -223,10 +212,7 @@ async fn check_results(folder: &Path, accepted: usize) {
     assert_eq!(check(folder).await.expect("a database"), []);
     let pool = open_database(folder).await;
     let count = async |sql: &'static str| -> i64 {
-        sqlx::query_scalar(sql)
-            .fetch_one(&pool)
-            .await
-            .expect("a count")
+        sqlx::query_scalar(sql).fetch_one(&pool).await.expect("a count")
     };
     let open = "SELECT count(*) FROM job j JOIN campaign c ON c.id = j.campaign_id
         WHERE j.state IN ('queued', 'leased') AND c.state <> 'cancelled'";

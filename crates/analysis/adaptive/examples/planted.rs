@@ -35,9 +35,7 @@ struct Mean {
 impl Mean {
     fn new(results: &[(SearchResult, bool)]) -> Self {
         let n = results.len() as f64;
-        let explained = results
-            .iter()
-            .filter(|(result, _)| result.explanation.is_some());
+        let explained = results.iter().filter(|(result, _)| result.explanation.is_some());
         let explained = explained.count() as f64;
         let mean = |value: &dyn Fn(&SearchResult) -> f64| {
             results.iter().map(|(result, _)| value(result)).sum::<f64>() / n

@@ -114,9 +114,6 @@ impl<P: Copy + Ord> Outcomes<P> {
 
     /// Returns the number of rollouts requested beyond those of the source campaign.
     pub fn requested(&self) -> u32 {
-        self.0
-            .values()
-            .map(|tallies| tallies.requests.requested())
-            .sum()
+        self.0.values().map(|tallies| tallies.requests.requested()).sum()
     }
 }

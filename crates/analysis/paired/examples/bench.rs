@@ -61,11 +61,7 @@ fn main() {
         })
         .collect();
     secs.sort_by(f64::total_cmp);
-    let profile = if cfg!(debug_assertions) {
-        "dev"
-    } else {
-        "release"
-    };
+    let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
     let figures = json!({
         "bench": "report",
         "rollouts": policies.iter().map(Vec::len).sum::<usize>(),

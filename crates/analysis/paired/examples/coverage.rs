@@ -57,11 +57,8 @@ impl Table {
 
     /// Adds the estimate's interval for each target.
     fn add_each(&mut self, name: &str, estimate: &Estimate, truths: [f64; 3]) {
-        let intervals = [
-            estimate.these_tasks,
-            estimate.new_tasks,
-            estimate.new_tasks_and_directions,
-        ];
+        let intervals =
+            [estimate.these_tasks, estimate.new_tasks, estimate.new_tasks_and_directions];
         for (target, (interval, truth)) in intervals.into_iter().zip(truths).enumerate() {
             self.add(name, target, interval, truth);
         }
@@ -153,9 +150,8 @@ fn print(title: &str, sizes: &[Table]) {
     let keys = sizes.iter().flat_map(|table| table.0.keys());
     for key in keys.collect::<BTreeSet<_>>() {
         let by_size = sizes.iter().map(|table| table.0.get(key));
-        let by_size: Vec<Coverage> = by_size
-            .map(|coverage| coverage.copied().unwrap_or_default())
-            .collect();
+        let by_size: Vec<Coverage> =
+            by_size.map(|coverage| coverage.copied().unwrap_or_default()).collect();
         // Skips the targets for which a figure never has an interval.
         if by_size.iter().all(|coverage| coverage.computed == 0) {
             continue;
@@ -172,10 +168,8 @@ fn print(title: &str, sizes: &[Table]) {
 }
 
 fn main() {
-    let arguments: Result<Vec<u64>, _> = std::env::args()
-        .skip(1)
-        .map(|argument| argument.parse())
-        .collect();
+    let arguments: Result<Vec<u64>, _> =
+        std::env::args().skip(1).map(|argument| argument.parse()).collect();
     let (campaigns, seed) = match arguments.as_deref() {
         Ok([]) => (CAMPAIGNS, 0),
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
@@ -188,10 +182,7 @@ fn main() {
         }
     };
     println!("coverage of 95 % intervals, %, {campaigns} campaigns of each size, seed {seed}");
-    print(
-        "one policy",
-        &SIZES.map(|(tasks, suites)| simulate(tasks, suites, campaigns, seed)),
-    );
+    print("one policy", &SIZES.map(|(tasks, suites)| simulate(tasks, suites, campaigns, seed)));
     print(
         "two policies",
         &SIZES.map(|(tasks, suites)| simulate_two(tasks, suites, campaigns, seed)),

@@ -35,18 +35,12 @@ const KINDS: [(&str, NetEffect); 6] = [
 ];
 
 const fn effect(mean: f64, share: f64, spread: f64) -> NetEffect {
-    NetEffect {
-        mean,
-        share,
-        spread,
-    }
+    NetEffect { mean, share, spread }
 }
 
 fn main() {
-    let arguments: Result<Vec<u64>, _> = std::env::args()
-        .skip(1)
-        .map(|argument| argument.parse())
-        .collect();
+    let arguments: Result<Vec<u64>, _> =
+        std::env::args().skip(1).map(|argument| argument.parse()).collect();
     let (campaigns, seed) = match arguments.as_deref() {
         Ok([]) => (CAMPAIGNS, 0),
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
@@ -58,16 +52,11 @@ fn main() {
             std::process::exit(2);
         }
     };
-    let rules = [
-        ("I excludes 0 for new tasks", Strata::WholeTasks),
-        ("I excludes 0", Strata::Suites),
-    ];
+    let rules =
+        [("I excludes 0 for new tasks", Strata::WholeTasks), ("I excludes 0", Strata::Suites)];
     // The bootstrap intervals are not used, so that two resamplings suffice.
     let options = Options {
-        bootstrap: Bootstrap {
-            replicates: 2,
-            ..Bootstrap::default()
-        },
+        bootstrap: Bootstrap { replicates: 2, ..Bootstrap::default() },
         ..Options::default()
     };
     println!("{campaigns} campaigns of each kind, seed {seed}; percent");
@@ -89,11 +78,7 @@ fn main() {
                 wrong[column] += f64::from(u8::from(!is_right));
             };
             for (column, (rule, strata)) in rules.into_iter().enumerate() {
-                let stop = Stop {
-                    rule: rule.parse().expect("a rule"),
-                    seed: campaign,
-                    strata,
-                };
+                let stop = Stop { rule: rule.parse().expect("a rule"), seed: campaign, strata };
                 if let Some(look) = CampaignLook::when_met(&records, &stop) {
                     let interval = look.levels[&Level::L2].intervals[&Measure::I];
                     count_end(column, interval.low() > 0.0);

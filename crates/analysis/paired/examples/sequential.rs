@@ -70,9 +70,7 @@ fn fixed_n(population: &Population, rule: &StopRule) -> usize {
 fn variance(population: &Population, measure: Measure) -> f64 {
     let n = population.units.len() as f64;
     let mean = population.total(measure) as f64 / n;
-    let squares = population
-        .values(measure)
-        .map(|x| (x as f64 - mean).powi(2));
+    let squares = population.values(measure).map(|x| (x as f64 - mean).powi(2));
     squares.sum::<f64>() / (n - 1.0)
 }
 
@@ -92,11 +90,7 @@ fn replay_level(
     design: Design,
 ) -> Replayed {
     let units = population.units.len();
-    let mut replayed = Replayed {
-        orders,
-        held: 0,
-        saved: vec![Vec::new(); rules.len()],
-    };
+    let mut replayed = Replayed { orders, held: 0, saved: vec![Vec::new(); rules.len()] };
     for seed in 0..orders {
         let (held, met) = population.replay(&population.order(seed, design), rules);
         replayed.held += u64::from(held);
@@ -131,9 +125,7 @@ fn main() {
     let populations = Level::PERTURBED.map(Population::published);
     let replayed = DESIGNS.map(|(_, design, divisor)| {
         let orders = orders.div_ceil(divisor);
-        populations
-            .each_ref()
-            .map(|population| replay_level(population, &rules, orders, design))
+        populations.each_ref().map(|population| replay_level(population, &rules, orders, design))
     });
     print_coverage(&replayed);
     print_saved(&populations, &rules, &replayed);

@@ -28,10 +28,7 @@ pub struct Bootstrap {
 
 impl Default for Bootstrap {
     fn default() -> Self {
-        Self {
-            replicates: 4000,
-            seed: 20_260_904,
-        }
+        Self { replicates: 4000, seed: 20_260_904 }
     }
 }
 
@@ -89,9 +86,7 @@ impl Bootstrap {
                 |share| scope.spawn(move || self.resample(share, clusters, count, statistics));
             let threads: Vec<_> = shares.map(resampling).collect();
             let threads = threads.into_iter();
-            threads
-                .flat_map(|thread| thread.join().expect("a statistic does not panic"))
-                .collect()
+            threads.flat_map(|thread| thread.join().expect("a statistic does not panic")).collect()
         });
         let interval_of = |i: usize| {
             let mut values: Vec<f64> = values.iter().skip(i).step_by(count).copied().collect();
@@ -146,11 +141,7 @@ mod tests {
 
     fn mean(draws: &[u32]) -> [f64; 1] {
         let values = (0..40).map(|i| f64::from(i % 10));
-        let sum: f64 = draws
-            .iter()
-            .zip(values)
-            .map(|(&d, v)| f64::from(d) * v)
-            .sum();
+        let sum: f64 = draws.iter().zip(values).map(|(&d, v)| f64::from(d) * v).sum();
         [sum / 40.0]
     }
 
@@ -165,10 +156,7 @@ mod tests {
 
     #[test]
     fn intervals_do_not_depend_on_the_number_of_threads() {
-        let bootstrap = Bootstrap {
-            replicates: 1001,
-            seed: 7,
-        };
+        let bootstrap = Bootstrap { replicates: 1001, seed: 7 };
         let mean = |draws: &[u32], values: &mut [f64]| values.copy_from_slice(&mean(draws));
         let alone = bootstrap.intervals_on(1, 40, 1, mean);
         for threads in [2, 3, 7, 16] {

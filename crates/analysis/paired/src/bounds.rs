@@ -53,16 +53,10 @@ impl Possible {
     fn new(outcome: Outcome) -> Option<Self> {
         match outcome {
             Outcome::Missing => None,
-            Outcome::Quarantined => Some(Self {
-                is_certain: false,
-                is_possible: true,
-            }),
+            Outcome::Quarantined => Some(Self { is_certain: false, is_possible: true }),
             Outcome::Success | Outcome::Failure => {
                 let is_certain = outcome == Outcome::Success;
-                Some(Self {
-                    is_certain,
-                    is_possible: is_certain,
-                })
+                Some(Self { is_certain, is_possible: is_certain })
             }
         }
     }
@@ -75,10 +69,7 @@ impl Possible {
     }
 
     fn not(self) -> Self {
-        Self {
-            is_certain: !self.is_possible,
-            is_possible: !self.is_certain,
-        }
+        Self { is_certain: !self.is_possible, is_possible: !self.is_certain }
     }
 
     fn count(self, [low, high]: &mut [u64; 2]) {
@@ -109,9 +100,7 @@ impl Bounds {
         let mut ranges = Ranges::default();
         for matched in configurations {
             let outcomes = matched.alone.values().chain([&matched.simultaneous]);
-            let quarantined = outcomes
-                .copied()
-                .any(|outcome| outcome == Outcome::Quarantined);
+            let quarantined = outcomes.copied().any(|outcome| outcome == Outcome::Quarantined);
             if ranges.add(matched).is_some() {
                 n += 1;
                 affected += u64::from(quarantined);
@@ -129,20 +118,15 @@ impl Ranges {
         for (&axis, &outcome) in &matched.alone {
             alone.insert(axis, Possible::new(outcome)?);
         }
-        let mut conjunction = Possible {
-            is_certain: true,
-            is_possible: true,
-        };
+        let mut conjunction = Possible { is_certain: true, is_possible: true };
         for (axis, possible) in alone {
             possible.count(self.s_axis.entry(axis).or_default());
             conjunction = conjunction.and(possible);
         }
         conjunction.count(&mut self.s_conj);
         simultaneous.count(&mut self.s_sim);
-        let (emergent, compensated) = (
-            conjunction.and(simultaneous.not()),
-            conjunction.not().and(simultaneous),
-        );
+        let (emergent, compensated) =
+            (conjunction.and(simultaneous.not()), conjunction.not().and(simultaneous));
         emergent.count(&mut self.emergent);
         compensated.count(&mut self.compensated);
         self.changed[0] += u64::from(emergent.is_certain || compensated.is_certain);
@@ -154,11 +138,8 @@ impl Ranges {
 
     fn bounds(&self, n: u64, affected: u64) -> Bounds {
         let rates = |counts: [u64; 2]| counts.map(|count| count as f64 / n as f64);
-        let s_axis: BTreeMap<Axis, [f64; 2]> = self
-            .s_axis
-            .iter()
-            .map(|(&axis, &counts)| (axis, rates(counts)))
-            .collect();
+        let s_axis: BTreeMap<Axis, [f64; 2]> =
+            self.s_axis.iter().map(|(&axis, &counts)| (axis, rates(counts))).collect();
         let product = |end: usize| s_axis.values().map(|range| range[end]).product();
         let s_indep: [f64; 2] = [product(0), product(1)];
         let s_conj = rates(self.s_conj);

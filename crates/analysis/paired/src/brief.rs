@@ -45,9 +45,7 @@ fn cells(report: &Report) -> impl Iterator<Item = &Cell> {
 
 fn nominal(report: &Report) -> Option<Count> {
     let mut nominal = report.nominal.iter();
-    nominal
-        .find(|nominal| nominal.replicate == 0)
-        .map(|nominal| nominal.count)
+    nominal.find(|nominal| nominal.replicate == 0).map(|nominal| nominal.count)
 }
 
 /// Appends the success table: a row per level, a column per condition.
@@ -64,10 +62,7 @@ fn push_success(text: &mut String, report: &Report) {
         .chain(has_latency.then_some(Condition::Latency))
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
-    let head = columns
-        .iter()
-        .map(|column| column.label().to_owned())
-        .collect();
+    let head = columns.iter().map(|column| column.label().to_owned()).collect();
     let mut rows = vec![(String::new(), head)];
     for cell in cells(report) {
         let success = |condition: &Condition| {
@@ -82,10 +77,7 @@ fn push_success(text: &mut String, report: &Report) {
                 rate => percent(rate),
             }
         };
-        rows.push((
-            cell.level.to_string(),
-            columns.iter().map(success).collect(),
-        ));
+        rows.push((cell.level.to_string(), columns.iter().map(success).collect()));
     }
     separate(text);
     text.push_str("success, %\n");

@@ -52,11 +52,7 @@ pub struct Compared<'a> {
 /// Records without progress, of a campaign whose tasks share their directions.
 impl<'a> From<&'a [Record]> for Compared<'a> {
     fn from(records: &'a [Record]) -> Self {
-        Self {
-            records,
-            progress: &[],
-            directions: Directions::Shared,
-        }
+        Self { records, progress: &[], directions: Directions::Shared }
     }
 }
 
@@ -125,10 +121,8 @@ impl Comparison {
     ) -> Self {
         let policies: [Compared<'a>; 2] = [a.into(), b.into()];
         let [records_a, records_b] = policies.map(|policy| {
-            let by_key = policy
-                .records
-                .iter()
-                .map(|record| ((record.replicate, record.id), record));
+            let by_key =
+                policy.records.iter().map(|record| ((record.replicate, record.id), record));
             by_key.collect::<BTreeMap<Key, &Record>>()
         });
         let progress = policies.map(|policy| {
@@ -201,37 +195,30 @@ impl Comparison {
         let progress = ProgressDifference::of_each(&progress_pairs, &directions);
         let cells = keys.into_iter().zip(&sets).zip(differences).zip(progress);
         comparison.cells = cells
-            .map(
-                |((((replicate, level, condition), pairs), difference), progress)| {
-                    let missing = pairs
-                        .iter()
-                        .filter(|pair| has_either(pair, Outcome::Missing));
-                    let missing = missing.count() as u64;
-                    let n = difference.as_ref().map_or(0, |difference| difference.n);
-                    let shared = pairs.len() as u64;
-                    ComparedCell {
-                        replicate,
-                        level,
-                        condition,
-                        shared,
-                        missing,
-                        quarantined: shared - missing - n,
-                        difference,
-                        progress,
-                        bounds: DifferenceBounds::of(pairs),
-                    }
-                },
-            )
+            .map(|((((replicate, level, condition), pairs), difference), progress)| {
+                let missing = pairs.iter().filter(|pair| has_either(pair, Outcome::Missing));
+                let missing = missing.count() as u64;
+                let n = difference.as_ref().map_or(0, |difference| difference.n);
+                let shared = pairs.len() as u64;
+                ComparedCell {
+                    replicate,
+                    level,
+                    condition,
+                    shared,
+                    missing,
+                    quarantined: shared - missing - n,
+                    difference,
+                    progress,
+                    bounds: DifferenceBounds::of(pairs),
+                }
+            })
             .collect();
         comparison
     }
 
     /// Returns the number of rollouts with an outcome for both policies, over all replicates.
     pub fn compared(&self) -> u64 {
-        let cells = self
-            .cells
-            .iter()
-            .filter_map(|cell| cell.difference.as_ref());
+        let cells = self.cells.iter().filter_map(|cell| cell.difference.as_ref());
         cells.map(|difference| difference.n).sum()
     }
 

@@ -19,10 +19,7 @@ pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
             interval_text(difference.estimate.new_tasks_and_directions, points),
             interval_text(difference.simultaneous_ci95, points),
             difference.equivalence_p.map_or_else(absent, p_value),
-            format!(
-                "{}:{}",
-                difference.profile.a_better, difference.profile.b_better
-            ),
+            format!("{}:{}", difference.profile.a_better, difference.profile.b_better),
         ];
         (cell.name(), values)
     });
@@ -105,19 +102,13 @@ pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, St
             "p-value of the hypothesis that A and B differ by more than 5 points: if it is small, \
              A and B are equivalent",
         ),
-        (
-            "tasks A:B",
-            "number of tasks in which A succeeds more often, and in which B does",
-        ),
+        ("tasks A:B", "number of tasks in which A succeeds more often, and in which B does"),
         (
             "A better",
             "probability of improvement: that A succeeds more often in a task drawn at random, \
              where ties count half; with the interval about new tasks",
         ),
-        (
-            "least, most",
-            "tasks with the least and the greatest A - B, in points",
-        ),
+        ("least, most", "tasks with the least and the greatest A - B, in points"),
     ];
     if first_cells(comparison).any(|cell| cell.progress.is_some()) {
         entries.push((
@@ -127,9 +118,7 @@ pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, St
         ));
     }
     let entries = entries.into_iter();
-    entries
-        .map(|(symbol, meaning)| (symbol, meaning.to_owned()))
-        .collect()
+    entries.map(|(symbol, meaning)| (symbol, meaning.to_owned())).collect()
 }
 
 /// Returns the cells of replicate 0.

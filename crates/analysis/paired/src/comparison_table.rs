@@ -33,9 +33,7 @@ pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> Strin
 }
 
 fn heads() -> (String, Vec<String>) {
-    let heads = [
-        "n", "A %", "B %", "A - B", "95 %", "A only", "B only", "Holm p",
-    ];
+    let heads = ["n", "A %", "B %", "A - B", "95 %", "A only", "B only", "Holm p"];
     (String::new(), heads.map(str::to_owned).to_vec())
 }
 
@@ -125,10 +123,7 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
     let mut entries = Vec::new();
     let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
     if comparison.cells.iter().any(|cell| cell.replicate > 0) {
-        add(
-            "replicate",
-            "replicates of A and B with the same number are compared",
-        );
+        add("replicate", "replicates of A and B with the same number are compared");
     }
     add(
         "n",
@@ -136,14 +131,8 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
          rollouts",
     );
     add("A %, B %", "success rates over these rollouts");
-    add(
-        "A - B",
-        "difference of the success rates, in points: above 0, A succeeds more often",
-    );
-    add(
-        "A only, B only",
-        "rollouts that only A solves, and that only B solves",
-    );
+    add("A - B", "difference of the success rates, in points: above 0, A succeeds more often");
+    add("A only, B only", "rollouts that only A solves, and that only B solves");
     add(
         "Holm p",
         "exact two-sided sign-flip test of A - B over tasks, corrected for the rows of the table",
@@ -151,16 +140,11 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
     entries.extend(further_meanings(comparison));
     let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
     if comparison.cells.iter().any(|cell| cell.bounds.is_some()) {
-        add(
-            "worst and best",
-            "range over every outcome that quarantined rollouts could have had",
-        );
+        add("worst and best", "range over every outcome that quarantined rollouts could have had");
     }
     let differences = comparison.cells.iter();
     let differences = differences.filter_map(|cell| cell.difference.as_ref());
-    let absent: Vec<_> = differences
-        .map(|difference| difference.no_interval)
-        .collect();
+    let absent: Vec<_> = differences.map(|difference| difference.no_interval).collect();
     if !absent.is_empty() {
         entries.extend(interval_entries(bootstrap, absent));
     }

@@ -38,12 +38,7 @@ pub struct PairedDesign {
 /// for the paired-sample design, Biometrics 43 (1987), 207–211; design effect:
 /// L. Kish, Survey Sampling (1965), section 5.4.
 pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
-    let PairedDesign {
-        tasks,
-        configs_per_task,
-        r_d,
-        task_correlation,
-    } = *design;
+    let PairedDesign { tasks, configs_per_task, r_d, task_correlation } = *design;
     let n = f64::from(tasks) * configs_per_task;
     let design_effect = 1.0 + (configs_per_task - 1.0) * task_correlation;
     // Required minus actual |I|·√n: negative if |I| is detectable.
@@ -116,12 +111,7 @@ mod tests {
     use libero_ctrl::Axis;
 
     fn design(tasks: u32, r_d: f64, task_correlation: f64) -> PairedDesign {
-        PairedDesign {
-            tasks,
-            configs_per_task: 10.0,
-            r_d,
-            task_correlation,
-        }
+        PairedDesign { tasks, configs_per_task: 10.0, r_d, task_correlation }
     }
 
     #[test]

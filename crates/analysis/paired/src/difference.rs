@@ -296,11 +296,8 @@ impl Profile {
                     _ => Some((task, change)),
                 }
             };
-        let [least, most] = [1.0, -1.0].map(|sign| {
-            self.tasks
-                .iter()
-                .fold(None, |extreme, task| pick(extreme, task, sign))
-        });
+        let [least, most] = [1.0, -1.0]
+            .map(|sign| self.tasks.iter().fold(None, |extreme, task| pick(extreme, task, sign)));
         Some([least?, most?])
     }
 
@@ -311,16 +308,9 @@ impl Profile {
             sum[0] += row.values[0];
             sum[1] += row.values[1];
         }
-        let tasks: BTreeMap<TaskRef, f64> = sums
-            .into_iter()
-            .map(|(task, [n, net])| (task, net / n))
-            .collect();
-        let better = |sign: f64| {
-            tasks
-                .values()
-                .filter(|change| **change * sign > 0.0)
-                .count()
-        };
+        let tasks: BTreeMap<TaskRef, f64> =
+            sums.into_iter().map(|(task, [n, net])| (task, net / n)).collect();
+        let better = |sign: f64| tasks.values().filter(|change| **change * sign > 0.0).count();
         let rows: Vec<Row> = tasks
             .iter()
             .map(|(&task, &change)| Row {
@@ -328,11 +318,7 @@ impl Profile {
                 direction: 0,
                 values: vec![
                     1.0,
-                    if change == 0.0 {
-                        0.5
-                    } else {
-                        f64::from(u8::from(change > 0.0))
-                    },
+                    if change == 0.0 { 0.5 } else { f64::from(u8::from(change > 0.0)) },
                 ],
             })
             .collect();
@@ -355,17 +341,12 @@ impl Profile {
 /// Corrects the rows of a comparison for multiplicity: Holm's p-values and max-t intervals.
 fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
     let mut present: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
-    let p_values: Vec<f64> = present
-        .iter()
-        .map(|difference| difference.sign_flip_p)
-        .collect();
+    let p_values: Vec<f64> = present.iter().map(|difference| difference.sign_flip_p).collect();
     for (difference, p) in present.iter_mut().zip(holm(&p_values)) {
         difference.holm_p = p;
     }
-    let tasks: BTreeSet<TaskRef> = present
-        .iter()
-        .flat_map(|difference| difference.profile.tasks.keys().copied())
-        .collect();
+    let tasks: BTreeSet<TaskRef> =
+        present.iter().flat_map(|difference| difference.profile.tasks.keys().copied()).collect();
     let tasks: Vec<TaskRef> = tasks.into_iter().collect();
     let strata = strata(&tasks);
     // The pseudo-value of a task is its difference minus the mean of its stratum. It equals the
@@ -377,10 +358,8 @@ fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &
         for &size in &strata {
             let (stratum, others) = remaining.split_at(size);
             remaining = others;
-            let changes: Vec<f64> = stratum
-                .iter()
-                .filter_map(|task| by_task.get(task).copied())
-                .collect();
+            let changes: Vec<f64> =
+                stratum.iter().filter_map(|task| by_task.get(task).copied()).collect();
             let mean = changes.iter().sum::<f64>() / changes.len() as f64;
             let value = |task| by_task.get(task).map_or(0.0, |change| change - mean);
             values.extend(stratum.iter().map(value));

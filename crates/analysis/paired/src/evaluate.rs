@@ -31,10 +31,8 @@ pub fn report(records: &[Record], options: &Options) -> Result<Report, Duplicate
 /// Reports on matched records.
 pub fn report_of(records: &Records, options: &Options) -> Report {
     let replicates: BTreeSet<u32> = records.outcomes.keys().map(|key| key.0).collect();
-    let mut nominal: Vec<Nominal> = replicates
-        .iter()
-        .filter_map(|&replicate| nominal(records, replicate))
-        .collect();
+    let mut nominal: Vec<Nominal> =
+        replicates.iter().filter_map(|&replicate| nominal(records, replicate)).collect();
     if let (true, Some(count)) = (nominal.is_empty(), options.reported_nominal) {
         nominal.push(Nominal {
             replicate: 0,
@@ -47,24 +45,16 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
     let first_nominal = first_nominal.map_or(Count::default(), |nominal| nominal.count);
     let cells = records.configurations();
     let cells = cells.chunk_by(|a, b| (a.replicate, a.level) == (b.replicate, b.level));
-    let placebos = cells
-        .clone()
-        .filter(|matched| matched[0].level == Level::L0);
-    let placebos: BTreeMap<u32, &[Matched]> = placebos
-        .map(|matched| (matched[0].replicate, matched))
-        .collect();
+    let placebos = cells.clone().filter(|matched| matched[0].level == Level::L0);
+    let placebos: BTreeMap<u32, &[Matched]> =
+        placebos.map(|matched| (matched[0].replicate, matched)).collect();
     let cells = cells.map(|matched| {
         let replicate = matched[0].replicate;
-        let of_replicate = nominal
-            .iter()
-            .find(|nominal| nominal.replicate == replicate);
+        let of_replicate = nominal.iter().find(|nominal| nominal.replicate == replicate);
         let nominal_rate = of_replicate.and_then(|nominal| nominal.count.rate());
         let placebo = placebos.get(&replicate).copied();
         let inference = Inference::of(matched, placebo, options.directions);
-        Cell {
-            inference,
-            ..cell(records, matched, nominal_rate, &options.bootstrap)
-        }
+        Cell { inference, ..cell(records, matched, nominal_rate, &options.bootstrap) }
     });
     let cells = cells.collect();
     let later = replicates.iter().filter(|&&replicate| replicate > 0);
@@ -108,12 +98,7 @@ fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
             gap.add(outcome);
         }
     }
-    has_nominal.then_some(Nominal {
-        replicate,
-        source: NominalSource::Records,
-        count,
-        gap,
-    })
+    has_nominal.then_some(Nominal { replicate, source: NominalSource::Records, count, gap })
 }
 
 /// Counts the nominal rollouts of one suite in replicate 0.
@@ -238,9 +223,6 @@ impl SingleAxis {
             let nominal_rate = nominal_rate.filter(|&nominal_rate| nominal_rate > 0.0)?;
             Some(1.0 - rate / nominal_rate)
         };
-        Self {
-            count,
-            clean_relative_loss: count.rate().and_then(loss),
-        }
+        Self { count, clean_relative_loss: count.rate().and_then(loss) }
     }
 }

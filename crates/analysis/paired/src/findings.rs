@@ -91,17 +91,10 @@ impl Claims {
 
 /// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
-    let nominal = report
-        .nominal
-        .iter()
-        .find(|nominal| nominal.replicate == 0)?
-        .count;
+    let nominal = report.nominal.iter().find(|nominal| nominal.replicate == 0)?.count;
     let mut sentence = match nominal.n {
         0 => "No nominal rollout has an outcome yet".to_owned(),
-        n => format!(
-            "Nominally, {} % of {n} rollouts succeed",
-            percent(nominal.rate())
-        ),
+        n => format!("Nominally, {} % of {n} rollouts succeed", percent(nominal.rate())),
     };
     let at_levels = cells.iter().filter_map(|cell| {
         let rate = cell.simultaneous?.rate()?;
@@ -110,11 +103,7 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
         let interval = interval.map_or_else(String::new, |[low, high]| {
             format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
         });
-        Some(format!(
-            "{} %{interval} at {}",
-            percent(Some(rate)),
-            cell.level
-        ))
+        Some(format!("{} %{interval} at {}", percent(Some(rate)), cell.level))
     });
     let at_levels: Vec<String> = at_levels.collect();
     if !at_levels.is_empty() {
@@ -122,25 +111,17 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
         sentence.push_str(&listed(&at_levels));
     }
     sentence.push('.');
-    Some(Finding {
-        kind: FindingKind::Success,
-        level: None,
-        claims: false,
-        holm_p: None,
-        sentence,
-    })
+    Some(Finding { kind: FindingKind::Success, level: None, claims: false, holm_p: None, sentence })
 }
 
 /// Writes the finding about the greatest loss under a single axis, or smaller losses if only they
 /// are claimed, and about the axes equivalent to nominal success.
 fn cost(cell: &Cell) -> Option<Finding> {
     let losses = cell.inference.as_ref().map(|inference| &inference.losses)?;
-    let singles = losses
-        .iter()
-        .filter_map(|(condition, loss)| match condition {
-            Condition::Single(axis) => Some((axis.name(), loss)),
-            _ => None,
-        });
+    let singles = losses.iter().filter_map(|(condition, loss)| match condition {
+        Condition::Single(axis) => Some((axis.name(), loss)),
+        _ => None,
+    });
     let singles: Vec<(&str, &Loss)> = singles.collect();
     let by_loss =
         |a: &&(&str, &Loss), b: &&(&str, &Loss)| a.1.loss.value.total_cmp(&b.1.loss.value);
@@ -156,9 +137,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     let costly = names(&is_costly);
     let claimed = singles.iter().filter(|(_, loss)| is_costly(loss));
     let smallest_p = claimed.map(|(_, loss)| loss.holm_p).reduce(f64::min);
-    let p = smallest_p
-        .filter(|_| !is_costly(loss))
-        .unwrap_or(loss.holm_p);
+    let p = smallest_p.filter(|_| !is_costly(loss)).unwrap_or(loss.holm_p);
     let mut sentence = match (is_costly(loss), costly.is_empty()) {
         (true, _) => format!(
             "Of the single axes at {level}, {most} costs the most: {} points{} of success, against \
@@ -182,10 +161,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     };
     if !equivalent.is_empty() {
         let verb = if equivalent.len() == 1 { "is" } else { "are" };
-        sentence.push_str(&format!(
-            "; {} {verb} within 5 points of nominal",
-            listed(&equivalent)
-        ));
+        sentence.push_str(&format!("; {} {verb} within 5 points of nominal", listed(&equivalent)));
     }
     sentence.push('.');
     Some(Finding {
@@ -223,9 +199,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     let is_shown = |hypothesis, excess: &Estimate| {
         claims.p(cell, hypothesis) < FINDING_ALPHA && excess.value > 0.0
     };
-    let shown = measured
-        .iter()
-        .filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
+    let shown = measured.iter().filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
     let parts: Vec<String> = shown
         .map(|(_, effect, outcomes, measure, excess)| {
             format!(
@@ -314,12 +288,8 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
 /// language-perturbed rollouts is an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     let replicate = report.replication.first();
-    let replicate = replicate.and_then(|replication| {
-        replication
-            .flips_by_condition
-            .get(&Condition::Clean)?
-            .rate()
-    });
+    let replicate = replicate
+        .and_then(|replication| replication.flips_by_condition.get(&Condition::Clean)?.rate());
     if let Some(rate) = replicate {
         return Some(("Nominal rollouts of two replicates end differently", rate));
     }

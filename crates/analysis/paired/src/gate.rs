@@ -80,13 +80,7 @@ impl Gate {
             },
             _ => GateVerdict::Undecided,
         };
-        Self {
-            published,
-            nominal,
-            difference,
-            verdict,
-            equivalence_p: None,
-        }
+        Self { published, nominal, difference, verdict, equivalence_p: None }
     }
 
     /// Adds the equivalence test, from the nominal rollouts of each task: two one-sided
@@ -135,15 +129,8 @@ mod tests {
     #[test]
     fn a_difference_within_the_tolerance_does_not_show_equivalence() {
         let tasks = [50, 40].map(|successes| Count { successes, n: 50 });
-        let nominal = Count {
-            successes: 90,
-            n: 100,
-        };
-        let p = |published| {
-            Gate::new(published, nominal)
-                .with_tasks(&tasks)
-                .equivalence_p
-        };
+        let nominal = Count { successes: 90, n: 100 };
+        let p = |published| Gate::new(published, nominal).with_tasks(&tasks).equivalence_p;
         let [equal, different] = [0.90, 0.94].map(|published| p(published).expect("variance"));
         // SciPy: stats.t.sf(0.05 / (0.2 * 0.8 / 49 / 4) ** 0.5, 98).
         assert!((equal - 0.042_0).abs() < 5e-4, "{equal}");

@@ -55,9 +55,7 @@ impl Inference {
         directions: Directions,
     ) -> Option<Self> {
         let paired = PairedEstimates::of(matched, directions)?;
-        let is_placebo = matched
-            .iter()
-            .all(|configuration| configuration.level == Level::L0);
+        let is_placebo = matched.iter().all(|configuration| configuration.level == Level::L0);
         let placebo = placebo.filter(|_| !is_placebo);
         Some(Self {
             paired,

@@ -21,98 +21,44 @@ const MAX_CELLS: usize = 3;
 type Line = (&'static str, fn(&Inference) -> String);
 
 const LINES: [Line; 21] = [
-    ("S_sim, these tasks", |inference| {
-        rates(inference.paired.s_sim.these_tasks)
-    }),
-    ("  new tasks", |inference| {
-        rates(inference.paired.s_sim.new_tasks)
-    }),
-    ("  and directions", |inference| {
-        rates(inference.paired.s_sim.new_tasks_and_directions)
-    }),
-    ("I, these tasks", |inference| {
-        changes(inference.paired.i.these_tasks)
-    }),
-    ("  new tasks", |inference| {
-        changes(inference.paired.i.new_tasks)
-    }),
-    ("  and directions", |inference| {
-        changes(inference.paired.i.new_tasks_and_directions)
-    }),
-    ("R_d, these tasks", |inference| {
-        rates(inference.paired.r_d.these_tasks)
-    }),
-    ("  new tasks", |inference| {
-        rates(inference.paired.r_d.new_tasks)
-    }),
-    ("  and directions", |inference| {
-        rates(inference.paired.r_d.new_tasks_and_directions)
-    }),
-    ("sign-flip p of I", |inference| {
-        p_value(inference.i_sign_flip_p)
-    }),
+    ("S_sim, these tasks", |inference| rates(inference.paired.s_sim.these_tasks)),
+    ("  new tasks", |inference| rates(inference.paired.s_sim.new_tasks)),
+    ("  and directions", |inference| rates(inference.paired.s_sim.new_tasks_and_directions)),
+    ("I, these tasks", |inference| changes(inference.paired.i.these_tasks)),
+    ("  new tasks", |inference| changes(inference.paired.i.new_tasks)),
+    ("  and directions", |inference| changes(inference.paired.i.new_tasks_and_directions)),
+    ("R_d, these tasks", |inference| rates(inference.paired.r_d.these_tasks)),
+    ("  new tasks", |inference| rates(inference.paired.r_d.new_tasks)),
+    ("  and directions", |inference| rates(inference.paired.r_d.new_tasks_and_directions)),
+    ("sign-flip p of I", |inference| p_value(inference.i_sign_flip_p)),
     ("directions alike, p", |inference| {
-        inference
-            .directions
-            .as_ref()
-            .map_or_else(absent, |test| p_value(test.p))
+        inference.directions.as_ref().map_or_else(absent, |test| p_value(test.p))
     }),
-    ("b / S_conj", |inference| {
-        share(inference.eligible.emergent.as_ref())
-    }),
+    ("b / S_conj", |inference| share(inference.eligible.emergent.as_ref())),
     ("  new tasks", |inference| {
-        inference
-            .eligible
-            .emergent
-            .map_or_else(absent, |estimate| rates(estimate.new_tasks))
+        inference.eligible.emergent.map_or_else(absent, |estimate| rates(estimate.new_tasks))
     }),
-    ("c / (1 - S_conj)", |inference| {
-        share(inference.eligible.compensated.as_ref())
-    }),
+    ("c / (1 - S_conj)", |inference| share(inference.eligible.compensated.as_ref())),
     ("  new tasks", |inference| {
-        inference
-            .eligible
-            .compensated
-            .map_or_else(absent, |estimate| rates(estimate.new_tasks))
+        inference.eligible.compensated.map_or_else(absent, |estimate| rates(estimate.new_tasks))
     }),
     ("relative indep.", |inference| {
-        share(
-            inference
-                .relative
-                .as_ref()
-                .map(|relative| &relative.prediction),
-        )
+        share(inference.relative.as_ref().map(|relative| &relative.prediction))
     }),
     ("  new tasks", |inference| {
-        inference
-            .relative
-            .map_or_else(absent, |relative| rates(relative.prediction.new_tasks))
+        inference.relative.map_or_else(absent, |relative| rates(relative.prediction.new_tasks))
     }),
     ("S_sim - relative", |inference| {
-        change(
-            inference
-                .relative
-                .as_ref()
-                .map(|relative| &relative.difference),
-        )
+        change(inference.relative.as_ref().map(|relative| &relative.difference))
     }),
     ("  new tasks", |inference| {
-        inference
-            .relative
-            .map_or_else(absent, |relative| changes(relative.difference.new_tasks))
+        inference.relative.map_or_else(absent, |relative| changes(relative.difference.new_tasks))
     }),
     ("nominal, matched", |inference| {
-        share(
-            inference
-                .relative
-                .as_ref()
-                .map(|relative| &relative.nominal),
-        )
+        share(inference.relative.as_ref().map(|relative| &relative.nominal))
     }),
     ("  new tasks", |inference| {
-        inference
-            .relative
-            .map_or_else(absent, |relative| rates(relative.nominal.new_tasks))
+        inference.relative.map_or_else(absent, |relative| rates(relative.nominal.new_tasks))
     }),
 ];
 
@@ -122,11 +68,7 @@ type ExcessLine = (&'static str, fn(&Excess) -> String);
 const EXCESS_LINES: [ExcessLine; 12] = [
     ("floor: n", |excess| excess.placebo.to_string()),
     ("  R_e, R_c", |excess| {
-        format!(
-            "{}, {}",
-            rate(excess.floor.r_e.value),
-            rate(excess.floor.r_c.value)
-        )
+        format!("{}, {}", rate(excess.floor.r_e.value), rate(excess.floor.r_c.value))
     }),
     ("  R_d", |excess| rate(excess.floor.r_d.value)),
     ("  I", |excess| points(excess.floor.i.value)),
@@ -144,10 +86,8 @@ const EXCESS_LINES: [ExcessLine; 12] = [
 /// relative independence, and the excess over the noise floor.
 pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
     for cells in cells.chunks(MAX_CELLS) {
-        let inferred: Vec<(Level, &Inference)> = cells
-            .iter()
-            .filter_map(|cell| Some((cell.level, cell.inference.as_ref()?)))
-            .collect();
+        let inferred: Vec<(Level, &Inference)> =
+            cells.iter().filter_map(|cell| Some((cell.level, cell.inference.as_ref()?))).collect();
         if inferred.is_empty() {
             continue;
         }
@@ -162,10 +102,7 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
             let values = inferred.iter().map(|(_, inference)| value(inference));
             push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
-        if inferred
-            .iter()
-            .all(|(_, inference)| inference.excess.is_none())
-        {
+        if inferred.iter().all(|(_, inference)| inference.excess.is_none()) {
             continue;
         }
         for (label, value) in EXCESS_LINES {
@@ -181,15 +118,11 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
 /// Appends the table of success lost under each condition, against matched nominal
 /// rollouts.
 fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
-    let heads = [
-        "n", "nominal", "success", "loss", "95 %", "Holm p", "equiv. p",
-    ];
+    let heads = ["n", "nominal", "success", "loss", "95 %", "Holm p", "equiv. p"];
     let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
     for cell in cells {
-        let Some(inference) = cell
-            .inference
-            .as_ref()
-            .filter(|inference| !inference.losses.is_empty())
+        let Some(inference) =
+            cell.inference.as_ref().filter(|inference| !inference.losses.is_empty())
         else {
             continue;
         };
@@ -214,10 +147,8 @@ fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     }
     if rows.len() > 1 {
         separate(text);
-        let _ = writeln!(
-            text,
-            "loss against nominal rollouts of the same initial states, %{suffix}"
-        );
+        let _ =
+            writeln!(text, "loss against nominal rollouts of the same initial states, %{suffix}");
         push_columns(text, &rows);
     }
 }
@@ -228,10 +159,8 @@ pub(crate) fn meanings(
     cells: &[&Cell],
     directions: Option<Directions>,
 ) -> Vec<(&'static str, &'static str)> {
-    let inferred: Vec<&Inference> = cells
-        .iter()
-        .filter_map(|cell| cell.inference.as_ref())
-        .collect();
+    let inferred: Vec<&Inference> =
+        cells.iter().filter_map(|cell| cell.inference.as_ref()).collect();
     if inferred.is_empty() {
         return Vec::new();
     }
@@ -240,10 +169,7 @@ pub(crate) fn meanings(
             "these tasks",
             "about these tasks and directions, with other initial states and chance outcomes",
         ),
-        (
-            "new tasks",
-            "about new tasks of these suites, under these directions",
-        ),
+        ("new tasks", "about new tasks of these suites, under these directions"),
         (
             "and directions",
             match directions {
@@ -262,10 +188,7 @@ pub(crate) fn meanings(
             "directions alike",
             "p of the hypothesis that simultaneous success is the same under every direction",
         ),
-        (
-            "sign-flip p",
-            "exact test over tasks; McNemar's test assumes independent rollouts",
-        ),
+        ("sign-flip p", "exact test over tasks; McNemar's test assumes independent rollouts"),
         (
             "b / S_conj",
             "share of emergent failures among configurations that succeed under every axis alone",
@@ -275,10 +198,7 @@ pub(crate) fn meanings(
             "share of compensated successes among configurations that fail under some axis alone",
         ),
     ];
-    if inferred
-        .iter()
-        .any(|inference| inference.relative.is_some())
-    {
+    if inferred.iter().any(|inference| inference.relative.is_some()) {
         entries.push((
             "relative indep.",
             "nominal x product of (axis / nominal): the prediction for independent axes that \
@@ -289,10 +209,7 @@ pub(crate) fn meanings(
             "nominal success of the complete configurations that have a nominal outcome",
         ));
     }
-    if inferred
-        .iter()
-        .any(|inference| !inference.losses.is_empty())
-    {
+    if inferred.iter().any(|inference| !inference.losses.is_empty()) {
         entries.push((
             "Holm p",
             "sign-flip test of the loss, corrected for the conditions of the level",
@@ -325,13 +242,9 @@ fn change(estimate: Option<&Estimate>) -> String {
 }
 
 fn rates(interval: Option<[f64; 2]>) -> String {
-    interval.map_or_else(absent, |[low, high]| {
-        format!("[{}, {}]", rate(low), rate(high))
-    })
+    interval.map_or_else(absent, |[low, high]| format!("[{}, {}]", rate(low), rate(high)))
 }
 
 fn changes(interval: Option<[f64; 2]>) -> String {
-    interval.map_or_else(absent, |[low, high]| {
-        format!("[{}, {}]", points(low), points(high))
-    })
+    interval.map_or_else(absent, |[low, high]| format!("[{}, {}]", points(low), points(high)))
 }

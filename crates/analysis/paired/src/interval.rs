@@ -86,8 +86,7 @@ pub fn intervals_of_many(
         (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
     let computed = computed.flatten();
     let each = (0..count).map(|i| computed.as_ref().map(|all| all[i]));
-    each.map(|interval| interval_or_reason(tasks, interval))
-        .collect()
+    each.map(|interval| interval_or_reason(tasks, interval)).collect()
 }
 
 /// Returns the interval, or the reason why it is withheld.
@@ -108,11 +107,7 @@ mod tests {
 
     fn mean_interval(values: &[f64]) -> (Option<Interval>, Option<NoInterval>) {
         let ([interval], reason) = intervals(&Bootstrap::default(), values.len(), |draws| {
-            let sum: f64 = draws
-                .iter()
-                .zip(values)
-                .map(|(&d, v)| f64::from(d) * v)
-                .sum();
+            let sum: f64 = draws.iter().zip(values).map(|(&d, v)| f64::from(d) * v).sum();
             [sum / values.len() as f64]
         });
         (interval, reason)
@@ -121,14 +116,8 @@ mod tests {
     #[test]
     fn fewer_than_ten_tasks_have_no_interval_even_if_they_differ() {
         let values: Vec<f64> = (0..10).map(f64::from).collect();
-        assert_eq!(
-            mean_interval(&values[..2]),
-            (None, Some(NoInterval::TooFewTasks))
-        );
-        assert_eq!(
-            mean_interval(&values[..9]),
-            (None, Some(NoInterval::TooFewTasks))
-        );
+        assert_eq!(mean_interval(&values[..2]), (None, Some(NoInterval::TooFewTasks)));
+        assert_eq!(mean_interval(&values[..9]), (None, Some(NoInterval::TooFewTasks)));
         let (interval, reason) = mean_interval(&values);
         let [low, high] = interval.expect("ten tasks");
         assert!(low < 4.5 && 4.5 < high, "{low} {high}");
@@ -140,11 +129,7 @@ mod tests {
         let columns: [Vec<f64>; 2] = [(0..12).map(f64::from).collect(), vec![1.0; 12]];
         for tasks in [9, 12] {
             let mean = |draws: &[u32], column: &[f64]| {
-                let sum: f64 = draws
-                    .iter()
-                    .zip(column)
-                    .map(|(&d, v)| f64::from(d) * v)
-                    .sum();
+                let sum: f64 = draws.iter().zip(column).map(|(&d, v)| f64::from(d) * v).sum();
                 sum / tasks as f64
             };
             let many = intervals_of_many(&Bootstrap::default(), tasks, 2, |draws, values| {
@@ -162,13 +147,7 @@ mod tests {
 
     #[test]
     fn a_value_that_no_resampling_changes_has_no_interval() {
-        assert_eq!(
-            mean_interval(&[0.0; 40]),
-            (None, Some(NoInterval::NoSpread))
-        );
-        assert_eq!(
-            mean_interval(&[1.0 / 3.0; 40]),
-            (None, Some(NoInterval::NoSpread))
-        );
+        assert_eq!(mean_interval(&[0.0; 40]), (None, Some(NoInterval::NoSpread)));
+        assert_eq!(mean_interval(&[1.0 / 3.0; 40]), (None, Some(NoInterval::NoSpread)));
     }
 }

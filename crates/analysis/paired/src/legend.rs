@@ -28,34 +28,16 @@ pub fn legend(reports: &[&Report]) -> String {
             "S_indep",
             "product of the axes' success rates, which counts nominal failures once per axis",
         );
-        add(
-            "S_conj",
-            "share of configurations that succeed under every axis alone",
-        );
-        add(
-            "S_sim",
-            "share that succeeds under simultaneous perturbation",
-        );
+        add("S_conj", "share of configurations that succeed under every axis alone");
+        add("S_sim", "share that succeeds under simultaneous perturbation");
         add(
             "D",
             "dependence of the axes' failures: above 0 if they coincide in the same configurations",
         );
-        add(
-            "I",
-            "net effect of simultaneity, S_sim - S_conj; chance alone makes it positive",
-        );
-        add(
-            "b emergent",
-            "every axis alone succeeds, the simultaneous rollout fails",
-        );
-        add(
-            "c compensated",
-            "some axis alone fails, the simultaneous rollout succeeds",
-        );
-        add(
-            "R_e, R_c, R_d",
-            "shares of configurations: emergent, compensated, changed",
-        );
+        add("I", "net effect of simultaneity, S_sim - S_conj; chance alone makes it positive");
+        add("b emergent", "every axis alone succeeds, the simultaneous rollout fails");
+        add("c compensated", "some axis alone fails, the simultaneous rollout succeeds");
+        add("R_e, R_c, R_d", "shares of configurations: emergent, compensated, changed");
         add("emergent share", "share of b in all simultaneous failures");
         add("McNemar p", "exact two-sided test of b against c");
         add(
@@ -72,16 +54,10 @@ pub fn legend(reports: &[&Report]) -> String {
         );
     }
     if cells().any(|cell| cell.solvable.is_some()) {
-        add(
-            "solvable",
-            "only configurations whose nominal rollout succeeds",
-        );
+        add("solvable", "only configurations whose nominal rollout succeeds");
     }
     if cells().any(|cell| cell.bounds.is_some()) {
-        add(
-            "worst and best",
-            "range over every outcome that quarantined rollouts could have had",
-        );
+        add("worst and best", "range over every outcome that quarantined rollouts could have had");
     }
     let all: Vec<&Cell> = cells().collect();
     let directions = Report::common_directions(reports.iter().copied());
@@ -92,13 +68,9 @@ pub fn legend(reports: &[&Report]) -> String {
     let changes = replication.flat_map(|replication| replication.changes.values());
     let measures = cells().flat_map(|cell| cell.paired.iter().chain(&cell.solvable));
     let absent = measures.map(|measures| measures.no_interval);
-    let absent: Vec<_> = absent
-        .chain(changes.map(|change| change.no_interval))
-        .collect();
+    let absent: Vec<_> = absent.chain(changes.map(|change| change.no_interval)).collect();
     if cells().any(|cell| cell.paired.is_some()) {
-        let bootstrap = reports
-            .first()
-            .map_or_else(Bootstrap::default, |report| report.bootstrap);
+        let bootstrap = reports.first().map_or_else(Bootstrap::default, |report| report.bootstrap);
         entries.extend(interval_entries(&bootstrap, absent));
     }
     let mut text = String::new();

@@ -93,9 +93,7 @@ impl Measures {
         let total = Tally::resampled(&clusters, &vec![1; clusters.len()]);
         let point = total.rates();
         let (shown, no_interval) = intervals(bootstrap, clusters.len(), |draws| {
-            Tally::resampled(&clusters, draws)
-                .rates()
-                .measures_with_intervals()
+            Tally::resampled(&clusters, draws).rates().measures_with_intervals()
         });
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
         let failures = total.n - total.simultaneous;

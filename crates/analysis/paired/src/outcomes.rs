@@ -123,12 +123,8 @@ pub enum Transition {
 
 impl Transition {
     /// All transitions.
-    pub const ALL: [Self; 4] = [
-        Self::StillSucceeds,
-        Self::StillFails,
-        Self::Emergent,
-        Self::Compensated,
-    ];
+    pub const ALL: [Self; 4] =
+        [Self::StillSucceeds, Self::StillFails, Self::Emergent, Self::Compensated];
 
     /// Returns the transition from the conjunction of the axes' successes to the
     /// success of the simultaneous rollout.
@@ -161,11 +157,7 @@ impl Matched {
         for (&axis, outcome) in &self.alone {
             alone.insert(axis, outcome.success()?);
         }
-        Some(Configuration {
-            task: self.task,
-            alone,
-            simultaneous: self.simultaneous.success()?,
-        })
+        Some(Configuration { task: self.task, alone, simultaneous: self.simultaneous.success()? })
     }
 
     /// Returns the transition; `None` if the configuration is not complete.
@@ -284,13 +276,7 @@ impl Records {
 
     fn matched(&self, records: &[Record]) -> Vec<Matched> {
         let mut matched = BTreeMap::new();
-        for &Record {
-            id,
-            init_id,
-            replicate,
-            outcome,
-        } in records
-        {
+        for &Record { id, init_id, replicate, outcome } in records {
             let Some(config) = id.config() else { continue };
             let key = (replicate, id.level(), id.task(), config);
             let entry = matched.entry(key).or_insert_with(|| Matched {
@@ -301,10 +287,7 @@ impl Records {
                 init_id,
                 nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
                 alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
-                latency: self
-                    .latency_levels
-                    .contains(&id.level())
-                    .then_some(Outcome::Missing),
+                latency: self.latency_levels.contains(&id.level()).then_some(Outcome::Missing),
                 subsets: BTreeMap::new(),
                 simultaneous: Outcome::Missing,
             });

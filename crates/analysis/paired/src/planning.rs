@@ -132,17 +132,13 @@ impl Assumed {
 
     fn from_configurations(level: Level, configurations: &[Configuration]) -> Self {
         let share = |predicate: fn(&Configuration) -> bool| {
-            let count = configurations
-                .iter()
-                .filter(|configuration| predicate(configuration))
-                .count();
+            let count =
+                configurations.iter().filter(|configuration| predicate(configuration)).count();
             count as f64 / configurations.len() as f64
         };
         let task_correlation_of = |predicate: fn(&Configuration) -> bool| {
-            correlation(configurations, |configuration| {
-                f64::from(predicate(configuration))
-            })
-            .unwrap_or_default()
+            correlation(configurations, |configuration| f64::from(predicate(configuration)))
+                .unwrap_or_default()
         };
         let is_changed: fn(&Configuration) -> bool =
             |configuration| configuration.simultaneous != configuration.conjunction();
@@ -169,22 +165,13 @@ impl Assumed {
     /// Returns the assumptions for inference about the given tasks only, where the
     /// correlation within tasks does not contribute to the error.
     pub const fn of_these_tasks(self) -> Self {
-        Self {
-            success_correlation: 0.0,
-            change_correlation: 0.0,
-            changed_correlation: 0.0,
-            ..self
-        }
+        Self { success_correlation: 0.0, change_correlation: 0.0, changed_correlation: 0.0, ..self }
     }
 
     /// Returns the smallest differences that the planned configurations can detect.
     pub fn detectable(&self, planned: Planned, against: Against) -> Detectable {
         if (planned.tasks as usize) < MIN_TASKS {
-            return Detectable {
-                difference: None,
-                i: None,
-                r_d: None,
-            };
+            return Detectable { difference: None, i: None, r_d: None };
         }
         let paired = |r_d, task_correlation| {
             minimum_detectable_effect(&PairedDesign {
@@ -196,16 +183,10 @@ impl Assumed {
         };
         let (base, reference) = match against {
             Against::AnotherPolicy => (self.r_d, planned),
-            Against::Floor {
-                r_d,
-                planned: floor,
-            } => (r_d, floor),
+            Against::Floor { r_d, planned: floor } => (r_d, floor),
         };
         Detectable {
-            difference: paired(
-                2.0 * self.s_sim * (1.0 - self.s_sim),
-                self.success_correlation,
-            ),
+            difference: paired(2.0 * self.s_sim * (1.0 - self.s_sim), self.success_correlation),
             i: paired(self.r_d, self.change_correlation),
             r_d: excess(base, self.changed_correlation, [planned, reference]),
         }
@@ -272,10 +253,7 @@ mod tests {
     use rand_chacha::rand_core::{Rng, SeedableRng};
 
     fn planned(tasks: u32, configs_per_task: f64) -> Planned {
-        Planned {
-            tasks,
-            configs_per_task,
-        }
+        Planned { tasks, configs_per_task }
     }
 
     fn assumed(r_d: f64, correlation: f64) -> Assumed {
@@ -315,10 +293,7 @@ mod tests {
 
     #[test]
     fn more_configurations_and_less_correlation_detect_smaller_effects() {
-        let floor = |configs| Against::Floor {
-            r_d: 0.05,
-            planned: planned(40, configs),
-        };
+        let floor = |configs| Against::Floor { r_d: 0.05, planned: planned(40, configs) };
         let usual = assumed(0.27, 0.05);
         let all = |detectable: Detectable| {
             [detectable.difference, detectable.i, detectable.r_d]
@@ -348,10 +323,8 @@ mod tests {
     #[test]
     fn assumptions_of_a_level_are_those_of_the_nearest_known_level() {
         let at = |text: &str| text.parse::<Level>().expect("a level");
-        let all = [at("L0"), at("L1"), at("L3")].map(|level| Assumed {
-            level,
-            ..assumed(0.2, 0.0)
-        });
+        let all =
+            [at("L0"), at("L1"), at("L3")].map(|level| Assumed { level, ..assumed(0.2, 0.0) });
         for (level, nearest) in [("L2", "L1"), ("r7", "L3"), ("r0.1", "L1"), ("L3", "L3")] {
             let assumed = Assumed::nearest(&all, at(level)).expect("a perturbed level");
             assert_eq!(assumed.level, at(nearest), "{level}");

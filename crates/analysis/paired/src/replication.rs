@@ -96,10 +96,7 @@ impl Replication {
                 (number == replicate, outcome.success(), first)
             {
                 flips.add(later != first);
-                by_condition
-                    .entry(id.condition())
-                    .or_default()
-                    .add(later != first);
+                by_condition.entry(id.condition()).or_default().add(later != first);
             }
         }
         Self {
@@ -139,9 +136,7 @@ impl Change {
         let clusters = [first, later].map(|outcomes| Tally::of_tasks(outcomes, &axes));
         let changes = |draws: &[u32]| {
             let rates = |replicate: usize| {
-                Tally::resampled(&clusters[replicate], draws)
-                    .rates()
-                    .measures_with_intervals()
+                Tally::resampled(&clusters[replicate], draws).rates().measures_with_intervals()
             };
             let (first, later) = (rates(0), rates(1));
             std::array::from_fn::<f64, 5, _>(|i| later[i] - first[i])

@@ -47,11 +47,8 @@ pub fn table(report: &Report) -> String {
     let mut replicates: Vec<u32> = report.cells.iter().map(|cell| cell.replicate).collect();
     replicates.dedup();
     for replicate in replicates {
-        let cells: Vec<&Cell> = report
-            .cells
-            .iter()
-            .filter(|cell| cell.replicate == replicate)
-            .collect();
+        let cells: Vec<&Cell> =
+            report.cells.iter().filter(|cell| cell.replicate == replicate).collect();
         let suffix = replicate_suffix(replicate, report);
         push_rates(&mut text, report, &cells, &suffix);
         push_subsets(&mut text, &cells, &suffix);
@@ -80,10 +77,7 @@ fn quarantined(names: &[String]) -> String {
         0 => String::new(),
         more => format!(" and {more} more"),
     };
-    format!(
-        "in quarantine and excluded from every rate ({}): {named}{more}",
-        names.len()
-    )
+    format!("in quarantine and excluded from every rate ({}): {named}{more}", names.len())
 }
 
 fn nominal_line(nominal: &Nominal, report: &Report) -> String {
@@ -129,10 +123,9 @@ fn gate_line(suffix: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
     };
     let difference = gate.difference.map_or_else(|| ABSENT.to_owned(), points);
     let equivalence = match gate.equivalence_p {
-        Some(p) if p < 0.05 => format!(
-            "; the rate is significantly within the tolerance (p = {})",
-            p_value(p)
-        ),
+        Some(p) if p < 0.05 => {
+            format!("; the rate is significantly within the tolerance (p = {})", p_value(p))
+        }
         Some(p) if gate.verdict == GateVerdict::Passed => format!(
             "; the rate is not significantly within the tolerance (p = {}): run more nominal \
              rollouts",
@@ -171,10 +164,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
     let row = |label: &str, value: &dyn Fn(Condition) -> String| -> (String, Vec<String>) {
-        (
-            label.to_owned(),
-            columns.iter().copied().map(value).collect(),
-        )
+        (label.to_owned(), columns.iter().copied().map(value).collect())
     };
     let mut rows = vec![row("", &|condition| condition.label().to_owned())];
     for cell in cells {
@@ -185,11 +175,9 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
         };
         let loss = |condition| match condition {
             Condition::Single(axis) => percent(cell.alone[&axis].clean_relative_loss),
-            Condition::Latency => percent(
-                cell.latency
-                    .as_ref()
-                    .and_then(|latency| latency.clean_relative_loss),
-            ),
+            Condition::Latency => {
+                percent(cell.latency.as_ref().and_then(|latency| latency.clean_relative_loss))
+            }
             _ => String::new(),
         };
         let success = |condition| match count(condition).and_then(|count| count.rate()) {
@@ -211,29 +199,21 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
 
 /// Appends success under subsets of two or more axes, a line for each subset.
 fn push_subsets(text: &mut String, cells: &[&Cell], suffix: &str) {
-    let sets: BTreeSet<AxisSet> = cells
-        .iter()
-        .flat_map(|cell| cell.subsets.keys().copied())
-        .collect();
+    let sets: BTreeSet<AxisSet> =
+        cells.iter().flat_map(|cell| cell.subsets.keys().copied()).collect();
     if sets.is_empty() {
         return;
     }
     separate(text);
-    let _ = writeln!(
-        text,
-        "success under several axes, and its counts, %{suffix}"
-    );
+    let _ = writeln!(text, "success under several axes, and its counts, %{suffix}");
     for cells in cells.chunks(MAX_CELLS) {
         let levels = cells.iter().map(|cell| cell.level.to_string());
         push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
         for set in &sets {
             let success = cells.iter().map(|cell| match cell.subsets.get(set) {
-                Some(count) => format!(
-                    "{} ({}/{})",
-                    percent(count.rate()),
-                    count.successes,
-                    count.n
-                ),
+                Some(count) => {
+                    format!("{} ({}/{})", percent(count.rate()), count.successes, count.n)
+                }
                 None => ABSENT.to_owned(),
             });
             // A name that is too long for the column gets its own line.
@@ -309,10 +289,7 @@ fn starred(label: &str, overstated: &BTreeSet<Measure>) -> String {
 
 fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BTreeSet<Measure>) {
     separate(text);
-    let _ = writeln!(
-        text,
-        "paired outcomes of complete configurations, %{suffix}"
-    );
+    let _ = writeln!(text, "paired outcomes of complete configurations, %{suffix}");
     let levels = cells.iter().map(|cell| cell.level.to_string());
     push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
     let complete = cells.iter().map(|cell| {
@@ -321,9 +298,7 @@ fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BT
     });
     push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "n complete", complete);
     for (label, value) in PAIRED_LINES {
-        let values = cells
-            .iter()
-            .map(|cell| value_or_dash(cell.paired.as_ref(), value));
+        let values = cells.iter().map(|cell| value_or_dash(cell.paired.as_ref(), value));
         let label = starred(label, overstated);
         push_row(text, LABEL_WIDTH, COLUMN_WIDTH, &label, values);
     }
@@ -331,18 +306,10 @@ fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BT
         Some(i) => format!("{:.2}", 100.0 * i),
         None => ABSENT.to_owned(),
     });
-    push_row(
-        text,
-        LABEL_WIDTH,
-        COLUMN_WIDTH,
-        "detectable |I|",
-        detectable,
-    );
+    push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "detectable |I|", detectable);
     if cells.iter().any(|cell| cell.solvable.is_some()) {
         for (label, value) in SOLVABLE_LINES {
-            let values = cells
-                .iter()
-                .map(|cell| value_or_dash(cell.solvable.as_ref(), value));
+            let values = cells.iter().map(|cell| value_or_dash(cell.solvable.as_ref(), value));
             push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
     }
@@ -405,14 +372,7 @@ fn push_replication(text: &mut String, report: &Report) {
         push_wrapped(text, "", &line);
     }
     for components in &report.components {
-        let Components {
-            level,
-            replicates,
-            tasks,
-            configurations,
-            replicate,
-            ..
-        } = components;
+        let Components { level, replicates, tasks, configurations, replicate, .. } = components;
         let total = tasks + configurations + replicate;
         if total <= 0.0 {
             continue;

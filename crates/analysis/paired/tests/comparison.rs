@@ -24,13 +24,7 @@ fn task(index: usize) -> TaskRef {
 /// Returns a pair for each task, in the order of tasks.
 fn pairs(outcomes: &[(Outcome, Outcome)]) -> Vec<Pair> {
     let rows = outcomes.iter().enumerate();
-    rows.map(|(index, &(a, b))| Pair {
-        task: task(index),
-        number: 0,
-        a,
-        b,
-    })
-    .collect()
+    rows.map(|(index, &(a, b))| Pair { task: task(index), number: 0, a, b }).collect()
 }
 
 fn difference(pairs: Vec<Pair>) -> Option<Difference> {
@@ -55,10 +49,7 @@ fn the_difference_over_ten_rollouts_equals_that_worked_out_by_hand() {
     ]))
     .expect("ten");
     assert_eq!((result.n, result.tasks), (10, 10));
-    assert_eq!(
-        (result.both, result.a_only, result.b_only, result.neither),
-        (4, 3, 1, 2)
-    );
+    assert_eq!((result.both, result.a_only, result.b_only, result.neither), (4, 3, 1, 2));
     assert!((result.s_a - 0.7).abs() < 1e-12 && (result.s_b - 0.5).abs() < 1e-12);
     assert!((result.difference - 0.2).abs() < 1e-12, "{result:?}");
     // 2 · (C(4,0) + C(4,1)) / 2⁴
@@ -114,12 +105,7 @@ fn record(condition: Condition, config: u16, init_id: u16, outcome: Outcome) -> 
         Condition::Clean => RolloutId::clean(task(0), init_id),
         condition => RolloutId::perturbed(task(0), condition, Level::L2, config).expect("an id"),
     };
-    Record {
-        id,
-        init_id,
-        replicate: 0,
-        outcome,
-    }
+    Record { id, init_id, replicate: 0, outcome }
 }
 
 fn compare(a: &[Record], b: &[Record]) -> Comparison {
@@ -141,16 +127,10 @@ fn each_condition_is_compared_over_the_common_rollouts() {
     b[3] = record(CAMERA, 2, 9, F);
     let comparison = compare(&a, &b);
     let names: Vec<String> = comparison.cells.iter().map(|cell| cell.name()).collect();
-    assert_eq!(
-        names,
-        ["nominal", "L2 camera", "L2 sensor", "L2 simultaneous"]
-    );
+    assert_eq!(names, ["nominal", "L2 camera", "L2 sensor", "L2 simultaneous"]);
     assert_eq!((comparison.only_in_a, comparison.only_in_b), (1, 1));
     assert_eq!((comparison.shared(), comparison.compared()), (4, 3));
-    let sensor = comparison.cells[2]
-        .difference
-        .as_ref()
-        .expect("one rollout");
+    let sensor = comparison.cells[2].difference.as_ref().expect("one rollout");
     assert_eq!((sensor.difference, sensor.a_only), (1.0, 1));
     let simultaneous = &comparison.cells[3];
     assert_eq!((simultaneous.shared, simultaneous.quarantined), (1, 1));
@@ -168,13 +148,7 @@ fn rollouts_with_the_same_id_and_another_setup_are_not_paired_but_listed() {
         record(Condition::Combination, 0, 7, S),
     ];
     // B's first rollout has another initial state, and B's *simultaneous* also perturbs the sensor.
-    let b = [
-        record(CAMERA, 0, 9, S),
-        a[1],
-        a[2],
-        record(SENSOR, 0, 7, S),
-        a[3],
-    ];
+    let b = [record(CAMERA, 0, 9, S), a[1], a[2], record(SENSOR, 0, 7, S), a[3]];
     let obstacle = |record: &Record| {
         let is_third = record.id.config() == Some(2);
         is_third.then_some(Obstacle::Scene)
@@ -189,22 +163,14 @@ fn rollouts_with_the_same_id_and_another_setup_are_not_paired_but_listed() {
             (Obstacle::Axes, vec![a[3].id]),
         ]
     );
-    let compared: Vec<_> = comparison
-        .cells
-        .iter()
-        .map(|cell| (cell.name(), cell.shared))
-        .collect();
+    let compared: Vec<_> = comparison.cells.iter().map(|cell| (cell.name(), cell.shared)).collect();
     assert_eq!(compared, [("L2 camera".to_owned(), 1)]);
 }
 
 #[test]
 fn replicates_are_paired_by_number() {
     let mut a = vec![record(CAMERA, 0, 7, S)];
-    a.push(Record {
-        replicate: 1,
-        outcome: F,
-        ..a[0]
-    });
+    a.push(Record { replicate: 1, outcome: F, ..a[0] });
     let mut b = a.clone();
     b[1].outcome = S;
     let comparison = compare(&a, &b);
@@ -223,14 +189,11 @@ fn replicates_are_paired_by_number() {
 fn the_table_fits_a_terminal_and_explains_every_symbol() {
     let mut a = Vec::new();
     for task in TaskRef::all() {
-        for (index, level) in [Level::L1, "r88.888888".parse().expect("a level")]
-            .into_iter()
-            .enumerate()
+        for (index, level) in
+            [Level::L1, "r88.888888".parse().expect("a level")].into_iter().enumerate()
         {
-            for condition in Axis::ALL
-                .into_iter()
-                .map(Condition::Single)
-                .chain([Condition::Combination])
+            for condition in
+                Axis::ALL.into_iter().map(Condition::Single).chain([Condition::Combination])
             {
                 for config in 0..10 {
                     let id = RolloutId::perturbed(task, condition, level, config).expect("an id");
@@ -292,11 +255,7 @@ fn outcomes() -> impl Strategy<Value = Vec<Pair>> {
 }
 
 fn exchanged(pairs: &[Pair]) -> Vec<Pair> {
-    let exchange = |pair: &Pair| Pair {
-        a: pair.b,
-        b: pair.a,
-        ..*pair
-    };
+    let exchange = |pair: &Pair| Pair { a: pair.b, b: pair.a, ..*pair };
     pairs.iter().map(exchange).collect()
 }
 

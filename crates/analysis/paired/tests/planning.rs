@@ -10,10 +10,7 @@ fn built_in_assumptions_agree_with_the_students_published_outcomes() {
     let record = |line: &str| {
         let row: Value = serde_json::from_str(line).expect("JSON");
         Record {
-            id: row["rollout_id"]
-                .as_str()
-                .and_then(|id| id.parse().ok())
-                .expect("an id"),
+            id: row["rollout_id"].as_str().and_then(|id| id.parse().ok()).expect("an id"),
             init_id: row["init_id"].as_u64().expect("a state") as u16,
             replicate: 0,
             outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
@@ -32,9 +29,5 @@ fn built_in_assumptions_agree_with_the_students_published_outcomes() {
         (assumed.level, rates.map(|rate| (rate * 1e4).round() / 1e4))
     };
     let summary: Vec<_> = summary.iter().map(rounded).collect();
-    assert_eq!(
-        summary,
-        Assumed::STUDENT.each_ref().map(rounded),
-        "{summary:?}"
-    );
+    assert_eq!(summary, Assumed::STUDENT.each_ref().map(rounded), "{summary:?}");
 }

@@ -18,10 +18,7 @@ const CAMPAIGNS: u64 = 100;
 fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
         // No sentence uses the bootstrap intervals.
-        bootstrap: Bootstrap {
-            replicates: 2,
-            ..Bootstrap::default()
-        },
+        bootstrap: Bootstrap { replicates: 2, ..Bootstrap::default() },
         ..Options::default()
     };
     let is_correct = |seed: &u64| {
@@ -29,16 +26,13 @@ fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
         let report = report(&records, &options).expect("each rollout once");
         let is_tested = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
         let findings = report.findings.iter();
-        let findings: Vec<_> = findings
-            .filter(|finding| finding.claims && is_tested(finding.kind))
-            .collect();
+        let findings: Vec<_> =
+            findings.filter(|finding| finding.claims && is_tested(finding.kind)).collect();
         let kinds: BTreeSet<_> = findings.iter().map(|finding| finding.kind).collect();
         kinds == expected.iter().map(|(kind, _)| *kind).collect()
             && findings.iter().all(|finding| {
                 let words = expected.iter().filter(|(kind, _)| *kind == finding.kind);
-                words
-                    .into_iter()
-                    .all(|(_, words)| finding.sentence.contains(words))
+                words.into_iter().all(|(_, words)| finding.sentence.contains(words))
                     && !finding.sentence.contains("compensated")
             })
     };

@@ -28,20 +28,14 @@ fn records(success: impl Fn(usize) -> bool) -> Vec<Record> {
 /// Returns the progress of the simultaneous rollouts. `values` returns the steps of a task's
 /// rollout, and the number of its three predicates that held.
 fn progress(records: &[Record], values: impl Fn(usize) -> (u32, u32)) -> Vec<Progress> {
-    let perturbed = records
-        .iter()
-        .filter(|record| record.id.level() == Level::L2);
+    let perturbed = records.iter().filter(|record| record.id.level() == Level::L2);
     let progress = perturbed.enumerate().map(|(at, record)| {
         let (steps, held) = values(at);
         Progress {
             id: record.id,
             replicate: 0,
             steps: Some(steps),
-            goal: Some(GoalProgress {
-                predicates: 3,
-                at_end: held,
-                at_most: held,
-            }),
+            goal: Some(GoalProgress { predicates: 3, at_end: held, at_most: held }),
         }
     });
     progress.collect()
@@ -52,10 +46,7 @@ fn compare(a: Compared<'_>, b: Compared<'_>) -> Comparison {
 }
 
 fn compared<'a>(records: &'a [Record], progress: &'a [Progress]) -> Compared<'a> {
-    Compared {
-        progress,
-        ..Compared::from(records)
-    }
+    Compared { progress, ..Compared::from(records) }
 }
 
 fn is_near(value: f64, expected: f64) -> bool {
@@ -70,44 +61,25 @@ fn differences_in_steps_and_predicates_equal_those_worked_out_by_hand() {
     let progress_b = progress(&b, |_| (100, 2));
     let comparison = compare(compared(&a, &progress_a), compared(&b, &progress_b));
     let nominal = &comparison.cells[0];
-    assert_eq!(
-        (nominal.condition, nominal.progress),
-        (Condition::Clean, None)
-    );
+    assert_eq!((nominal.condition, nominal.progress), (Condition::Clean, None));
     let progress = comparison.cells[1].progress.expect("progress");
-    let (goal, steps) = (
-        progress.goal.expect("goals"),
-        progress.steps.expect("steps"),
-    );
+    let (goal, steps) = (progress.goal.expect("goals"), progress.steps.expect("steps"));
     assert_eq!((steps.n, steps.tasks), (10, 10));
     assert_eq!((steps.mean_a, steps.mean_b), (105.5, 100.0));
     assert!(is_near(steps.difference.value, 5.5));
     // SciPy: stats.ttest_1samp(range(1, 11), 0) and its confidence interval.
     let [low, high] = steps.difference.new_tasks.expect("an interval");
-    assert!(
-        is_near(low, 3.334_149_7) && is_near(high, 7.665_850_3),
-        "{low} {high}"
-    );
-    assert!(
-        is_near(steps.p.expect("a spread"), 0.000278196),
-        "{:?}",
-        steps.p
-    );
+    assert!(is_near(low, 3.334_149_7) && is_near(high, 7.665_850_3), "{low} {high}");
+    assert!(is_near(steps.p.expect("a spread"), 0.000278196), "{:?}", steps.p);
     assert_eq!(steps.holm_p, steps.p, "only this row has a spread");
     assert!(is_near(goal.difference.value, 1.0 / 3.0));
     assert_eq!((goal.p, goal.holm_p), (None, None), "all tasks are alike");
     let text = comparison_table(&comparison, &Bootstrap::default());
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
     assert!(text.contains("+5.5  [+3.3, +7.7]"), "{text}");
 
     let reverse = compare(compared(&b, &progress_b), compared(&a, &progress_a));
-    let reverse = reverse.cells[1]
-        .progress
-        .and_then(|progress| progress.steps)
-        .expect("steps");
+    let reverse = reverse.cells[1].progress.and_then(|progress| progress.steps).expect("steps");
     assert_eq!(reverse.difference.value, -steps.difference.value);
     assert_eq!(reverse.p, steps.p);
 }
@@ -139,21 +111,15 @@ fn own_directions_are_assumed_only_if_both_campaigns_have_them() {
     let [a, b] = [0, 1].map(|_| population.campaign(&effects, 4, &directions, &mut chance));
     let [own, shared] = [Directions::Own, Directions::Shared];
     let compare_with = |directions_a, directions_b| {
-        let [a, b] =
-            [(&a, directions_a), (&b, directions_b)].map(|(records, directions)| Compared {
-                directions,
-                ..Compared::from(records.as_slice())
-            });
+        let [a, b] = [(&a, directions_a), (&b, directions_b)].map(|(records, directions)| {
+            Compared { directions, ..Compared::from(records.as_slice()) }
+        });
         compare(a, b)
     };
     let both_own = compare_with(own, own);
     assert_eq!(both_own.directions, own);
     let (mut nominal, mut differ) = (0, false);
-    for (cell, shared_cell) in both_own
-        .cells
-        .iter()
-        .zip(compare_with(shared, shared).cells)
-    {
+    for (cell, shared_cell) in both_own.cells.iter().zip(compare_with(shared, shared).cells) {
         let [own, shared] = [cell.difference.as_ref(), shared_cell.difference.as_ref()]
             .map(|difference| difference.expect("outcomes").estimate);
         assert_eq!(own.new_tasks, shared.new_tasks);

@@ -26,21 +26,14 @@ fn published() -> Option<Value> {
 }
 
 fn outcome(success: bool) -> Outcome {
-    if success {
-        Outcome::Success
-    } else {
-        Outcome::Failure
-    }
+    if success { Outcome::Success } else { Outcome::Failure }
 }
 
 fn check_cell(cell: &Cell, published: &Value, label: &str) {
     let measures = cell.paired.as_ref().expect("a complete cell");
     let percent = |key: &str| published[key].as_f64().expect(key) / 100.0;
     let close = |value: f64, expected: f64, key: &str| {
-        assert!(
-            (value - expected).abs() < 1e-12,
-            "{label} {key}: {value} is not {expected}"
-        );
+        assert!((value - expected).abs() < 1e-12, "{label} {key}: {value} is not {expected}");
     };
     assert_eq!(measures.n, 400, "{label}");
     for (axis, &rate) in &measures.s_axis {
@@ -54,11 +47,7 @@ fn check_cell(cell: &Cell, published: &Value, label: &str) {
     close(measures.i, measures.r_c - measures.r_e, "I = R_c - R_e");
     let independent: f64 = Axis::ALL.iter().map(|axis| percent(axis.name())).product();
     close(measures.s_indep, independent, "S_indep");
-    close(
-        measures.d + measures.i,
-        measures.s_sim - measures.s_indep,
-        "D + I",
-    );
+    close(measures.d + measures.i, measures.s_sim - measures.s_indep, "D + I");
 }
 
 /// Returns 400 configurations with the counts of a published cell. The combinations of failures are
@@ -80,10 +69,7 @@ fn records_with_counts(published: &Value, level: Level) -> Vec<Record> {
             next += 1;
         }
     }
-    assert!(
-        next >= failing,
-        "fewer failures than failing configurations"
-    );
+    assert!(next >= failing, "fewer failures than failing configurations");
     let tasks: Vec<TaskRef> = TaskRef::all().collect();
     let mut records = Vec::new();
     for (index, alone) in alone.into_iter().enumerate() {
@@ -188,11 +174,7 @@ fn intervals_agree_with_the_published_ones_within_monte_carlo_error() {
             assert!(error < 0.6, "{label}: {interval:?} is not {expected:?}");
         }
     };
-    let measures: Vec<_> = report
-        .cells
-        .iter()
-        .filter_map(|cell| cell.paired.as_ref())
-        .collect();
+    let measures: Vec<_> = report.cells.iter().filter_map(|cell| cell.paired.as_ref()).collect();
     check(measures[0].i_ci95, [2.0, 12.5], "I at L1");
     check(measures[1].i_ci95, [-6.0, 6.51], "I at L2");
     check(measures[2].i_ci95, [-14.25, -4.5], "I at L3");

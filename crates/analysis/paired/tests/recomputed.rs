@@ -33,11 +33,7 @@ fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
     let text = std::fs::read_to_string(&path).expect("the example");
     let record = |line: &str| {
         let row: Value = serde_json::from_str(line).expect("JSON");
-        let id: RolloutId = row["rollout_id"]
-            .as_str()
-            .expect("a text")
-            .parse()
-            .expect("an id");
+        let id: RolloutId = row["rollout_id"].as_str().expect("a text").parse().expect("an id");
         let record = Record {
             id,
             init_id: row["init_id"].as_u64().expect("a number") as u16,
@@ -60,10 +56,7 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
     let records = Records::new(rows).expect("each rollout once");
     let options = Options {
         // The bootstrap intervals are compared in tests/reference.rs.
-        bootstrap: Bootstrap {
-            replicates: 2,
-            ..Bootstrap::default()
-        },
+        bootstrap: Bootstrap { replicates: 2, ..Bootstrap::default() },
         published_nominal: Some(PUBLISHED),
         published_by_suite: Suite::ALL.map(|suite| (suite, PUBLISHED)).into(),
         ..Options::default()
@@ -72,10 +65,7 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
     let nominal = nominal.filter(|record| record.id.condition() == Condition::Clean);
     let nominal: Vec<Value> = nominal
         .map(|record| {
-            let (task, success) = (
-                record.id.task(),
-                record.outcome.success().expect("an outcome"),
-            );
+            let (task, success) = (record.id.task(), record.outcome.success().expect("an outcome"));
             json!([task.suite() as u8, task.index(), u8::from(success)])
         })
         .collect();
@@ -87,11 +77,7 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
             matched.task.index(),
             matched.config,
             matched.nominal.success().map(u8::from),
-            configuration
-                .alone
-                .values()
-                .map(|&success| u8::from(success))
-                .collect::<Vec<_>>(),
+            configuration.alone.values().map(|&success| u8::from(success)).collect::<Vec<_>>(),
             u8::from(configuration.simultaneous),
         ])
     };
@@ -124,10 +110,7 @@ fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     let records_b: BTreeMap<RolloutId, &Record> =
         b.records.iter().map(|record| (record.id, record)).collect();
     let progress = [a, b].map(|policy| {
-        let by_id = policy
-            .progress
-            .iter()
-            .map(|progress| (progress.id, progress));
+        let by_id = policy.progress.iter().map(|progress| (progress.id, progress));
         by_id.collect::<BTreeMap<RolloutId, &Progress>>()
     });
     let cell = |cell: &ComparedCell| {
@@ -165,23 +148,11 @@ fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
 fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> {
     let progress = records.iter().map(|record| {
         let success = record.outcome == Outcome::Success;
-        let steps = if success {
-            80.0 + 100.0 * chance.uniform()
-        } else {
-            280.0
-        };
+        let steps = if success { 80.0 + 100.0 * chance.uniform() } else { 280.0 };
         let predicates = 1 + u32::from(record.id.task().index()) % 3;
         let held = (chance.uniform() * f64::from(predicates)) as u32;
-        let at_most = if success {
-            predicates
-        } else {
-            held.min(predicates - 1)
-        };
-        let goal = GoalProgress {
-            predicates,
-            at_end: at_most,
-            at_most,
-        };
+        let at_most = if success { predicates } else { held.min(predicates - 1) };
+        let goal = GoalProgress { predicates, at_end: at_most, at_most };
         Progress {
             id: record.id,
             replicate: record.replicate,
@@ -226,16 +197,9 @@ fn simulated_campaign(seed: u64) -> Value {
     if seed.is_multiple_of(2) {
         records.retain(|record| !record.id.is_placebo());
     }
-    for replicate in 1..if seed.is_multiple_of(3) {
-        2 + seed as u32 % 2
-    } else {
-        1
-    } {
+    for replicate in 1..if seed.is_multiple_of(3) { 2 + seed as u32 % 2 } else { 1 } {
         let repeated = population.campaign(&effects, suites, &directions, &mut chance);
-        records.extend(repeated.into_iter().map(|record| Record {
-            replicate,
-            ..record
-        }));
+        records.extend(repeated.into_iter().map(|record| Record { replicate, ..record }));
     }
     campaign(&format!("simulated {seed}"), &records)
 }
@@ -243,22 +207,16 @@ fn simulated_campaign(seed: u64) -> Value {
 #[test]
 fn reports_of_all_examples_and_two_hundred_campaigns_agree_with_numpy_and_scipy() {
     let python = std::env::var_os("ROLLOUT_PYTHON").unwrap_or_else(|| "python3".into());
-    let probe = Command::new(&python)
-        .args(["-c", "import numpy, scipy"])
-        .output();
+    let probe = Command::new(&python).args(["-c", "import numpy, scipy"]).output();
     if !probe.is_ok_and(|output| output.status.success()) {
         println!("skipped: {} has no NumPy and SciPy", python.display());
         return;
     }
     let examples = EXAMPLES.map(|name| campaign(name, &example(name).0));
-    let campaigns = examples
-        .into_iter()
-        .chain((0..CAMPAIGNS).map(simulated_campaign));
+    let campaigns = examples.into_iter().chain((0..CAMPAIGNS).map(simulated_campaign));
     let [_, student, randomised] = EXAMPLES.map(example);
-    let [student, randomised] = [&student, &randomised].map(|(records, progress)| Compared {
-        progress,
-        ..Compared::from(records.as_slice())
-    });
+    let [student, randomised] = [&student, &randomised]
+        .map(|(records, progress)| Compared { progress, ..Compared::from(records.as_slice()) });
     let students = comparison("students", student, randomised);
     let comparisons = (0..COMPARISONS).map(simulated_comparison);
     let campaigns = campaigns.chain([students]).chain(comparisons);
@@ -267,15 +225,8 @@ fn reports_of_all_examples_and_two_hundred_campaigns_agree_with_numpy_and_scipy(
     std::fs::create_dir_all(&folder).expect("a folder");
     let path = folder.join("campaigns.json");
     std::fs::write(&path, serde_json::to_vec(&campaigns).expect("JSON")).expect("written");
-    let script = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../../tests/statistics/recompute.py"
-    );
-    let output = Command::new(&python)
-        .arg(script)
-        .arg(&path)
-        .output()
-        .expect("Python");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../tests/statistics/recompute.py");
+    let output = Command::new(&python).arg(script).arg(&path).output().expect("Python");
     std::fs::remove_dir_all(&folder).expect("removed");
     let stdout = String::from_utf8_lossy(&output.stdout);
     let error = String::from_utf8_lossy(&output.stderr);

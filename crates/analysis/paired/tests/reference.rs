@@ -29,9 +29,7 @@ fn configurations(data_set: &Value) -> Vec<Configuration> {
         let configuration = move |bits: u8| Configuration {
             task,
             alone: BTreeMap::from_iter(
-                (0..)
-                    .zip(Axis::ALL)
-                    .map(|(k, axis)| (axis, bits >> k & 1 == 1)),
+                (0..).zip(Axis::ALL).map(|(k, axis)| (axis, bits >> k & 1 == 1)),
             ),
             simultaneous: bits >> 6 == 1,
         };
@@ -53,28 +51,17 @@ fn check(measures: &Measures, expected: &Value, label: &str) {
     assert_eq!(Some(m.c), expected["c"].as_u64(), "{label}");
     let close = |value: f64, key: &str| {
         let expected = number(&expected[key]);
-        assert!(
-            (value - expected).abs() < 1e-12,
-            "{label} {key}: {value} is not {expected}"
-        );
+        assert!((value - expected).abs() < 1e-12, "{label} {key}: {value} is not {expected}");
     };
     for (axis, rate) in &m.s_axis {
         let expected = number(&expected["s_axis"][axis.name()]);
         assert!((rate - expected).abs() < 1e-12, "{label} {axis}");
     }
-    for (value, key) in [
-        (m.s_indep, "s_indep"),
-        (m.s_conj, "s_conj"),
-        (m.s_sim, "s_sim"),
-    ] {
+    for (value, key) in [(m.s_indep, "s_indep"), (m.s_conj, "s_conj"), (m.s_sim, "s_sim")] {
         close(value, key);
     }
     let p = number(&expected["mcnemar_p"]);
-    assert!(
-        (m.mcnemar_p - p).abs() <= 1e-9 * p,
-        "{label}: p {} is not {p}",
-        m.mcnemar_p
-    );
+    assert!((m.mcnemar_p - p).abs() <= 1e-9 * p, "{label}: p {} is not {p}", m.mcnemar_p);
     let with_intervals = [
         (m.d, m.d_ci95, "d"),
         (m.i, m.i_ci95, "i"),
@@ -100,10 +87,7 @@ fn check_interval(interval: [f64; 2], expected: &Value, key: &str, n: u64, label
     let ends = expected[format!("{key}_ci95")].as_array().expect("two");
     for (end, expected) in interval.into_iter().zip(ends.iter().map(number)) {
         let error = (end - expected).abs();
-        assert!(
-            error <= tolerance,
-            "{label} {key}: {interval:?} is not {ends:?}"
-        );
+        assert!(error <= tolerance, "{label} {key}: {interval:?} is not {ends:?}");
     }
 }
 
@@ -156,11 +140,7 @@ fn twelve_random_pairs_of_policies_agree_with_numpy_and_scipy() {
             assert!(error < 1e-12, "{label} {key}: {value}");
         }
         let p = number(&expected["mcnemar_p"]);
-        assert!(
-            (difference.mcnemar_p - p).abs() <= 1e-9 * p,
-            "{label}: {}",
-            difference.mcnemar_p
-        );
+        assert!((difference.mcnemar_p - p).abs() <= 1e-9 * p, "{label}: {}", difference.mcnemar_p);
         let interval = difference.difference_ci95.expect("enough tasks");
         check_interval(interval, expected, "difference", difference.n, &label);
     }
@@ -185,11 +165,7 @@ fn measures_and_intervals_of_the_example_data_agree_with_numpy() {
     let records: Vec<Record> = rows
         .map(|row| {
             let row: Value = serde_json::from_str(row).expect("a row");
-            let id: RolloutId = row["rollout_id"]
-                .as_str()
-                .expect("text")
-                .parse()
-                .expect("an id");
+            let id: RolloutId = row["rollout_id"].as_str().expect("text").parse().expect("an id");
             Record {
                 id,
                 init_id: row["init_id"].as_u64().expect("a number") as u16,
@@ -203,11 +179,7 @@ fn measures_and_intervals_of_the_example_data_agree_with_numpy() {
     let expected = &expected()["openvla_oft"];
     for cell in &report.cells {
         let level = cell.level.to_string();
-        check(
-            cell.paired.as_ref().expect("complete"),
-            &expected[&level],
-            &level,
-        );
+        check(cell.paired.as_ref().expect("complete"), &expected[&level], &level);
     }
     assert_eq!(report.cells.len(), 3);
 }
@@ -231,10 +203,7 @@ fn quantiles_agree_with_numpy() {
         let sorted = numbers("sorted");
         for (share, expected) in numbers("shares").into_iter().zip(numbers("values")) {
             let value = quantile(&sorted, share);
-            assert!(
-                (value - expected).abs() < 1e-12,
-                "{share} of {sorted:?}: {value}"
-            );
+            assert!((value - expected).abs() < 1e-12, "{share} of {sorted:?}: {value}");
         }
     }
 }

@@ -13,10 +13,7 @@ use proptest::prelude::*;
 const AXES: [Axis; 3] = [Axis::Camera, Axis::Robot, Axis::Sensor];
 
 fn quick() -> Bootstrap {
-    Bootstrap {
-        replicates: 60,
-        seed: 1,
-    }
+    Bootstrap { replicates: 60, seed: 1 }
 }
 
 fn task(index: usize) -> TaskRef {
@@ -183,12 +180,7 @@ fn perturbed(task_index: usize, condition: Condition, config: u16, outcome: Outc
 fn nominal(task_index: usize, config: u16, outcome: Outcome) -> Record {
     let task = task(task_index);
     let init_id = task.eval_init_ids()[usize::from(config)];
-    Record {
-        id: RolloutId::clean(task, init_id),
-        init_id,
-        replicate: 0,
-        outcome,
-    }
+    Record { id: RolloutId::clean(task, init_id), init_id, replicate: 0, outcome }
 }
 
 /// Returns a campaign of two axes over three tasks with one configuration each. `outcomes` are
@@ -225,10 +217,7 @@ fn measures_of_a_campaign_are_over_the_axes_that_it_perturbs() {
     let nominal = &report.nominal[0];
     assert_eq!((nominal.count.successes, nominal.count.n), (2, 3));
     let loss = cell.alone[&Axis::Camera].clean_relative_loss;
-    assert!(
-        loss.expect("known").abs() < 1e-12,
-        "2/3 against 2/3 nominal is no loss"
-    );
+    assert!(loss.expect("known").abs() < 1e-12, "2/3 against 2/3 nominal is no loss");
 }
 
 #[test]
@@ -299,11 +288,7 @@ fn a_small_certain_loss_is_claimed_beside_a_greater_uncertain_one() {
                     where the loss is greatest: 22.0 points";
     assert!(cost.sentence.starts_with(expected), "{}", cost.sentence);
     let camera = Condition::Single(Axis::Camera);
-    let losses = &report.cells[0]
-        .inference
-        .as_ref()
-        .expect("ten tasks")
-        .losses;
+    let losses = &report.cells[0].inference.as_ref().expect("ten tasks").losses;
     assert!(cost.claims && cost.holm_p == Some(losses[&camera].holm_p));
 }
 
@@ -312,18 +297,11 @@ fn an_incomplete_cell_counts_complete_configurations_and_lists_gaps() {
     let records = campaign([[S, S, S, F], [S, M, S, S], [M, S, Q, S]]);
     let report = report(&records, &Options::default()).expect("no duplicates");
     let cell = &report.cells[0];
-    assert_eq!(
-        (cell.completeness.complete, cell.completeness.expected),
-        (1, 3)
-    );
+    assert_eq!((cell.completeness.complete, cell.completeness.expected), (1, 3));
     assert_eq!(cell.paired.as_ref().expect("one is complete").b, 1);
     assert_eq!(cell.paired.as_ref().expect("one is complete").i_ci95, None);
     let sensor = &cell.alone[&Axis::Sensor].count;
-    assert_eq!(
-        (sensor.successes, sensor.n),
-        (2, 2),
-        "a quarantined rollout is in no rate"
-    );
+    assert_eq!((sensor.successes, sensor.n), (2, 2), "a quarantined rollout is in no rate");
     assert_eq!(report.quarantined, ["spatial/t2/sensor/L2/c00"]);
 
     let words = "Of the rollouts, 2 have no outcome yet and 1 is in quarantine.";
@@ -352,11 +330,7 @@ fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
     assert_eq!(bounds.r_c, [0.0, 0.0]);
     assert_eq!(bounds.i, [-1.0, -1.0 / 3.0]);
     assert_eq!(bounds.s_axis[&Axis::Sensor], [2.0 / 3.0, 1.0]);
-    assert!(
-        table(&report).contains("worst and best: n"),
-        "{}",
-        table(&report)
-    );
+    assert!(table(&report).contains("worst and best: n"), "{}", table(&report));
 }
 
 #[test]
@@ -364,57 +338,36 @@ fn reported_nominal_counts_are_used_if_no_nominal_rollout_is_recorded() {
     let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let options = Options {
         published_nominal: Some(0.971),
-        reported_nominal: Some(Count {
-            successes: 1934,
-            n: 2000,
-        }),
+        reported_nominal: Some(Count { successes: 1934, n: 2000 }),
         ..Options::default()
     };
     let recorded = report(&records, &options).expect("no duplicates");
     assert_eq!(recorded.nominal[0].count, Count { successes: 2, n: 3 });
-    assert_eq!(
-        recorded.gate.expect("a published figure").verdict,
-        GateVerdict::Undecided
-    );
+    assert_eq!(recorded.gate.expect("a published figure").verdict, GateVerdict::Undecided);
 
     records.retain(|record| record.id.condition() != Condition::Clean);
     let reported = report(&records, &options).expect("no duplicates");
     assert_eq!(reported.nominal[0].source, NominalSource::Reported);
-    assert_eq!(
-        reported.gate.expect("a published figure").verdict,
-        GateVerdict::Passed
-    );
+    assert_eq!(reported.gate.expect("a published figure").verdict, GateVerdict::Passed);
     let text = table(&reported);
     assert!(text.contains("96.7 % (1934/2000, as reported)"), "{text}");
-    assert!(
-        text.contains("-0.40 points from the published 97.1 %, tolerance 5: passed"),
-        "{text}"
-    );
+    assert!(text.contains("-0.40 points from the published 97.1 %, tolerance 5: passed"), "{text}");
 }
 
 #[test]
 fn notes_come_first_and_fit_a_terminal() {
     let note = "simulated with the built-in `primitives` asset pack, which is another \
                 benchmark than LIBERO, so that no figure here compares with a published one";
-    let options = Options {
-        notes: vec![note.to_owned()],
-        ..Options::default()
-    };
+    let options = Options { notes: vec![note.to_owned()], ..Options::default() };
     let records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let text = table(&report(&records, &options).expect("no duplicates"));
     assert!(text.starts_with("! simulated with"), "{text}");
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
 }
 
 #[test]
 fn one_axis_alone_has_rates_and_no_paired_measures() {
-    let records = [
-        nominal(0, 0, S),
-        perturbed(0, Condition::Single(Axis::Camera), 0, F),
-    ];
+    let records = [nominal(0, 0, S), perturbed(0, Condition::Single(Axis::Camera), 0, F)];
     let report = report(&records, &Options::default()).expect("no duplicates");
     let cell = &report.cells[0];
     assert_eq!(cell.simultaneous, None);
@@ -460,10 +413,7 @@ fn a_rollout_recorded_twice_is_refused() {
     let record = nominal(0, 0, S);
     assert_eq!(
         report(&[record, record], &Options::default()),
-        Err(DuplicateRecord {
-            id: record.id,
-            replicate: 0
-        })
+        Err(DuplicateRecord { id: record.id, replicate: 0 })
     );
 }
 
@@ -481,11 +431,7 @@ fn latency_has_a_success_rate_and_is_in_no_paired_measure() {
         for axis in [Axis::Camera, Axis::Robot] {
             records.push(record(Condition::Single(axis), index, Outcome::Success));
         }
-        records.push(record(
-            Condition::Combination,
-            index,
-            Outcome::from(index > 0),
-        ));
+        records.push(record(Condition::Combination, index, Outcome::from(index > 0)));
     }
     let options = Options::default();
     let without = report(&records, &options).expect("no duplicates");
@@ -516,12 +462,7 @@ fn the_legend_explains_the_loss_under_latency() {
             (RolloutId::clean(task(index), 0), Outcome::Success),
             (latency.expect("an id"), Outcome::from(index > 0)),
         ] {
-            records.push(Record {
-                id,
-                init_id: 0,
-                replicate: 0,
-                outcome,
-            });
+            records.push(Record { id, init_id: 0, replicate: 0, outcome });
         }
     }
     let report = report(&records, &Options::default()).expect("no duplicates");

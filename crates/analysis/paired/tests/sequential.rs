@@ -47,14 +47,10 @@ fn most_misses(orders: u64) -> usize {
 
 #[test]
 fn all_intervals_hold_at_all_looks_at_published_outcomes() {
-    for (design, orders) in [
-        (Design::Tasks, ORDERS),
-        (Design::Suites, FEW_ORDERS),
-        (Design::Simple, FEW_ORDERS),
-    ] {
-        let missed = misses(orders, design, |population, order| {
-            population.replay(order, &[]).0
-        });
+    for (design, orders) in
+        [(Design::Tasks, ORDERS), (Design::Suites, FEW_ORDERS), (Design::Simple, FEW_ORDERS)]
+    {
+        let missed = misses(orders, design, |population, order| population.replay(order, &[]).0);
         assert!(missed <= most_misses(orders), "{design:?}: {missed}");
     }
 }
@@ -105,13 +101,7 @@ fn after_all_configurations_an_interval_is_the_exact_measure() {
         }
         let look = sequential.look();
         let measures = Measures::of(&configurations, &Bootstrap::default()).expect("not empty");
-        let expected = [
-            measures.s_sim,
-            measures.r_e,
-            measures.r_c,
-            measures.r_d,
-            measures.i,
-        ];
+        let expected = [measures.s_sim, measures.r_e, measures.r_c, measures.r_d, measures.i];
         assert_eq!((look.used, look.waiting, look.units), (400, 0, 400));
         for (measure, expected) in Measure::OF_ONE_POLICY.iter().zip(expected) {
             let interval = look.intervals[measure];
@@ -139,14 +129,8 @@ fn small_order(strata: usize) -> Order<SmallUnit> {
     Order::new(1, units, |&(stratum, _)| stratum)
 }
 
-const PERMUTATIONS: [[usize; 3]; 6] = [
-    [0, 1, 2],
-    [0, 2, 1],
-    [1, 0, 2],
-    [1, 2, 0],
-    [2, 0, 1],
-    [2, 1, 0],
-];
+const PERMUTATIONS: [[usize; 3]; 6] =
+    [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
 
 /// Returns every multiset of three transitions, each as a sorted triple.
 fn triples() -> Vec<[Transition; 3]> {
@@ -165,11 +149,7 @@ fn all_hold(order: &Order<SmallUnit>, strata: &[[Transition; 3]], alpha: f64) ->
         result.expect("a unit of the order");
         let look = sequential.look();
         look.intervals.iter().all(|(&measure, interval)| {
-            let total = strata
-                .iter()
-                .flatten()
-                .map(|&transition| value(measure, transition))
-                .sum();
+            let total = strata.iter().flatten().map(|&transition| value(measure, transition)).sum();
             (interval.least..=interval.greatest).contains(&total)
         })
     })
@@ -288,9 +268,7 @@ fn the_five_measures_share_alpha_equally() {
     let mut net_change = SequentialDifference::new(&order, 0.5 / 5.0);
     for unit in order.units() {
         let transition = population.transition(unit);
-        measures
-            .complete(unit, &[transition])
-            .expect("in the order");
+        measures.complete(unit, &[transition]).expect("in the order");
         let a = Outcome::from(transition == Transition::Compensated);
         let b = Outcome::from(transition == Transition::Emergent);
         net_change.complete(unit, a, b).expect("in the order");
@@ -307,22 +285,13 @@ fn later_rollouts_wait_for_a_rollout_without_outcomes_of_both_policies() {
     let units: Vec<SmallUnit> = order.units().copied().collect();
     let mut sequential = SequentialDifference::new(&order, ALPHA);
     let (success, missing) = (Outcome::Success, Outcome::Missing);
-    for (unit, b) in units
-        .iter()
-        .zip([Outcome::Failure, missing, Outcome::Failure])
-    {
+    for (unit, b) in units.iter().zip([Outcome::Failure, missing, Outcome::Failure]) {
         sequential.complete(unit, success, b).expect("in the order");
     }
     let look = sequential.look();
     assert_eq!((look.used, look.waiting), (1, 1));
-    sequential
-        .complete(&units[1], success, Outcome::Failure)
-        .expect("in the order");
-    let expected = RateInterval {
-        least: 3,
-        greatest: 3,
-        units: 3,
-    };
+    sequential.complete(&units[1], success, Outcome::Failure).expect("in the order");
+    let expected = RateInterval { least: 3, greatest: 3, units: 3 };
     let look = sequential.look();
     assert_eq!((look.used, look.waiting), (3, 0));
     assert_eq!(look.intervals, [(Measure::Difference, expected)].into());
@@ -334,9 +303,7 @@ fn repeated_configurations_are_ignored_and_unknown_ones_are_errors() {
     let unit = *order.units().next().expect("a unit");
     let mut sequential = SequentialMeasures::new(&order, ALPHA);
     for transition in [Transition::Emergent, Transition::Compensated] {
-        sequential
-            .complete(&unit, &[transition])
-            .expect("in the order");
+        sequential.complete(&unit, &[transition]).expect("in the order");
     }
     let look = sequential.look();
     assert_eq!(look.used, 1);
@@ -365,10 +332,7 @@ fn quarantined_rollouts_leave_every_possible_value_in_the_interval() {
             known.extend((unit != quarantined).then_some(transition[0]));
         }
         for (measure, interval) in sequential.look().intervals {
-            let sum: i64 = known
-                .iter()
-                .map(|&transition| value(measure, transition))
-                .sum();
+            let sum: i64 = known.iter().map(|&transition| value(measure, transition)).sum();
             let least = if measure == Measure::I { sum - 1 } else { sum };
             assert_eq!([interval.least, interval.greatest], [least, sum + 1]);
         }
@@ -448,10 +412,8 @@ fn narrower_widths_are_met_after_more_configurations() {
         .map(|text| text.parse().expect("a rule"))
         .to_vec();
     let (_, met) = population.replay(&order, &rules);
-    let met: Vec<usize> = met
-        .into_iter()
-        .map(|met| met.expect("met by all configurations"))
-        .collect();
+    let met: Vec<usize> =
+        met.into_iter().map(|met| met.expect("met by all configurations")).collect();
     assert!(met[0] < 40, "the first rounds narrow the interval: {met:?}");
     assert!(met[1] > met[0] && met[1] < 400, "{met:?}");
     assert!(met[2] > met[1], "{met:?}");

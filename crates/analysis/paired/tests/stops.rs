@@ -37,11 +37,7 @@ fn published() -> Vec<Record> {
 }
 
 fn stop(rule: &str, strata: Strata) -> Stop {
-    Stop {
-        rule: rule.parse().expect("a rule"),
-        seed: 3,
-        strata,
-    }
+    Stop { rule: rule.parse().expect("a rule"), seed: 3, strata }
 }
 
 fn when_met(records: &[Record], stop: &Stop) -> Option<CampaignLook> {
@@ -52,14 +48,11 @@ fn when_met(records: &[Record], stop: &Stop) -> Option<CampaignLook> {
 /// Returns the index in the drawn order of the configuration at which one level alone meets a rule.
 fn met_at(records: &Records, level: Level, stop: &Stop) -> Option<usize> {
     let matched = records.configurations().iter();
-    let level_configurations: Vec<_> = matched
-        .filter(|configuration| configuration.level == level)
-        .collect();
+    let level_configurations: Vec<_> =
+        matched.filter(|configuration| configuration.level == level).collect();
     let order = drawn_order(
         stop,
-        level_configurations
-            .iter()
-            .map(|configuration| (configuration.task, configuration.config)),
+        level_configurations.iter().map(|configuration| (configuration.task, configuration.config)),
     );
     let mut sequential = SequentialMeasures::new(&order, SEQUENTIAL_ALPHA);
     order.units().position(|unit| {
@@ -110,11 +103,7 @@ fn a_look_ignores_later_outcomes_and_requires_all_earlier_ones() {
     let (task, config) = *look.used.last().expect("a configuration");
     let is_last =
         |record: &&mut Record| record.id.task() == task && record.id.config() == Some(config);
-    let last_rollout = records
-        .iter_mut()
-        .filter(is_last)
-        .last()
-        .expect("a rollout");
+    let last_rollout = records.iter_mut().filter(is_last).last().expect("a rollout");
     last_rollout.outcome = Outcome::Missing;
     assert_eq!(when_met(&records, &stop), None);
     let records = Records::new(&records).expect("no rollout twice");
@@ -126,17 +115,11 @@ fn a_look_ignores_later_outcomes_and_requires_all_earlier_ones() {
 fn a_rule_first_met_at_the_last_configuration_ends_no_campaign_early() {
     let records = published();
     // The width of the interval is 0 only after all configurations.
-    assert_eq!(
-        when_met(&records, &stop("width(I) < 0.0001", Strata::Tasks)),
-        None
-    );
+    assert_eq!(when_met(&records, &stop("width(I) < 0.0001", Strata::Tasks)), None);
     let records = Records::new(&records).expect("no rollout twice");
     let now = CampaignLook::now(&records, &stop("I excludes 1", Strata::Tasks));
     assert!(now.is_some_and(|now| now.used.len() == now.units));
-    assert_eq!(
-        CampaignLook::now(&Records::default(), &stop("I excludes 1", Strata::Tasks)),
-        None
-    );
+    assert_eq!(CampaignLook::now(&Records::default(), &stop("I excludes 1", Strata::Tasks)), None);
 }
 
 #[test]
@@ -157,19 +140,11 @@ fn a_configuration_counts_only_after_its_nominal_rollout_and_subsets_have_ended(
     ];
     for id in further {
         let with_further = |outcome: Outcome| {
-            let record = Record {
-                id,
-                outcome,
-                ..*last_record
-            };
+            let record = Record { id, outcome, ..*last_record };
             [&published[..], &[record]].concat()
         };
         for outcome in [Outcome::Success, Outcome::Quarantined] {
-            assert_eq!(
-                when_met(&with_further(outcome), &stop),
-                Some(look.clone()),
-                "{id}"
-            );
+            assert_eq!(when_met(&with_further(outcome), &stop), Some(look.clone()), "{id}");
         }
         let met = when_met(&with_further(Outcome::Missing), &stop);
         assert_eq!(met, None, "{id}");
@@ -202,13 +177,7 @@ fn unequal_suites() -> Vec<Record> {
             };
             for condition in simulated::conditions() {
                 let success = success || condition != Condition::Combination;
-                records.push(simulated::record(
-                    task,
-                    condition,
-                    Level::L2,
-                    config,
-                    success,
-                ));
+                records.push(simulated::record(task, condition, Level::L2, config, success));
             }
         }
     }
@@ -221,10 +190,7 @@ fn estimates_weight_suites_by_their_number_of_configurations() {
     let records = Records::new(&all).expect("no rollout twice");
     let (mut weighted, mut drawn, mut ends) = (0.0, 0.0, 0.0);
     for seed in 0..100 {
-        let stop = Stop {
-            seed,
-            ..stop("width(S_sim) < 0.35", Strata::Suites)
-        };
+        let stop = Stop { seed, ..stop("width(S_sim) < 0.35", Strata::Suites) };
         let look = CampaignLook::when_met(&records, &stop).expect("the rule is met");
         weighted += look.estimates(&records, &stop)[&Level::L2][&Measure::SSim];
         let used: BTreeSet<Unit> = look.used.iter().copied().collect();
@@ -245,20 +211,13 @@ fn estimates_weight_suites_by_their_number_of_configurations() {
 }
 
 fn new_tasks(seed: u64) -> Stop {
-    Stop {
-        seed,
-        ..stop("I excludes 0 for new tasks", Strata::WholeTasks)
-    }
+    Stop { seed, ..stop("I excludes 0 for new tasks", Strata::WholeTasks) }
 }
 
 #[test]
 fn a_rule_about_new_tasks_ends_few_campaigns_without_an_effect_and_most_with_a_large_one() {
     let count_ends = |mean: f64| {
-        let effect = NetEffect {
-            mean,
-            share: 0.5,
-            spread: 0.1,
-        };
+        let effect = NetEffect { mean, share: 0.5, spread: 0.1 };
         let mut chance = Chance::new(9);
         let mut met = 0;
         for seed in 0..100 {
@@ -280,11 +239,7 @@ fn a_rule_about_new_tasks_ends_few_campaigns_without_an_effect_and_most_with_a_l
 
 #[test]
 fn a_rule_about_new_tasks_depends_only_on_the_outcomes_up_to_its_look() {
-    let effect = NetEffect {
-        mean: -0.3,
-        share: 0.0,
-        spread: 0.0,
-    };
+    let effect = NetEffect { mean: -0.3, share: 0.0, spread: 0.0 };
     let mut records = effect.campaign(&mut Chance::new(4));
     let stop = new_tasks(1);
     let look = when_met(&records, &stop).expect("the rule is met");

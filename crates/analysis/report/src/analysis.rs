@@ -118,19 +118,12 @@ impl Analysis {
     /// Returns all records, with the outcome [`Outcome::Missing`] for those that no figure uses.
     pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
         let counted = self.counted().iter();
-        let counted: BTreeSet<_> = counted
-            .map(|record| (record.replicate, record.id))
-            .collect();
+        let counted: BTreeSet<_> = counted.map(|record| (record.replicate, record.id)).collect();
         let all = self.subject.records.iter();
-        all.map(
-            |record| match counted.contains(&(record.replicate, record.id)) {
-                true => *record,
-                false => Record {
-                    outcome: Outcome::Missing,
-                    ..*record
-                },
-            },
-        )
+        all.map(|record| match counted.contains(&(record.replicate, record.id)) {
+            true => *record,
+            false => Record { outcome: Outcome::Missing, ..*record },
+        })
         .collect()
     }
 
@@ -139,12 +132,7 @@ impl Analysis {
         let id = match condition {
             Condition::Clean => RolloutId::clean(matched.task, matched.init_id),
             _ => {
-                let Matched {
-                    task,
-                    level,
-                    config,
-                    ..
-                } = *matched;
+                let Matched { task, level, config, .. } = *matched;
                 RolloutId::perturbed(task, condition, level, config).ok()?
             }
         };

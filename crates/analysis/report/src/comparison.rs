@@ -56,11 +56,8 @@ pub struct Unpairable {
 }
 
 /// Properties of the measurement that both policies must share.
-pub(crate) const SHARED: [(&str, Property); 3] = [
-    ("asset pack", pack),
-    ("MuJoCo version", mujoco),
-    ("renderer", renderer),
-];
+pub(crate) const SHARED: [(&str, Property); 3] =
+    [("asset pack", pack), ("MuJoCo version", mujoco), ("renderer", renderer)];
 
 impl Comparison {
     /// Compares two policies, A − B. `setups` are the known digests of their rollouts.
@@ -86,9 +83,7 @@ impl Comparison {
             warnings.extend(unknown(subject, side));
         }
         reasons.extend(
-            SHARED
-                .iter()
-                .filter_map(|property| property_difference(property, subjects, &sides)),
+            SHARED.iter().filter_map(|property| property_difference(property, subjects, &sides)),
         );
         reasons.extend(different_realisation(subjects, &sides));
         warnings.extend(different_directions(subjects, &sides));
@@ -101,11 +96,7 @@ impl Comparison {
         });
         let notes = notes.collect();
         let [a, b] = sides;
-        let unpairable = |reasons| Unpairable {
-            a: a.label.clone(),
-            b: b.label.clone(),
-            reasons,
-        };
+        let unpairable = |reasons| Unpairable { a: a.label.clone(), b: b.label.clone(), reasons };
         if !reasons.is_empty() {
             return Err(unpairable(reasons));
         }
@@ -226,11 +217,7 @@ fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
             }
             true => format!("{} {letter}", analysis.label),
         };
-        Side {
-            label,
-            policy: subject.policy.clone(),
-            origin: subject.origin.clone(),
-        }
+        Side { label, policy: subject.policy.clone(), origin: subject.origin.clone() }
     };
     [side(a, "A"), side(b, "B")]
 }

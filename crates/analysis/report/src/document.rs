@@ -37,10 +37,7 @@ pub struct Document {
 #[derive(Debug, thiserror::Error)]
 pub enum DocumentError {
     #[error("measure policy `{policy}`")]
-    Duplicate {
-        policy: String,
-        source: DuplicateRecord,
-    },
+    Duplicate { policy: String, source: DuplicateRecord },
     /// A campaign of LIBERO's family or of a suite file has a variant or protocol that this program
     /// does not know.
     #[error(transparent)]
@@ -124,17 +121,10 @@ impl Document {
         let labels = labels(&subjects);
         let analyses = labels.into_iter().zip(subjects);
         let analyses = analyses.map(|(label, subject)| {
-            let duplicate = |source| DocumentError::Duplicate {
-                policy: label.clone(),
-                source,
-            };
+            let duplicate = |source| DocumentError::Duplicate { policy: label.clone(), source };
             Analysis::new(label.clone(), subject).map_err(duplicate)
         });
-        Ok(Self {
-            warnings,
-            analyses: analyses.collect::<Result<_, _>>()?,
-            family,
-        })
+        Ok(Self { warnings, analyses: analyses.collect::<Result<_, _>>()?, family })
     }
 
     /// Compares every policy with every later one.
@@ -171,9 +161,7 @@ impl Document {
             return Ok(text.map_err(JsonError::from)?);
         }
         let paired = self.analyses.iter().map(|analysis| {
-            let levels = analysis
-                .cells()
-                .map(|cell| (cell.level, cell.paired.as_ref()));
+            let levels = analysis.cells().map(|cell| (cell.level, cell.paired.as_ref()));
             (analysis.label.as_str(), levels.collect())
         });
         let reports = self.analyses.iter().map(|analysis| JsonReport {
@@ -188,10 +176,7 @@ impl Document {
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.thresholds.as_ref(),
-            interactions: analysis
-                .interactions
-                .as_ref()
-                .map(|interactions| interactions.form()),
+            interactions: analysis.interactions.as_ref().map(|interactions| interactions.form()),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
@@ -292,9 +277,7 @@ fn labels(subjects: &[Subject]) -> Vec<String> {
     let mut labels: Vec<String> = Vec::new();
     let mut used = BTreeSet::new();
     for subject in subjects {
-        let namesakes = subjects
-            .iter()
-            .filter(|other| other.policy == subject.policy);
+        let namesakes = subjects.iter().filter(|other| other.policy == subject.policy);
         let mut label = match namesakes.count() {
             1 => subject.policy.clone(),
             _ => format!("{} ({})", subject.policy, subject.origin_name()),
@@ -337,27 +320,17 @@ fn head(subject: &Subject) -> String {
         execution => format!("execution model {execution}\n"),
     };
     match &subject.origin {
-        Origin::Campaign {
-            name,
-            endpoint,
-            design,
-        } => format!(
+        Origin::Campaign { name, endpoint, design } => format!(
             "campaign {name}\npolicy {policy} at {endpoint}\n\
              design {design}, realisation {realisation}\n{execution}"
         ),
-        Origin::File {
-            name,
-            digest,
-            source,
-        } => {
+        Origin::File { name, digest, source } => {
             let mut head = format!("policy {policy}, results of {name}\n");
             if !source.is_empty() {
                 push_wrapped(&mut head, "", source);
             }
             let digest = warnings::abbreviated_digest(digest);
-            head.push_str(&format!(
-                "SHA-256 {digest}…, realisation {realisation}\n{execution}"
-            ));
+            head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n{execution}"));
             head
         }
     }
@@ -385,11 +358,7 @@ fn quarantine_list(subject: &Subject) -> String {
     if !subject.errors.is_empty() {
         text.push_str("\nin quarantine, with the last error:\n");
     }
-    for Quarantined {
-        rollout,
-        last_error,
-    } in &subject.errors
-    {
+    for Quarantined { rollout, last_error } in &subject.errors {
         let error = last_error.lines().next().unwrap_or_default();
         text.extend(format!("  {rollout}: {error}").chars().take(WIDTH));
         text.push('\n');

@@ -59,21 +59,14 @@ impl Findings {
         explanation: &Explanation,
     ) -> Result<Prospect, LatticeError> {
         let lattices = configurations(&campaign.counted(), &[], explanation.repeats)?;
-        let mut prospect = Prospect {
-            subjects: 0,
-            most_rollouts: BTreeMap::new(),
-        };
+        let mut prospect = Prospect { subjects: 0, most_rollouts: BTreeMap::new() };
         for (configuration, lattice) in &lattices {
             let axes = lattice.full().len();
             if let Some(repeats) = explanation.repeats
                 && repeats < Repeats::fewest(axes)
             {
                 let fewest = Repeats::fewest(axes);
-                return Err(LatticeError::TooFewRepeats {
-                    axes,
-                    repeats,
-                    fewest,
-                });
+                return Err(LatticeError::TooFewRepeats { axes, repeats, fewest });
             }
             if selected(lattice).is_ok() {
                 let suite = configuration.task().suite();
@@ -154,19 +147,11 @@ impl Findings {
     /// Writes the findings as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        push_wrapped(
-            &mut text,
-            "",
-            &format!("{} {}", self.explained_by, self.describe_progress()),
-        );
+        push_wrapped(&mut text, "", &format!("{} {}", self.explained_by, self.describe_progress()));
         let is_emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
             self.subsets.iter().partition(is_emergent);
-        push_subsets(
-            &mut text,
-            "emergent failures: the fewest axes that fail together",
-            &emergent,
-        );
+        push_subsets(&mut text, "emergent failures: the fewest axes that fail together", &emergent);
         push_subsets(
             &mut text,
             "compensated successes: the fewest axes with which a failing axis succeeds",
@@ -183,13 +168,7 @@ impl Findings {
 
     /// Returns the progress of the explanation: a sentence without subject and full stop.
     pub(crate) fn describe_progress(&self) -> String {
-        let Self {
-            transitions,
-            explained,
-            rollouts,
-            waiting,
-            ..
-        } = self;
+        let Self { transitions, explained, rollouts, waiting, .. } = self;
         let mut words = format!(
             "explains {}: {explained} of {transitions} transitions explained in {}",
             self.campaign,
@@ -227,11 +206,7 @@ fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
         return;
     }
     let _ = writeln!(text, "\n{title}");
-    let _ = writeln!(
-        text,
-        "{:NAMES$}{:>15}{:>13}",
-        "", "configurations", "established"
-    );
+    let _ = writeln!(text, "{:NAMES$}{:>15}{:>13}", "", "configurations", "established");
     for occurrence in occurrences {
         let (configurations, established) = (occurrence.configurations, occurrence.established);
         let name = subset(occurrence.start, occurrence.set);
@@ -249,12 +224,7 @@ pub(crate) fn subset(start: AxisSet, set: AxisSet) -> String {
 }
 
 fn push_configuration(text: &mut String, explained: &Explained) {
-    let Explained {
-        configuration,
-        explanation,
-        rollouts,
-        ..
-    } = explained;
+    let Explained { configuration, explanation, rollouts, .. } = explained;
     let name = explanation.transition.name();
     let rollouts = pluralise(u64::from(*rollouts), "rollout");
     let _ = writeln!(text, "{name:<12} {configuration}  {rollouts}");
@@ -291,17 +261,11 @@ fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
         }
     });
     push_wrapped(text, &prefix, &minimal.collect::<Vec<_>>().join(", "));
-    let largest: Vec<&str> = answer
-        .largest_unflipped
-        .iter()
-        .map(|set| set.name())
-        .collect();
+    let largest: Vec<&str> = answer.largest_unflipped.iter().map(|set| set.name()).collect();
     push_wrapped(text, &format!("  still {unflipped}: "), &largest.join(", "));
     for pair in &answer.non_monotone {
-        let words = format!(
-            "{} {flipped}, and with more axes {} {unflipped}",
-            pair.minimal, pair.superset
-        );
+        let words =
+            format!("{} {flipped}, and with more axes {} {unflipped}", pair.minimal, pair.superset);
         push_wrapped(text, "  not monotone: ", &words);
     }
 }

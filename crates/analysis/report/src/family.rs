@@ -294,18 +294,12 @@ impl Family {
         let benchmark = benchmark_protocol.map(|protocol| protocol.benchmark);
         let mut cases = Vec::new();
         for record in &subject.records {
-            let case = Case::of_id(record.id).map_err(|source| FamilyError::Rollout {
-                campaign: campaign.clone(),
-                source,
-            })?;
+            let case = Case::of_id(record.id)
+                .map_err(|source| FamilyError::Rollout { campaign: campaign.clone(), source })?;
             cases.push((case, record.outcome));
         }
-        let count = |expected| {
-            cases
-                .iter()
-                .filter(|(_, outcome)| *outcome == expected)
-                .count() as u64
-        };
+        let count =
+            |expected| cases.iter().filter(|(_, outcome)| *outcome == expected).count() as u64;
         let unperturbed_success: BTreeMap<(TaskRef, u16), bool> = cases
             .iter()
             .filter(|(case, _)| case.subject == CaseSubject::Unperturbed)
@@ -326,10 +320,7 @@ impl Family {
         let mut kinds: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         for variant in &variants {
             let (place, group) = group(&variant.case);
-            groups
-                .entry((place, group.clone()))
-                .or_default()
-                .push(variant);
+            groups.entry((place, group.clone())).or_default().push(variant);
             match variant.case.subject {
                 CaseSubject::Plus(_) => {
                     // Variants without a difficulty come last.
@@ -350,19 +341,17 @@ impl Family {
                 _ => {}
             }
         }
-        let paraphrased = variants
-            .iter()
-            .filter_map(|variant| match variant.case.subject {
-                CaseSubject::Para(paraphrase) => Some((
-                    variant.case.task,
-                    Paraphrased {
-                        success: variant.success,
-                        keywords: paraphrase.keywords,
-                        structure: paraphrase.structure,
-                    },
-                )),
-                _ => None,
-            });
+        let paraphrased = variants.iter().filter_map(|variant| match variant.case.subject {
+            CaseSubject::Para(paraphrase) => Some((
+                variant.case.task,
+                Paraphrased {
+                    success: variant.success,
+                    keywords: paraphrase.keywords,
+                    structure: paraphrase.structure,
+                },
+            )),
+            _ => None,
+        });
         let line = |name: &str, rollouts: &[&Counted]| Line::new(name, rollouts.iter().copied());
         Ok(Some(Self {
             campaign,
@@ -376,22 +365,13 @@ impl Family {
             missing: count(Outcome::Missing),
             quarantined: count(Outcome::Quarantined),
             unperturbed: Line::new("unperturbed", unperturbed.iter()),
-            kinds: kinds
-                .iter()
-                .map(|((_, name), rollouts)| line(name, rollouts))
-                .collect(),
-            groups: groups
-                .iter()
-                .map(|((_, name), rollouts)| line(name, rollouts))
-                .collect(),
+            kinds: kinds.iter().map(|((_, name), rollouts)| line(name, rollouts)).collect(),
+            groups: groups.iter().map(|((_, name), rollouts)| line(name, rollouts)).collect(),
             difficulties: difficulties
                 .iter()
                 .map(|(difficulty, rollouts)| line(&difficulty_name(*difficulty), rollouts))
                 .collect(),
-            cells: cells
-                .iter()
-                .map(|((_, _, name), rollouts)| line(name, rollouts))
-                .collect(),
+            cells: cells.iter().map(|((_, _, name), rollouts)| line(name, rollouts)).collect(),
             all: Line::new("all", variants.iter()),
             pride: Pride::all(paraphrased),
             published: benchmark_protocol.map_or_else(Vec::new, |protocol| published(&protocol)),
@@ -402,60 +382,39 @@ impl Family {
     pub fn text(&self, full: bool) -> String {
         let heading = format!("Campaign {} of policy {}", self.campaign, self.policy);
         let mut text = match self.is_paired {
-            true => format!(
-                "{heading}: {} under protocol {}\n",
-                self.benchmark, self.protocol
-            ),
+            true => format!("{heading}: {} under protocol {}\n", self.benchmark, self.protocol),
             false => format!("{heading}: suite file {}\n", self.protocol),
         };
         for sentence in self.caveats() {
             push_wrapped(&mut text, "", &sentence);
         }
         text.push('\n');
-        let heads = [
-            "Successes",
-            "rollouts",
-            "successes",
-            "percent",
-            "95 % interval",
-        ];
+        let heads = ["Successes", "rollouts", "successes", "percent", "95 % interval"];
         let counts = self.success_lines(full).into_iter().map(Line::counts);
         for [name, rollouts, successes, percent, interval] in
             [heads.map(str::to_owned)].into_iter().chain(counts)
         {
-            let _ = writeln!(
-                text,
-                "{name:<30}{rollouts:>9}{successes:>10}{percent:>9}  {interval}"
-            );
+            let _ =
+                writeln!(text, "{name:<30}{rollouts:>9}{successes:>10}{percent:>9}  {interval}");
         }
         text.push('\n');
         let heads = ["PRIDE", "percent", "95 % interval"];
         let pride = self.pride_cells();
-        for [name, percent, interval] in [heads.map(str::to_owned)]
-            .into_iter()
-            .chain(pride)
-            .filter(|_| !self.pride.is_empty())
+        for [name, percent, interval] in
+            [heads.map(str::to_owned)].into_iter().chain(pride).filter(|_| !self.pride.is_empty())
         {
             let _ = writeln!(text, "{name:<30}{percent:>9}  {interval}");
         }
         if !self.pride.is_empty() {
             text.push('\n');
         }
-        let heads = [
-            "Against the unperturbed",
-            "pairs",
-            "broken",
-            "gained",
-            "loss",
-            "95 % interval",
-        ];
+        let heads =
+            ["Against the unperturbed", "pairs", "broken", "gained", "loss", "95 % interval"];
         let losses = self.lines(full).into_iter().map(Line::losses);
         let table = [heads.map(str::to_owned)].into_iter().chain(losses);
         for [name, pairs, broken, gained, loss, interval] in table.filter(|_| self.is_paired) {
-            let _ = writeln!(
-                text,
-                "{name:<30}{pairs:>7}{broken:>7}{gained:>7}{loss:>7}  {interval}"
-            );
+            let _ =
+                writeln!(text, "{name:<30}{pairs:>7}{broken:>7}{gained:>7}{loss:>7}  {interval}");
         }
         if self.is_paired {
             text.push('\n');
@@ -489,15 +448,10 @@ impl Family {
         let measured = ["this campaign".to_owned()].into_iter();
         let measured = measured.chain(names.iter().map(measured_percent));
         let published = self.published.iter().map(|row| {
-            let cells = names
-                .iter()
-                .map(|name| number(row.percent.get(name).copied()));
+            let cells = names.iter().map(|name| number(row.percent.get(name).copied()));
             [row.policy.clone()].into_iter().chain(cells).collect()
         });
-        [heads.collect(), measured.collect()]
-            .into_iter()
-            .chain(published)
-            .collect()
+        [heads.collect(), measured.collect()].into_iter().chain(published).collect()
     }
 
     /// Describes the published table's source and scope.
@@ -557,9 +511,9 @@ fn published(protocol: &Protocol) -> Vec<PublishedRow> {
 pub(crate) fn group(case: &Case) -> (usize, String) {
     let place = match case.subject {
         CaseSubject::Unperturbed | CaseSubject::Own(_) => None,
-        CaseSubject::Plus(entry) => Dimension::ALL
-            .into_iter()
-            .position(|dimension| dimension == entry.dimension()),
+        CaseSubject::Plus(entry) => {
+            Dimension::ALL.into_iter().position(|dimension| dimension == entry.dimension())
+        }
         CaseSubject::Pro(suite) => ProSuite::all().position(|other| other == suite),
         CaseSubject::Para(paraphrase) => {
             let kind = paraphrase.kind;

@@ -84,9 +84,8 @@ impl FamilyComparison {
             origin: subject.origin.clone(),
         });
         let shared = SHARED.iter();
-        let mut reasons: Vec<String> = shared
-            .filter_map(|property| property_difference(property, [a, b], &sides))
-            .collect();
+        let mut reasons: Vec<String> =
+            shared.filter_map(|property| property_difference(property, [a, b], &sides)).collect();
         if family_a.benchmark != family_b.benchmark {
             reasons.push(format!(
                 "their benchmarks are {} and {}: run both with the same benchmark",
@@ -120,15 +119,11 @@ impl FamilyComparison {
         }
         let paired = counted.len();
         let unpaired = [&outcomes_a, &outcomes_b].map(|all| (all.len() - paired) as u64);
-        let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) = counted
-            .into_iter()
-            .partition(|pair| pair.case.subject == CaseSubject::Unperturbed);
+        let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =
+            counted.into_iter().partition(|pair| pair.case.subject == CaseSubject::Unperturbed);
         let mut groups: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         for variant in &variants {
-            groups
-                .entry(group(&variant.case))
-                .or_default()
-                .push(variant);
+            groups.entry(group(&variant.case)).or_default().push(variant);
         }
         Ok(Some(Self {
             a,
@@ -165,19 +160,8 @@ impl FamilyComparison {
             }
         }
         text.push('\n');
-        let heads = [
-            "Pairs",
-            "pairs",
-            "A %",
-            "B %",
-            "only A",
-            "only B",
-            "A - B",
-            "95 % interval",
-        ];
-        let unperturbed = [&self.unperturbed]
-            .into_iter()
-            .filter(|line| line.pairs > 0);
+        let heads = ["Pairs", "pairs", "A %", "B %", "only A", "only B", "A - B", "95 % interval"];
+        let unperturbed = [&self.unperturbed].into_iter().filter(|line| line.pairs > 0);
         let lines = unperturbed.chain(&self.groups).chain([&self.all]);
         let rows = lines.map(PairedLine::cells);
         for [name, pairs, a, b, only_a, only_b, difference, interval] in
@@ -238,7 +222,5 @@ impl PairedLine {
 /// Returns the outcomes of a campaign's rollouts.
 fn outcomes(subject: &Subject) -> BTreeMap<RolloutId, bool> {
     let records = subject.records.iter();
-    records
-        .filter_map(|record| Some((record.id, record.outcome.success()?)))
-        .collect()
+    records.filter_map(|record| Some((record.id, record.outcome.success()?))).collect()
 }

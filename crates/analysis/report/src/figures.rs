@@ -84,10 +84,7 @@ impl Figure {
 
     /// Makes the figure as wide as a page; on a narrow page it scrolls in a box.
     fn wide(self) -> Self {
-        Self {
-            is_wide: true,
-            ..self
-        }
+        Self { is_wide: true, ..self }
     }
 
     /// Renders the figure for a page that includes [`STYLE`].
@@ -104,10 +101,7 @@ impl Figure {
             rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
                 width="100%" height="100%" {}
         };
-        format!(
-            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
-            self.svg(style, PADDING).0
-        )
+        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", self.svg(style, PADDING).0)
     }
 
     fn svg(&self, style: Markup, padding: f64) -> Markup {
@@ -150,16 +144,8 @@ pub fn all(document: &Document) -> Vec<Figure> {
     figures.extend(gate(document));
     let levels = levels(document);
     figures.extend(levels.iter().filter_map(|&level| heat_map(document, level)));
-    figures.extend(
-        levels
-            .iter()
-            .filter_map(|&level| decomposition(document, level)),
-    );
-    figures.extend(
-        levels
-            .iter()
-            .filter_map(|&level| directions(document, level)),
-    );
+    figures.extend(levels.iter().filter_map(|&level| decomposition(document, level)));
+    figures.extend(levels.iter().filter_map(|&level| directions(document, level)));
     for analysis in &document.analyses {
         let matrices = levels.iter().map(|&level| matrix(analysis, level, None));
         figures.extend(matrices.flatten());
@@ -167,22 +153,12 @@ pub fn all(document: &Document) -> Vec<Figure> {
     for analysis in &document.analyses {
         if let Some(findings) = &analysis.findings {
             let transitions = [Transition::Emergent, Transition::Compensated];
-            figures.extend(
-                transitions
-                    .iter()
-                    .filter_map(|transition| upset(findings, *transition)),
-            );
+            figures
+                .extend(transitions.iter().filter_map(|transition| upset(findings, *transition)));
         }
         figures.extend(analysis.thresholds.iter().flat_map(of_thresholds));
-        for level in analysis
-            .interactions
-            .iter()
-            .flat_map(|interactions| &interactions.levels)
-        {
-            figures.extend([
-                interaction_matrix(analysis, level),
-                additive(analysis, level),
-            ]);
+        for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
+            figures.extend([interaction_matrix(analysis, level), additive(analysis, level)]);
         }
         figures.extend(replicates(analysis));
         figures.extend(flips(analysis));

@@ -37,20 +37,13 @@ const MAX_FILE_BYTES: u64 = 4 << 30;
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     #[error("read {path}: name a folder that holds {ROWS}, or such a file")]
-    Read {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     #[error(
         "import {path}: {} bad, nothing was imported: {}",
         lines_are(.bad),
         reasons(.named, .bad)
     )]
-    Lines {
-        path: PathBuf,
-        bad: usize,
-        named: Vec<BadLine>,
-    },
+    Lines { path: PathBuf, bad: usize, named: Vec<BadLine> },
     #[error("import {path}: it has more than {MAX_FILE_ROWS} rows; divide the file")]
     TooLong { path: PathBuf },
     #[error("import {path}: it is larger than {} GiB; divide the file", MAX_FILE_BYTES >> 30)]
@@ -115,10 +108,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         true => (path.join(ROWS), read_about(&path.join(ABOUT))?),
         false => (path.to_owned(), About::default()),
     };
-    let read_error = |source| ImportError::Read {
-        path: rows.clone(),
-        source,
-    };
+    let read_error = |source| ImportError::Read { path: rows.clone(), source };
     let mut reading = Reading::default();
     let mut digest = Sha256::new();
     let file = File::open(&rows).map_err(read_error)?;
@@ -133,10 +123,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
             return Err(ImportError::TooLarge { path: rows });
         }
         line.clear();
-        let read = file
-            .by_ref()
-            .take(MAX_LINE_BYTES + 1)
-            .read_until(b'\n', &mut line);
+        let read = file.by_ref().take(MAX_LINE_BYTES + 1).read_until(b'\n', &mut line);
         let read = read.map_err(read_error)? as u64;
         if read == 0 {
             break;
@@ -154,31 +141,18 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
     }
     if reading.bad > 0 {
         let Reading { bad, named, .. } = reading;
-        return Err(ImportError::Lines {
-            path: rows,
-            bad,
-            named,
-        });
+        return Err(ImportError::Lines { path: rows, bad, named });
     }
     if reading.records.is_empty() {
         return Err(ImportError::Empty { path: rows });
     }
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
     let name = name.unwrap_or_else(|| ".".to_owned());
     Ok(Subject {
-        policy: about
-            .policy
-            .or(reading.policy)
-            .unwrap_or_else(|| name.clone()),
+        policy: about.policy.or(reading.policy).unwrap_or_else(|| name.clone()),
         origin: Origin::File {
             name,
-            digest: digest
-                .finalize()
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect(),
+            digest: digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect(),
             source: about.source,
         },
         realisation: about.realisation,
@@ -211,10 +185,7 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
         Err(source) => return Err(ImportError::Read { path, source }),
     };
     let about = serde_json::from_reader(file.take(MAX_ABOUT_BYTES));
-    about.map_err(|error: serde_json::Error| ImportError::About {
-        path,
-        source: error.into(),
-    })
+    about.map_err(|error: serde_json::Error| ImportError::About { path, source: error.into() })
 }
 
 /// Rows and bad lines read so far.
@@ -357,16 +328,8 @@ impl Row {
         let agreements = [
             ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
             ("level", self.level.is_none_or(|level| level == id.level())),
-            (
-                "suite",
-                self.suite
-                    .as_deref()
-                    .is_none_or(|suite| suite == task.suite().name()),
-            ),
-            (
-                "task_id",
-                self.task_id.is_none_or(|index| index == task.index()),
-            ),
+            ("suite", self.suite.as_deref().is_none_or(|suite| suite == task.suite().name())),
+            ("task_id", self.task_id.is_none_or(|index| index == task.index())),
             (
                 "config",
                 self.config
@@ -376,10 +339,7 @@ impl Row {
         if let Some((field, _)) = agreements.iter().find(|(_, agrees)| !agrees) {
             return Err(format!("`{field}` contradicts the rollout id {id}"));
         }
-        match self
-            .goal()
-            .is_none_or(|goal| goal.agrees_with(self.success))
-        {
+        match self.goal().is_none_or(|goal| goal.agrees_with(self.success)) {
             true => Ok(()),
             false => Err(
                 "`goal_predicates`, `goal_at_end` and `goal_at_most` contradict one another or \
@@ -404,12 +364,9 @@ impl Row {
         let config = self.rollout_id.config();
         let default_state = match config {
             None => Some(self.rollout_id.number()),
-            Some(config) => self
-                .rollout_id
-                .task()
-                .eval_init_ids()
-                .get(usize::from(config))
-                .copied(),
+            Some(config) => {
+                self.rollout_id.task().eval_init_ids().get(usize::from(config)).copied()
+            }
         };
         let stated = self.init_id.or(default_state);
         stated.ok_or_else(|| format!("{} has no `init_id`", self.rollout_id))
@@ -424,10 +381,8 @@ fn lines_are(bad: &usize) -> String {
 }
 
 fn reasons(named: &[BadLine], bad: &usize) -> String {
-    let mut lines: Vec<String> = named
-        .iter()
-        .map(|line| format!("line {}: {}", line.number, line.reason))
-        .collect();
+    let mut lines: Vec<String> =
+        named.iter().map(|line| format!("line {}: {}", line.number, line.reason)).collect();
     if *bad > named.len() {
         lines.push(format!("and {} more", bad - named.len()));
     }

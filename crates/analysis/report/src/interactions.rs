@@ -58,12 +58,7 @@ pub enum NoInteractions {
          an outcome under every subset of the axes, nominal included ({first}: {gap}); wait for its \
          rollouts, create a campaign with `--subsets all`, or explain one with `--exhaustive`"
     )]
-    Incomplete {
-        campaign: String,
-        configurations: usize,
-        first: RolloutId,
-        gap: IncompleteLattice,
-    },
+    Incomplete { campaign: String, configurations: usize, first: RolloutId, gap: IncompleteLattice },
 }
 
 impl AxisInteractions {
@@ -95,10 +90,7 @@ impl AxisInteractions {
         let mut levels: BTreeMap<Level, Vec<Result<CompleteLattice, IncompleteLattice>>> =
             BTreeMap::new();
         for (id, lattice) in &lattices {
-            levels
-                .entry(id.level())
-                .or_default()
-                .push(complete_lattice(id, lattice));
+            levels.entry(id.level()).or_default().push(complete_lattice(id, lattice));
         }
         let interactions = |(level, lattices): (Level, Vec<Result<_, _>>)| {
             let all = lattices.len() as u64;
@@ -185,9 +177,7 @@ fn complete_lattice(
     id: &RolloutId,
     lattice: &Lattice,
 ) -> Result<CompleteLattice, IncompleteLattice> {
-    CompleteLattice::new(id.task(), lattice.full(), |set| {
-        lattice.verdict(set).success()
-    })
+    CompleteLattice::new(id.task(), lattice.full(), |set| lattice.verdict(set).success())
 }
 
 impl LevelInteractions {
@@ -198,16 +188,8 @@ impl LevelInteractions {
     }
 
     fn push(&self, text: &mut String) {
-        let Interactions {
-            n,
-            tasks,
-            success,
-            moebius,
-            sizes,
-            shapley,
-            pairs,
-            ..
-        } = &self.interactions;
+        let Interactions { n, tasks, success, moebius, sizes, shapley, pairs, .. } =
+            &self.interactions;
         let _ = write!(text, "{}: {n} configurations of {tasks} tasks", self.level);
         if self.left_out > 0 {
             let _ = write!(text, "; {} lack an outcome and are left out", self.left_out);
@@ -315,11 +297,8 @@ struct JsonPair<'a> {
 impl<'a> JsonLevel<'a> {
     fn new(level: &'a LevelInteractions) -> Self {
         let interactions = &level.interactions;
-        let subset = |(&set, success)| JsonSubset {
-            set,
-            success,
-            moebius: interactions.moebius.get(&set),
-        };
+        let subset =
+            |(&set, success)| JsonSubset { set, success, moebius: interactions.moebius.get(&set) };
         let size = |(&axes, moebius)| JsonSize { axes, moebius };
         let share = |(&axis, shapley)| JsonShare { axis, shapley };
         let pair = |(&set, shapley)| JsonPair { set, shapley };

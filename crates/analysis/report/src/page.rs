@@ -21,10 +21,7 @@ use crate::figures::{self, Figure, Link, levels};
 use panels::figure;
 
 /// The page's style, with that of its figures.
-pub const STYLE: &str = concat!(
-    include_str!("page/style.css"),
-    include_str!("figures/style.css")
-);
+pub const STYLE: &str = concat!(include_str!("page/style.css"), include_str!("figures/style.css"));
 
 /// Renders the report as a complete HTML file.
 pub fn page(document: &Document) -> String {

@@ -183,11 +183,7 @@ impl Sequential {
 
     /// Returns the clause of the warning about overstated measures; empty without such measures.
     fn overstatement_clause(&self) -> String {
-        let names: Vec<&str> = self
-            .overstated
-            .iter()
-            .map(|measure| measure.name())
-            .collect();
+        let names: Vec<&str> = self.overstated.iter().map(|measure| measure.name()).collect();
         match names.as_slice() {
             [] => String::new(),
             names => format!(
@@ -205,10 +201,7 @@ impl Sequential {
 
     /// Formats an estimate, percent or points, with a star if the early stop overstates it.
     pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
-        let estimate = self
-            .estimates
-            .get(&level)
-            .and_then(|measures| measures.get(&measure));
+        let estimate = self.estimates.get(&level).and_then(|measures| measures.get(&measure));
         let Some(estimate) = estimate.map(|estimate| 100.0 * estimate) else {
             return "–".to_owned();
         };

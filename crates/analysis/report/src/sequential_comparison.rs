@@ -54,12 +54,7 @@ pub enum NoCommonOrder {
         "compare {a} with {b} sequentially: {a} ran in the order of {order_a}, {b} in that of \
          {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
     )]
-    Differ {
-        a: String,
-        order_a: String,
-        b: String,
-        order_b: String,
-    },
+    Differ { a: String, order_a: String, b: String, order_b: String },
     #[error(
         "compare {a} with {b} sequentially: they have different configurations; give both the \
          same tasks and configurations"
@@ -90,10 +85,8 @@ impl SequentialComparison {
         let outcomes = [a, b].map(Analysis::outcomes_of_all);
         let outcomes = outcomes.each_ref().map(Vec::as_slice);
         let looks = compared_looks(outcomes, unpaired, order_a, rule);
-        let looks = looks.map_err(|NotInOneOrder| NoCommonOrder::Configurations {
-            a: name_a,
-            b: name_b,
-        })?;
+        let looks = looks
+            .map_err(|NotInOneOrder| NoCommonOrder::Configurations { a: name_a, b: name_b })?;
         let cells = looks.into_iter().map(|cell| SequentialCell {
             level: cell.level,
             condition: cell.condition,
@@ -160,9 +153,7 @@ impl SequentialCell {
 fn order(analysis: &Analysis) -> Result<&Stop, NoCommonOrder> {
     let early = analysis.subject.early_stop.as_ref();
     let order = early.map(|early| &early.stop);
-    order.ok_or_else(|| NoCommonOrder::NotDrawn {
-        subject: analysis.label.clone(),
-    })
+    order.ok_or_else(|| NoCommonOrder::NotDrawn { subject: analysis.label.clone() })
 }
 
 fn describe_order(order: &Stop) -> String {

@@ -56,10 +56,7 @@ fn rows(document: &Document) -> Rows {
         Rows::Configurations
     } else if analyses.iter().all(|analysis| analysis.findings.is_some()) {
         Rows::MinimalSubsets
-    } else if analyses
-        .iter()
-        .all(|analysis| analysis.thresholds.is_some())
-    {
+    } else if analyses.iter().all(|analysis| analysis.thresholds.is_some()) {
         Rows::Thresholds
     } else {
         Rows::Configurations

@@ -127,10 +127,9 @@ impl ThresholdReport {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let is_empty = measurement.rays().next().is_none() && measurement.ray_count() > 0;
         match thresholds.budget {
-            Some(budget) if is_empty => Err(BudgetTooSmall {
-                budget,
-                most: measurement.most_rollouts_per_configuration(),
-            }),
+            Some(budget) if is_empty => {
+                Err(BudgetTooSmall { budget, most: measurement.most_rollouts_per_configuration() })
+            }
             _ => Ok(()),
         }
     }
@@ -155,15 +154,10 @@ impl ThresholdReport {
         let (thresholds, records) = measuring.measures()?;
         let measurement = Measurement::of(records, &measuring.records, thresholds);
         let is_settled = |record: &Record| record.outcome != Outcome::Missing;
-        let waiting = measuring
-            .records
-            .iter()
-            .filter(|record| !is_settled(record))
-            .count();
+        let waiting = measuring.records.iter().filter(|record| !is_settled(record)).count();
         let rays = measurement.rays();
-        let measured: Vec<Measured> = rays
-            .map(|(ray, outcomes)| Measured::new(&measurement, ray, outcomes))
-            .collect();
+        let measured: Vec<Measured> =
+            rays.map(|(ray, outcomes)| Measured::new(&measurement, ray, outcomes)).collect();
         Some(Self {
             campaign: thresholds.campaign.clone(),
             measured_by: measuring.origin_name().to_owned(),
@@ -194,20 +188,15 @@ impl ThresholdReport {
     /// Writes the measurement as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        push_wrapped(
-            &mut text,
-            "",
-            &format!("{} {}", self.measured_by, self.describe_progress()),
-        );
+        push_wrapped(&mut text, "", &format!("{} {}", self.measured_by, self.describe_progress()));
         let curves: Vec<&Curve> = self.curves.iter().filter(|curve| curve.n > 0).collect();
         if !curves.is_empty() {
             push_survival(&mut text, &curves);
             push_half_success(&mut text, &curves);
         }
         let not_monotone = self.thresholds.iter();
-        let not_monotone: Vec<&Measured> = not_monotone
-            .filter(|measured| !measured.recovers_at.is_empty())
-            .collect();
+        let not_monotone: Vec<&Measured> =
+            not_monotone.filter(|measured| !measured.recovers_at.is_empty()).collect();
         if !not_monotone.is_empty() {
             text.push_str("\nnot monotone: configurations that succeed again beyond a failure\n");
         }
@@ -231,11 +220,8 @@ impl ThresholdReport {
             let _ = write!(words, ", of which {} {have} no outcome yet", self.waiting);
         }
         if self.beyond_budget > 0 {
-            let _ = write!(
-                words,
-                "; the budget leaves {} out",
-                pluralise(self.beyond_budget, "other")
-            );
+            let _ =
+                write!(words, "; the budget leaves {} out", pluralise(self.beyond_budget, "other"));
         }
         words
     }
@@ -247,10 +233,9 @@ impl Measured {
         let (threshold, succeeds_at, fails_at) = match finding.threshold {
             Threshold::NominalFails => (Kind::NominalFails, None, Some(Level::L0)),
             Threshold::NominalUnknown => (Kind::NominalUnknown, None, None),
-            Threshold::Between {
-                succeeds_at,
-                fails_at,
-            } => (Kind::Between, Some(succeeds_at), Some(fails_at)),
+            Threshold::Between { succeeds_at, fails_at } => {
+                (Kind::Between, Some(succeeds_at), Some(fails_at))
+            }
             Threshold::Beyond => (Kind::Beyond, largest_success(outcomes), None),
             Threshold::Open { succeeds_at } => (Kind::Open, Some(succeeds_at), None),
         };
@@ -266,10 +251,7 @@ impl Measured {
             recovers_at: finding.recovers_at.into_iter().map(Level::radius).collect(),
             is_found: measurement.decision(ray, outcomes) == Decision::Done,
             outcomes: points
-                .map(|(level, outcome)| AtRadius {
-                    radius: level.radius(),
-                    outcome,
-                })
+                .map(|(level, outcome)| AtRadius { radius: level.radius(), outcome })
                 .collect(),
         }
     }
@@ -285,9 +267,7 @@ impl Measured {
 
 /// Returns the largest successful radius; [`Level::L0`] if no perturbed rollout succeeds.
 fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
-    let succeeds = outcomes
-        .perturbed()
-        .filter(|(_, outcome)| *outcome == Outcome::Success);
+    let succeeds = outcomes.perturbed().filter(|(_, outcome)| *outcome == Outcome::Success);
     Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
 }
 
@@ -295,12 +275,8 @@ fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
 fn push_survival(text: &mut String, curves: &[&Curve]) {
     text.push_str("\nconfigurations that still succeed, %, by radius\n");
     // Conditions that perturb the language axis have a shorter grid.
-    let longest = curves
-        .iter()
-        .max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));
-    let grid = longest
-        .map(|curve| curve.grid.as_slice())
-        .unwrap_or_default();
+    let longest = curves.iter().max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));
+    let grid = longest.map(|curve| curve.grid.as_slice()).unwrap_or_default();
     let radii: Vec<f64> = [0.0].into_iter().chain(grid.iter().copied()).collect();
     let _ = write!(text, "{:NAMES$}{:>6}", "", "n");
     for radius in &radii {
@@ -357,9 +333,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
         );
         push_wrapped(text, "", &words);
     }
-    let latency = curves
-        .iter()
-        .find(|curve| curve.condition == Condition::Latency);
+    let latency = curves.iter().find(|curve| curve.condition == Condition::Latency);
     if let Some(words) = latency.map(|curve| tolerated_delay(curve)) {
         push_wrapped(text, "", &words);
     }
@@ -396,17 +370,8 @@ pub(crate) fn tolerated_delay(curve: &Curve) -> String {
 }
 
 fn push_not_monotone(text: &mut String, measured: &Measured) {
-    let Measured {
-        condition,
-        task,
-        config,
-        ..
-    } = measured;
+    let Measured { condition, task, config, .. } = measured;
     let [succeeds, fails] = [true, false].map(|success| measured.radii(success));
     let words = format!("succeeds at {succeeds}; fails at {fails}");
-    push_wrapped(
-        text,
-        "  ",
-        &format!("{task} {} c{config:02}: {words}", condition.label()),
-    );
+    push_wrapped(text, "  ", &format!("{task} {} c{config:02}: {words}", condition.label()));
 }

@@ -65,10 +65,8 @@ pub(crate) fn comparison_warnings(subjects: &[Subject]) -> Vec<String> {
     if subjects.len() < 2 {
         return warnings;
     }
-    let realisations: BTreeSet<&str> = subjects
-        .iter()
-        .filter_map(|subject| Some(subject.realisation?.name()))
-        .collect();
+    let realisations: BTreeSet<&str> =
+        subjects.iter().filter_map(|subject| Some(subject.realisation?.name())).collect();
     if realisations.len() > 1 {
         warnings.push(format!(
             "the policies were perturbed in different realisation modes ({}): the magnitudes \
@@ -77,18 +75,12 @@ pub(crate) fn comparison_warnings(subjects: &[Subject]) -> Vec<String> {
         ));
     }
     let comparable = [
-        (
-            "MuJoCo version",
-            "each simulates differently",
-            mujoco as Property,
-        ),
+        ("MuJoCo version", "each simulates differently", mujoco as Property),
         ("asset pack", "each is a benchmark of its own", pack),
         ("renderer", "each draws different pictures", renderer),
     ];
     for (name, consequence, property) in comparable {
-        let values = subjects
-            .iter()
-            .flat_map(|s| s.provenances.iter().map(property));
+        let values = subjects.iter().flat_map(|s| s.provenances.iter().map(property));
         let values = values.filter(|value| !value.is_empty()).collect();
         warnings.extend(more_than_one(name, consequence, values));
     }
@@ -116,34 +108,12 @@ pub(crate) type Property = fn(&Provenance) -> String;
 /// Properties that all results of a campaign should share, and the consequence if they
 /// differ.
 const MIXTURES: [(&str, &str, Property); 6] = [
-    (
-        "MuJoCo version",
-        "never pooled: each simulates differently",
-        mujoco,
-    ),
-    (
-        "asset pack",
-        "never pooled: each is a benchmark of its own",
-        pack,
-    ),
-    (
-        "policy checkpoint",
-        "each is a policy of its own",
-        checkpoint,
-    ),
-    (
-        "batch mode",
-        "batched queries can change a policy's answers",
-        |p| p.batch_mode.clone(),
-    ),
-    (
-        "renderer",
-        "never pooled: each draws different pictures",
-        renderer,
-    ),
-    ("program version", "compare with care", |p| {
-        p.program_version.clone()
-    }),
+    ("MuJoCo version", "never pooled: each simulates differently", mujoco),
+    ("asset pack", "never pooled: each is a benchmark of its own", pack),
+    ("policy checkpoint", "each is a policy of its own", checkpoint),
+    ("batch mode", "batched queries can change a policy's answers", |p| p.batch_mode.clone()),
+    ("renderer", "never pooled: each draws different pictures", renderer),
+    ("program version", "compare with care", |p| p.program_version.clone()),
 ];
 
 pub(crate) fn mujoco(p: &Provenance) -> String {
@@ -151,11 +121,7 @@ pub(crate) fn mujoco(p: &Provenance) -> String {
 }
 
 pub(crate) fn pack(p: &Provenance) -> String {
-    format!(
-        "{} ({})",
-        p.pin.asset_pack,
-        abbreviated_digest(&p.pin.asset_pack_digest)
-    )
+    format!("{} ({})", p.pin.asset_pack, abbreviated_digest(&p.pin.asset_pack_digest))
 }
 
 /// Returns the renderer, which is empty in results of workers of earlier releases that rendered no
@@ -168,13 +134,9 @@ pub(crate) fn renderer(p: &Provenance) -> String {
 fn executions(subject: &Subject) -> impl Iterator<Item = String> {
     let latency = subject.records.iter().map(|record| record.id);
     let latency = latency.filter(|id| id.condition() == Condition::Latency);
-    let latency: BTreeSet<String> = latency
-        .filter_map(|id| Some(format!("overlap:{}", delay_at(id.level())?)))
-        .collect();
-    let models = subject
-        .provenances
-        .iter()
-        .map(|provenance| provenance.execution().to_owned());
+    let latency: BTreeSet<String> =
+        latency.filter_map(|id| Some(format!("overlap:{}", delay_at(id.level())?))).collect();
+    let models = subject.provenances.iter().map(|provenance| provenance.execution().to_owned());
     models.filter(move |model| !latency.contains(model))
 }
 
@@ -187,10 +149,7 @@ fn mixed(values: impl Iterator<Item = String>, name: &str, consequence: &str) ->
     let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
-        format!(
-            "results of more than one {name} are mixed ({consequence}): {}",
-            values.join("; ")
-        )
+        format!("results of more than one {name} are mixed ({consequence}): {}", values.join("; "))
     })
 }
 
@@ -204,10 +163,7 @@ pub fn describe_fingerprints(mix: &Fingerprints) -> String {
     let mixture = match mix.mixed.len() {
         0 => "no configuration mixes them".to_owned(),
         1 => format!("1 configuration mixes them: {}", first_names(&mix.mixed)),
-        many => format!(
-            "{many} configurations mix them: {}",
-            first_names(&mix.mixed)
-        ),
+        many => format!("{many} configurations mix them: {}", first_names(&mix.mixed)),
     };
     format!(
         "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
@@ -280,9 +236,7 @@ fn incomplete(subject: &Subject) -> Option<String> {
         return None;
     }
     let open = subject.records.iter();
-    let open = open
-        .filter(|record| record.outcome == Outcome::Missing)
-        .count();
+    let open = open.filter(|record| record.outcome == Outcome::Missing).count();
     (open > 0).then(|| {
         format!(
             "{open} of {} rollouts have no result yet: figures cover the results so far",

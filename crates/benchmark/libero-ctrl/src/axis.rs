@@ -27,23 +27,12 @@ pub enum Axis {
 
 impl Axis {
     /// All axes, in the order of the reference implementation.
-    pub const ALL: [Self; 6] = [
-        Self::Camera,
-        Self::Lighting,
-        Self::Robot,
-        Self::Sensor,
-        Self::Actuation,
-        Self::Language,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Camera, Self::Lighting, Self::Robot, Self::Sensor, Self::Actuation, Self::Language];
 
     /// Axes with numeric parameters: all except language.
-    pub const METRIC: [Self; 5] = [
-        Self::Camera,
-        Self::Lighting,
-        Self::Robot,
-        Self::Sensor,
-        Self::Actuation,
-    ];
+    pub const METRIC: [Self; 5] =
+        [Self::Camera, Self::Lighting, Self::Robot, Self::Sensor, Self::Actuation];
 
     /// Returns the name in rollout ids and manifests.
     pub const fn name(self) -> &'static str {

@@ -68,17 +68,13 @@ impl AxisSet {
 
     /// Returns the axes in the order of [`Axis::ALL`].
     pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
-        Axis::ALL
-            .into_iter()
-            .filter(move |&axis| self.contains(axis))
+        Axis::ALL.into_iter().filter(move |&axis| self.contains(axis))
     }
 
     /// Returns all subsets, sorted, from the empty set to this set.
     pub fn subsets(self) -> Vec<Self> {
-        let mut subsets: Vec<Self> = (0..=Self::ALL.0)
-            .map(Self)
-            .filter(|set| set.is_subset(self))
-            .collect();
+        let mut subsets: Vec<Self> =
+            (0..=Self::ALL.0).map(Self).filter(|set| set.is_subset(self)).collect();
         subsets.sort();
         subsets
     }
@@ -86,8 +82,7 @@ impl AxisSet {
 
 impl FromIterator<Axis> for AxisSet {
     fn from_iter<I: IntoIterator<Item = Axis>>(axes: I) -> Self {
-        axes.into_iter()
-            .fold(Self::EMPTY, |set, axis| set.union(Self::of(axis)))
+        axes.into_iter().fold(Self::EMPTY, |set, axis| set.union(Self::of(axis)))
     }
 }
 

@@ -41,9 +41,7 @@ impl Benchmark {
 
     /// Returns the benchmark with the given name in rollout ids.
     pub(crate) fn from_tag(tag: &str) -> Option<Self> {
-        Self::ALL
-            .into_iter()
-            .find(|benchmark| benchmark.tag() == tag)
+        Self::ALL.into_iter().find(|benchmark| benchmark.tag() == tag)
     }
 }
 

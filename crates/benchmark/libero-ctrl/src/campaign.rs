@@ -125,9 +125,8 @@ impl CampaignSpec {
     /// # Errors
     /// If the text is not a valid specification; the error names the problem and the remedy.
     pub fn from_json(text: &str) -> Result<Self, SpecError> {
-        let spec: Self = serde_json::from_str(text).map_err(|error| SpecError::Json {
-            problem: JsonError::from(error).to_string(),
-        })?;
+        let spec: Self = serde_json::from_str(text)
+            .map_err(|error| SpecError::Json { problem: JsonError::from(error).to_string() })?;
         spec.check()?;
         Ok(spec)
     }
@@ -214,11 +213,7 @@ impl CampaignSpec {
                     return empty("thresholds.campaign", "name the campaign to measure");
                 }
                 if let Some((field, given, valid)) = thresholds.out_of_range() {
-                    return Err(SpecError::Radius {
-                        field,
-                        given,
-                        valid,
-                    });
+                    return Err(SpecError::Radius { field, given, valid });
                 }
                 self.check_matched("thresholds")?;
             }
@@ -323,10 +318,7 @@ enum TextError {
     )]
     Missing(&'static str),
     #[error("`{other}` and `{field}` both define the rollouts: remove one of them")]
-    ConflictingSources {
-        other: &'static str,
-        field: &'static str,
-    },
+    ConflictingSources { other: &'static str, field: &'static str },
     #[error(transparent)]
     Task(#[from] UnknownName),
     #[error(transparent)]
@@ -357,10 +349,7 @@ impl TryFrom<SpecText> for CampaignSpec {
             realisation: text.realisation,
             replicates: text.replicates,
             record: text.record,
-            wanted: Wanted {
-                assets: text.assets,
-                renderer: text.renderer,
-            },
+            wanted: Wanted { assets: text.assets, renderer: text.renderer },
             stop: text.stop,
             execution: text.execution.unwrap_or_else(|| rollouts.execution()),
             rollouts,
@@ -465,10 +454,7 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
         latency: false,
         subsets: text.subsets.take().unwrap_or_default(),
         levels: text.levels.take().ok_or(TextError::Missing("levels"))?,
-        configs: text
-            .configs
-            .take()
-            .unwrap_or_else(|| (0..PRESETS).collect()),
+        configs: text.configs.take().unwrap_or_else(|| (0..PRESETS).collect()),
         nominal: text.nominal.unwrap_or_default(),
         seed: text.design_seed.unwrap_or_default(),
         directions: text.directions.unwrap_or_default(),

@@ -159,31 +159,20 @@ mod tests {
 
     #[test]
     fn conditions_are_parsed_from_their_text() {
-        let conditions: Vec<Condition> = AxisSet::ALL
-            .subsets()
-            .into_iter()
-            .map(Condition::of)
-            .collect();
+        let conditions: Vec<Condition> =
+            AxisSet::ALL.subsets().into_iter().map(Condition::of).collect();
         for &condition in &conditions {
             assert_eq!(condition.to_string().parse(), Ok(condition));
         }
-        let distinct: std::collections::BTreeSet<&str> = conditions
-            .iter()
-            .map(|condition| condition.name())
-            .collect();
+        let distinct: std::collections::BTreeSet<&str> =
+            conditions.iter().map(|condition| condition.name()).collect();
         assert_eq!(distinct.len(), 64);
         assert!(distinct.contains("camera+robot"));
         for &condition in &conditions {
             assert_eq!(condition.label().parse(), Ok(condition));
         }
-        let unknown = "sim"
-            .parse::<Condition>()
-            .expect_err("no condition")
-            .to_string();
-        assert!(
-            unknown.contains("nominal, simultaneous, camera"),
-            "{unknown}"
-        );
+        let unknown = "sim".parse::<Condition>().expect_err("no condition").to_string();
+        assert!(unknown.contains("nominal, simultaneous, camera"), "{unknown}");
         assert!("none".parse::<Condition>().is_err());
     }
 
@@ -191,10 +180,7 @@ mod tests {
     fn a_combination_perturbs_all_axes_of_its_campaign() {
         let campaign = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
         assert_eq!(Condition::Combination.axes(campaign), campaign);
-        assert_eq!(
-            Condition::Single(Axis::Sensor).axes(campaign),
-            AxisSet::of(Axis::Sensor)
-        );
+        assert_eq!(Condition::Single(Axis::Sensor).axes(campaign), AxisSet::of(Axis::Sensor));
         assert_eq!(Condition::of(campaign).axes(AxisSet::ALL), campaign);
     }
 }

@@ -167,10 +167,7 @@ impl Design {
             subsets: in_order(self.subsets),
             levels: in_order(self.levels),
             configs: in_order(self.configs),
-            placebo: Placebo {
-                configs: self.placebo.configs.map(in_order),
-                ..self.placebo
-            },
+            placebo: Placebo { configs: self.placebo.configs.map(in_order), ..self.placebo },
             ..self
         }
     }
@@ -196,10 +193,7 @@ impl Design {
             );
         }
         if perturbs_nothing && self.nominal == Nominal::None {
-            return empty(
-                "axes",
-                "and `nominal` is none, so that the design has no rollouts",
-            );
+            return empty("axes", "and `nominal` is none, so that the design has no rollouts");
         }
         let axes = self.axis_set();
         let is_valid = |set: AxisSet| set.len() > 1 && set.is_subset(axes) && set != axes;
@@ -276,8 +270,7 @@ impl Design {
     /// Returns the axes of the specification: the protocol's and latency.
     pub fn any_axes(&self) -> Vec<AnyAxis> {
         let axes = self.axes.iter().copied().map(AnyAxis::Protocol);
-        axes.chain(self.latency.then_some(AnyAxis::Latency))
-            .collect()
+        axes.chain(self.latency.then_some(AnyAxis::Latency)).collect()
     }
 
     /// Sets the axes of the specification: the protocol's and latency.
@@ -350,10 +343,7 @@ impl Design {
 
     /// Returns true if both designs have the same rollouts.
     fn has_same_rollouts(&self, other: &Self) -> bool {
-        let without_seed = |design: &Self| Self {
-            seed: 0,
-            ..design.clone()
-        };
+        let without_seed = |design: &Self| Self { seed: 0, ..design.clone() };
         without_seed(self) == without_seed(other) && self.effective_seed() == other.effective_seed()
     }
 
@@ -368,9 +358,7 @@ impl Design {
     fn max_rows(&self) -> usize {
         let configs_at = |level: &Level| {
             let configs = self.configs.iter();
-            configs
-                .filter(|&&config| self.runs_config(*level, config))
-                .count()
+            configs.filter(|&&config| self.runs_config(*level, config)).count()
         };
         let config_levels: usize = self.levels.iter().map(configs_at).sum();
         let states = usize::from(INIT_STATES_PER_TASK);
@@ -425,19 +413,13 @@ mod tests {
         let whole = Design::v0_1();
         assert_eq!(whole.version().as_str(), "v0.1");
         // The seed does not change the version, because the design draws nothing from it.
-        let seeded = Design {
-            seed: 7,
-            ..whole.clone()
-        };
+        let seeded = Design { seed: 7, ..whole.clone() };
         assert_eq!(seeded.version().as_str(), "v0.1");
         let mut versions = vec![small().version(), whole.version()];
         let mut add = |change: fn(&mut Design)| {
             let mut design = Design::v0_1();
             change(&mut design);
-            assert!(
-                design.version().as_str().starts_with("custom-"),
-                "{design:?}"
-            );
+            assert!(design.version().as_str().starts_with("custom-"), "{design:?}");
             versions.push(design.version());
         };
         add(|design| design.configs = vec![0]);
@@ -509,11 +491,8 @@ mod tests {
     fn a_placebo_without_l0_or_with_unknown_configurations_or_too_large_a_radius_is_refused() {
         let check = |levels: &[Level], radius: f64, configs: Option<Vec<u16>>| {
             let radius = Level::of_radius(radius).expect("a radius");
-            let design = Design {
-                levels: levels.to_vec(),
-                placebo: Placebo { radius, configs },
-                ..small()
-            };
+            let design =
+                Design { levels: levels.to_vec(), placebo: Placebo { radius, configs }, ..small() };
             design.check().map_err(|error| error.to_string())
         };
         let both = [Level::L0, Level::L2];
@@ -530,12 +509,7 @@ mod tests {
             ),
             (&both, 0.02, Some(vec![3]), "`placebo_configs` has 3"),
             (&both, 0.02, Some(vec![]), "`placebo_configs` is empty"),
-            (
-                &both,
-                2.0,
-                None,
-                "`placebo_radius` is 2, valid are 0.001 to 0.5",
-            ),
+            (&both, 2.0, None, "`placebo_radius` is 2, valid are 0.001 to 0.5"),
         ] {
             let error = check(levels, radius, configs).expect_err(expected);
             assert!(error.contains(expected), "{error}");
@@ -562,23 +536,14 @@ mod tests {
             configs: (0..MAX_CONFIGS).collect(),
             ..Design::v0_1()
         };
-        let cases = [
-            (Nominal::All, 2_162_000),
-            (Nominal::Eval, 2_162_000),
-            (Nominal::None, 2_160_000),
-        ];
+        let cases =
+            [(Nominal::All, 2_162_000), (Nominal::Eval, 2_162_000), (Nominal::None, 2_160_000)];
         for (nominal, rows) in cases {
-            let design = Design {
-                nominal,
-                ..design.clone()
-            };
+            let design = Design { nominal, ..design.clone() };
             let error = design.check().expect_err("too large");
             assert_eq!(error, DesignError::TooLarge { rows });
         }
         let error = design.check().expect_err("too large").to_string();
-        assert!(
-            error.contains("the design has up to 2162000 rollouts, at most 250000"),
-            "{error}"
-        );
+        assert!(error.contains("the design has up to 2162000 rollouts, at most 250000"), "{error}");
     }
 }

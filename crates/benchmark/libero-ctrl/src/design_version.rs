@@ -39,10 +39,7 @@ impl DesignVersion {
 
     /// Returns the version of imported rows, from a text that identifies them.
     pub(crate) fn manifest(text: &str) -> Self {
-        Self(format!(
-            "{MANIFEST}{:08x}",
-            crc32fast::hash(text.as_bytes())
-        ))
+        Self(format!("{MANIFEST}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
     /// Returns the version of a campaign that explains another.
@@ -71,15 +68,9 @@ impl DesignVersion {
             return self;
         }
         let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
-        let prefix = prefixes
-            .into_iter()
-            .find(|prefix| self.0.starts_with(prefix));
+        let prefix = prefixes.into_iter().find(|prefix| self.0.starts_with(prefix));
         let text = format!("{} {execution}", self.0);
-        Self(format!(
-            "{}{:08x}",
-            prefix.unwrap_or(CUSTOM),
-            crc32fast::hash(text.as_bytes())
-        ))
+        Self(format!("{}{:08x}", prefix.unwrap_or(CUSTOM), crc32fast::hash(text.as_bytes())))
     }
 
     fn of_derived(prefix: &str, from: &impl Serialize) -> Self {

@@ -78,9 +78,8 @@ pub(crate) fn init_id(task: TaskRef, config: u16, design_seed: u64) -> u16 {
     if let Some(&init_id) = evaluated.get(index) {
         return init_id;
     }
-    let mut remaining: Vec<u16> = (0..INIT_STATES_PER_TASK)
-        .filter(|init_id| !evaluated.contains(init_id))
-        .collect();
+    let mut remaining: Vec<u16> =
+        (0..INIT_STATES_PER_TASK).filter(|init_id| !evaluated.contains(init_id)).collect();
     let mut rng = named_rng(design_seed, &format!("{task}/init"));
     // The shuffle of Fisher and Yates.
     for last in (1..remaining.len()).rev() {
@@ -114,10 +113,7 @@ mod tests {
         for config in [0, 10] {
             let direction = draw(task, Axis::Camera, config, 1);
             let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
-            assert!(
-                (length - 1.0).abs() < 1e-12 && direction[2] >= 0.0,
-                "{direction:?}"
-            );
+            assert!((length - 1.0).abs() < 1e-12 && direction[2] >= 0.0, "{direction:?}");
             assert_ne!(direction, draw(other_task, Axis::Camera, config, 1));
             assert_ne!(direction, draw(task, Axis::Camera, config, 2));
             assert_ne!(direction, draw(task, Axis::Lighting, config, 1));
@@ -138,10 +134,7 @@ mod tests {
     fn the_presets_do_not_depend_on_the_seed_of_the_design() {
         let task: TaskRef = "libero_goal/3".parse().expect("a task");
         for config in 0..PRESETS {
-            assert_eq!(
-                init_id(task, config, 1),
-                task.eval_init_ids()[config as usize]
-            );
+            assert_eq!(init_id(task, config, 1), task.eval_init_ids()[config as usize]);
             for axis in Axis::ALL {
                 assert_eq!(shared(axis, config, 1), shared(axis, config, 2));
             }
@@ -158,12 +151,8 @@ mod tests {
         let task: TaskRef = "libero_goal/3".parse().expect("a task");
         let states: Vec<u16> = (10..16).map(|config| init_id(task, config, 0)).collect();
         assert_eq!(states, [35, 1, 29, 22, 45, 34]);
-        let expected = [
-            -0.752559361788223,
-            -0.46056951937932705,
-            0.4261873060080315,
-            -0.19973608837967805,
-        ];
+        let expected =
+            [-0.752559361788223, -0.46056951937932705, 0.4261873060080315, -0.19973608837967805];
         assert_eq!(shared(Axis::Sensor, 10, 0), expected);
     }
 }

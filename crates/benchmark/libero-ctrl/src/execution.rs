@@ -114,11 +114,7 @@ impl Execution {
     pub fn check(&self, horizon: usize) -> Result<(), TooLate> {
         match self {
             Self::Overlap { delays, .. } if usize::from(delays.shortest()) >= horizon => {
-                Err(TooLate {
-                    execution: self.clone(),
-                    dropped: delays.shortest(),
-                    horizon,
-                })
+                Err(TooLate { execution: self.clone(), dropped: delays.shortest(), horizon })
             }
             _ => Ok(()),
         }
@@ -153,12 +149,8 @@ impl Delays {
         }
         match weighted.len() {
             0 => Err("no delay is given".to_owned()),
-            1 => Ok(Self {
-                weighted: weighted.into_keys().map(|steps| (steps, 1)).collect(),
-            }),
-            2..=MAX_DISTINCT_DELAYS => Ok(Self {
-                weighted: weighted.into_iter().collect(),
-            }),
+            1 => Ok(Self { weighted: weighted.into_keys().map(|steps| (steps, 1)).collect() }),
+            2..=MAX_DISTINCT_DELAYS => Ok(Self { weighted: weighted.into_iter().collect() }),
             count => Err(format!(
                 "{count} different delays are given, at most {MAX_DISTINCT_DELAYS} are possible"
             )),
@@ -241,9 +233,7 @@ impl fmt::Display for Delays {
             return write!(f, "{only}");
         }
         let terms = self.weighted.iter();
-        let terms: Vec<String> = terms
-            .map(|(steps, weight)| format!("{steps}*{weight}"))
-            .collect();
+        let terms: Vec<String> = terms.map(|(steps, weight)| format!("{steps}*{weight}")).collect();
         f.write_str(&terms.join("+"))
     }
 }

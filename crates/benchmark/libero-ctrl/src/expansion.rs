@@ -103,10 +103,7 @@ impl Design {
             levels: vec![level],
             configs: vec![config],
             placebo: match level {
-                Level::L0 => Placebo {
-                    configs: None,
-                    ..self.placebo.clone()
-                },
+                Level::L0 => Placebo { configs: None, ..self.placebo.clone() },
                 _ => Placebo::default(),
             },
             ..self.clone()
@@ -137,10 +134,8 @@ impl Design {
         let id = RolloutId::perturbed(task, condition, level, config)
             .expect("the conditions of a design perturb");
         let init_id = init_id(task, config, self.seed);
-        let mut row = ManifestRow {
-            placebo_radius,
-            ..ManifestRow::new(id, config, init_id, perturbation)
-        };
+        let mut row =
+            ManifestRow { placebo_radius, ..ManifestRow::new(id, config, init_id, perturbation) };
         if condition == Condition::Latency {
             row.execution = execution_at(level).expect("a validated design has delays");
         }
@@ -186,10 +181,7 @@ mod tests {
     use crate::directions::Directions;
 
     fn metric_design() -> Design {
-        Design {
-            axes: Axis::METRIC.to_vec(),
-            ..Design::v0_1()
-        }
+        Design { axes: Axis::METRIC.to_vec(), ..Design::v0_1() }
     }
 
     #[test]
@@ -275,19 +267,11 @@ mod tests {
         let triple = row("lighting+robot+sensor");
         assert_eq!(triple.perturbation.robot, row("robot").perturbation.robot);
         assert_eq!(triple.instruction, row("camera").instruction);
-        assert_eq!(
-            all.only(AxisSet::from_iter([Axis::Camera, Axis::Language])),
-            Ok(pair.clone())
-        );
-        assert_eq!(
-            all.only("lighting+robot+sensor".parse().expect("a set")),
-            Ok(triple.clone())
-        );
+        assert_eq!(all.only(AxisSet::from_iter([Axis::Camera, Axis::Language])), Ok(pair.clone()));
+        assert_eq!(all.only("lighting+robot+sensor".parse().expect("a set")), Ok(triple.clone()));
         assert_eq!(all.axes(), AxisSet::ALL);
         // All other rows are the same as without subsets.
-        let others = rows
-            .iter()
-            .filter(|row| !matches!(row.id.condition(), Condition::Subset(_)));
+        let others = rows.iter().filter(|row| !matches!(row.id.condition(), Condition::Subset(_)));
         assert!(others.eq(without_subsets.expand().expect("rows").iter()));
         let text = crate::manifest::to_text(&rows);
         assert_eq!(crate::manifest::parse(&text), Ok(rows));
@@ -330,21 +314,15 @@ mod tests {
             levels: vec![Level::L0, Level::L2],
             configs: vec![4, 17],
             tasks: select("libero_goal/3"),
-            placebo: Placebo {
-                configs: Some(vec![4]),
-                ..Placebo::default()
-            },
+            placebo: Placebo { configs: Some(vec![4]), ..Placebo::default() },
             ..Design::v0_1()
         };
         let rows = design.expand().expect("rows");
         let (placebo, others): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.id.is_placebo());
         let ids: Vec<String> = placebo.iter().map(|row| row.id.to_string()).collect();
         assert_eq!((ids.len(), ids[0].as_str()), (7, "goal/t3/camera/L0/c04"));
-        let without_placebo = Design {
-            levels: vec![Level::L2],
-            placebo: Placebo::default(),
-            ..design.clone()
-        };
+        let without_placebo =
+            Design { levels: vec![Level::L2], placebo: Placebo::default(), ..design.clone() };
         let rows_without_placebo = without_placebo.expand().expect("rows");
         assert!(others.into_iter().eq(&rows_without_placebo));
         for row in &placebo {
@@ -373,30 +351,16 @@ mod tests {
 
     #[test]
     fn own_directions_change_only_the_parameters() {
-        let shared = Design {
-            configs: vec![4, 17],
-            tasks: select("libero_goal/3"),
-            ..Design::v0_1()
-        };
-        let own = Design {
-            directions: Directions::Own,
-            ..shared.clone()
-        };
+        let shared =
+            Design { configs: vec![4, 17], tasks: select("libero_goal/3"), ..Design::v0_1() };
+        let own = Design { directions: Directions::Own, ..shared.clone() };
         let [shared, own] = [shared, own].map(|design| design.expand().expect("rows"));
         assert_eq!(shared.len(), own.len());
         for (shared, own) in shared.iter().zip(&own) {
-            let same = ManifestRow {
-                perturbation: own.perturbation,
-                ..shared.clone()
-            };
+            let same = ManifestRow { perturbation: own.perturbation, ..shared.clone() };
             assert_eq!(&same, own);
             let is_metric = !shared.perturbation.axes().is_empty();
-            assert_eq!(
-                shared.perturbation != own.perturbation,
-                is_metric,
-                "{}",
-                own.id
-            );
+            assert_eq!(shared.perturbation != own.perturbation, is_metric, "{}", own.id);
         }
         let text = crate::manifest::to_text(&own);
         assert_eq!(crate::manifest::parse(&text), Ok(own));

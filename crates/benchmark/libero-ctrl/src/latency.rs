@@ -69,10 +69,7 @@ mod tests {
     fn levels_are_delays_of_whole_control_steps() {
         let delay = |level: &str| delay_at(level.parse().expect("a level"));
         assert_eq!(["L1", "L2", "L3"].map(delay), [Some(1), Some(2), Some(4)]);
-        assert_eq!(
-            ["r16", "r6", "r100"].map(delay),
-            [Some(8), Some(3), Some(50)]
-        );
+        assert_eq!(["r16", "r6", "r100"].map(delay), [Some(8), Some(3), Some(50)]);
         assert_eq!(["L0", "r1", "r3", "r2.5"].map(delay), [None; 4]);
         let model = execution_at(Level::L3).expect("a model");
         assert_eq!(model.to_string(), "overlap:4");

@@ -37,9 +37,7 @@ impl Level {
     pub fn of_radius(radius: f64) -> Option<Self> {
         let radius_micros = (radius * f64::from(MICROS)).round();
         let valid = f64::from(MIN_MICROS)..=f64::from(MAX_MICROS);
-        valid.contains(&radius_micros).then_some(Self {
-            radius_micros: radius_micros as u32,
-        })
+        valid.contains(&radius_micros).then_some(Self { radius_micros: radius_micros as u32 })
     }
 
     /// Returns the radius in normalised coordinates.
@@ -91,12 +89,8 @@ impl FromStr for Level {
 
 serde_as_text!(Level);
 
-const NAMES: [(&str, Level); 4] = [
-    ("L0", Level::L0),
-    ("L1", Level::L1),
-    ("L2", Level::L2),
-    ("L3", Level::L3),
-];
+const NAMES: [(&str, Level); 4] =
+    [("L0", Level::L0), ("L1", Level::L1), ("L2", Level::L2), ("L3", Level::L3)];
 
 const VALID: [&str; 5] = ["L0", "L1", "L2", "L3", "or a radius from r0.001 to r100"];
 
@@ -163,9 +157,8 @@ mod tests {
 
     #[test]
     fn levels_are_ordered_by_radius() {
-        let mut levels: Vec<Level> = ["L3", "r2.5", "L1", "r10", "L2"]
-            .map(|text| text.parse().expect("a level"))
-            .to_vec();
+        let mut levels: Vec<Level> =
+            ["L3", "r2.5", "L1", "r10", "L2"].map(|text| text.parse().expect("a level")).to_vec();
         levels.sort();
         let texts: Vec<String> = levels.iter().map(Level::to_string).collect();
         assert_eq!(texts, ["L1", "r2.5", "L2", "L3", "r10"]);

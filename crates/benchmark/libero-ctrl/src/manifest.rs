@@ -134,15 +134,9 @@ impl fmt::Display for Difference {
         match self {
             Self::OnlyLeft(id) => write!(f, "{id}: only in the first manifest"),
             Self::OnlyRight(id) => write!(f, "{id}: only in the second manifest"),
-            Self::Value {
-                id,
-                column,
-                left,
-                right,
-            } => write!(
-                f,
-                "{id}: {column} is {left} in the first manifest, {right} in the second"
-            ),
+            Self::Value { id, column, left, right } => {
+                write!(f, "{id}: {column} is {left} in the first manifest, {right} in the second")
+            }
         }
     }
 }
@@ -326,10 +320,8 @@ impl Checker {
         }
         row.perturbation.axes().into_iter().find_map(|axis| {
             let values = row.perturbation.values(axis);
-            let (first, expected) = configuration
-                .values
-                .entry(axis)
-                .or_insert_with(|| (line, values.clone()));
+            let (first, expected) =
+                configuration.values.entry(axis).or_insert_with(|| (line, values.clone()));
             (*expected != values).then(|| (format!("parameters of axis {axis}"), *first))
         })
     }
@@ -358,13 +350,7 @@ fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
         let rounding = unit(axis).iter().map(|unit| ROUNDING / unit);
         let rounding = rounding.map(|x| x * x).sum::<f64>().sqrt();
         if (given - expected).abs() > RADIUS_TOLERANCE * expected + rounding {
-            return Err(LineProblem::Radius {
-                id,
-                axis,
-                level,
-                given,
-                expected,
-            });
+            return Err(LineProblem::Radius { id, axis, level, given, expected });
         }
     }
     Ok(())
@@ -388,12 +374,7 @@ fn compare(path: &str, left: &Value, right: &Value, report: &mut impl FnMut(&str
         }
         let _ = write!(path, "{key}");
         let (left, right) = (left_fields.get(key), right_fields.get(key));
-        compare(
-            &path,
-            left.unwrap_or(&Value::Null),
-            right.unwrap_or(&Value::Null),
-            report,
-        );
+        compare(&path, left.unwrap_or(&Value::Null), right.unwrap_or(&Value::Null), report);
     }
 }
 
@@ -440,14 +421,8 @@ mod tests {
             "`level` is L1, but the id says L2",
         );
         check_refused(&sensor.replace("L1", "L4"), "read level `L4`");
-        check_refused(
-            &sensor.replace("\"init_id\":43", "\"init_id\":50"),
-            "0 to 49",
-        );
-        check_refused(
-            &sensor.replace("L1", "L2"),
-            "axis sensor have radius 2.000, at L2 it is 4",
-        );
+        check_refused(&sensor.replace("\"init_id\":43", "\"init_id\":50"), "0 to 49");
+        check_refused(&sensor.replace("L1", "L2"), "axis sensor have radius 2.000, at L2 it is 4");
     }
 
     #[test]
@@ -500,31 +475,18 @@ mod tests {
     fn differences_name_row_and_column() {
         let left = rows();
         let mut right = left.clone();
-        right[1]
-            .perturbation
-            .camera
-            .as_mut()
-            .expect("a camera row")
-            .d_azimuth_deg = 1.0;
+        right[1].perturbation.camera.as_mut().expect("a camera row").d_azimuth_deg = 1.0;
         right[2].instruction.push('!');
         let removed = right.pop().expect("rows").id;
-        let differences: Vec<String> = diff(&left, &right)
-            .iter()
-            .map(Difference::to_string)
-            .collect();
+        let differences: Vec<String> =
+            diff(&left, &right).iter().map(Difference::to_string).collect();
         assert_eq!(differences.len(), 3, "{differences:?}");
         let all = differences.join("\n");
         assert!(all.contains(
             "spatial/t0/camera/L1/c00: perturb.d_azimuth_deg is 0.063986 in the first manifest, 1.0 \
              in the second"
         ));
-        assert!(
-            all.contains("language is \"pick up the black bowl"),
-            "{all}"
-        );
-        assert!(
-            all.contains(&format!("{removed}: only in the first manifest")),
-            "{all}"
-        );
+        assert!(all.contains("language is \"pick up the black bowl"), "{all}");
+        assert!(all.contains(&format!("{removed}: only in the first manifest")), "{all}");
     }
 }

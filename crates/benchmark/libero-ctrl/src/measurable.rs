@@ -52,10 +52,7 @@ impl Thresholds {
         if valid.is_empty() || design.levels.iter().all(|level| *level == Level::L0) {
             return Err(NotMeasurable::NoCondition);
         }
-        let not_run = self
-            .conditions
-            .iter()
-            .find(|condition| !valid.contains(condition));
+        let not_run = self.conditions.iter().find(|condition| !valid.contains(condition));
         match not_run {
             None => Ok(()),
             Some(given) => Err(NotMeasurable::ConditionNotRun {
@@ -91,10 +88,7 @@ mod tests {
 
     #[test]
     fn conditions_that_cannot_be_measured_are_refused_with_the_valid_conditions() {
-        let design = Design {
-            axes: vec![Axis::Camera, Axis::Robot],
-            ..Design::v0_1()
-        };
+        let design = Design { axes: vec![Axis::Camera, Axis::Robot], ..Design::v0_1() };
         let check = |change: fn(&mut Design), conditions: &[Condition]| {
             let mut design = design.clone();
             change(&mut design);

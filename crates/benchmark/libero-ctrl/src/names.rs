@@ -22,11 +22,7 @@ fn quoted(given: &str) -> String {
 
 impl UnknownName {
     pub(crate) fn new(kind: &'static str, given: &str, valid: &[&str]) -> Self {
-        Self {
-            kind,
-            given: given.to_owned(),
-            valid: valid.join(", "),
-        }
+        Self { kind, given: given.to_owned(), valid: valid.join(", ") }
     }
 }
 

@@ -56,10 +56,7 @@ pub fn paraphrase(task: TaskRef, level: Level, config: u16) -> Paraphrase {
         };
     }
     let variant = usize::from(config);
-    assert!(
-        variant < VARIANTS,
-        "no paraphrase {config}: valid are 0 to 9"
-    );
+    assert!(variant < VARIANTS, "no paraphrase {config}: valid are 0 to 9");
     Paraphrase {
         text: sentence(task, level, variant),
         variant_id: format!("t{}/{level}/v{config:02}", task.index()),
@@ -104,11 +101,7 @@ mod tests {
         let mut lists = BTreeSet::new();
         for mark in template.split(['{', '<', '@']).skip(1) {
             let (mark, _) = mark.split_once(['}', '>', '@']).unwrap_or((mark, ""));
-            let name = mark
-                .trim_end_matches(" it")
-                .split('+')
-                .next()
-                .unwrap_or(mark);
+            let name = mark.trim_end_matches(" it").split('+').next().unwrap_or(mark);
             let slots = [&task.slots, &construction.defaults];
             if let Some(slot) = slots.into_iter().find_map(|slots| slots.get(name)) {
                 lists.append(&mut self::lists(task, slot));

@@ -185,9 +185,7 @@ impl Perturbation {
             Axis::Lighting => self.lighting.map(|shift| shift.values().to_vec()),
             Axis::Robot => self.robot.map(|shift| shift.values().to_vec()),
             Axis::Sensor => self.sensor.map(|corruption| corruption.values().to_vec()),
-            Axis::Actuation => self
-                .actuation
-                .map(|distortion| distortion.values().to_vec()),
+            Axis::Actuation => self.actuation.map(|distortion| distortion.values().to_vec()),
             Axis::Language => None,
         }
         .unwrap_or_default()

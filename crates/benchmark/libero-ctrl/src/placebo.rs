@@ -35,9 +35,6 @@ impl Placebo {
 
 impl Default for Placebo {
     fn default() -> Self {
-        Self {
-            radius: Self::DEFAULT_RADIUS,
-            configs: None,
-        }
+        Self { radius: Self::DEFAULT_RADIUS, configs: None }
     }
 }

@@ -100,9 +100,7 @@ pub(crate) fn half_space(axis: Axis) -> &'static [usize] {
 pub fn round6(value: f64) -> f64 {
     // Formatting with a precision rounds the exact value; scaling by 10⁶ first
     // would round twice and differ in the last digit of some presets.
-    format!("{value:.6}")
-        .parse()
-        .expect("a formatted float parses")
+    format!("{value:.6}").parse().expect("a formatted float parses")
 }
 
 impl Suite {
@@ -194,17 +192,11 @@ impl From<PresetsFile> for Presets {
         });
         let axes = file.axes.into_iter().map(|(name, figures)| {
             let directions = file.directions.remove(&name).unwrap_or_default();
-            let presets = AxisPresets {
-                unit: figures.unit,
-                half_space: figures.half_space,
-                directions,
-            };
+            let presets =
+                AxisPresets { unit: figures.unit, half_space: figures.half_space, directions };
             (name, presets)
         });
-        Self {
-            suites,
-            axes: axes.collect(),
-        }
+        Self { suites, axes: axes.collect() }
     }
 }
 
@@ -220,9 +212,7 @@ mod tests {
     fn check_keys(axis: Axis, keys: &[&str]) {
         let file = file();
         assert_eq!(file["axes"][axis.name()]["keys"], serde_json::json!(keys));
-        let AxisPresets {
-            unit, directions, ..
-        } = &presets().axes[axis.name()];
+        let AxisPresets { unit, directions, .. } = &presets().axes[axis.name()];
         assert_eq!(unit.len(), keys.len(), "{axis}");
         assert_eq!(directions.len(), usize::from(PRESETS), "{axis}");
         assert!(directions.iter().all(|d| d.len() == keys.len()), "{axis}");
@@ -261,10 +251,7 @@ mod tests {
         let camera: [f64; 5] = values(Axis::Camera, Level::L1, 1);
         assert_eq!(camera, [-3.58936, 0.404697, 0.063736, 0.013033, -0.016198]);
         let robot: [f64; 6] = values(Axis::Robot, Level::L1, 1);
-        assert_eq!(
-            robot,
-            [0.00361, -0.024367, 0.016343, 4.716338, 1.696958, -4.05363]
-        );
+        assert_eq!(robot, [0.00361, -0.024367, 0.016343, 4.716338, 1.696958, -4.05363]);
         let lighting: [f64; 5] = values(Axis::Lighting, Level::L2, 1);
         assert_eq!(lighting[1], -0.617393);
         let lighting: [f64; 5] = values(Axis::Lighting, Level::L1, 2);

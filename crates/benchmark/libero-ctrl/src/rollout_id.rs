@@ -41,13 +41,7 @@ pub struct RolloutId {
 impl RolloutId {
     /// Creates the id of the nominal rollout of a task from initial state `init_id`.
     pub const fn clean(task: TaskRef, init_id: u16) -> Self {
-        Self {
-            task,
-            condition: Condition::Clean,
-            level: Level::L0,
-            number: init_id,
-            variant: None,
-        }
+        Self { task, condition: Condition::Clean, level: Level::L0, number: init_id, variant: None }
     }
 
     /// Creates the id of a rollout of LIBERO's family from initial state `init_id`.
@@ -72,13 +66,7 @@ impl RolloutId {
         level: Level,
         config: u16,
     ) -> Result<Self, UnknownName> {
-        let id = Self {
-            task,
-            condition,
-            level,
-            number: config,
-            variant: None,
-        };
+        let id = Self { task, condition, level, number: config, variant: None };
         if !has_config(condition) {
             return Err(unknown(&id.to_string()));
         }
@@ -183,9 +171,7 @@ impl FromStr for RolloutId {
         match number {
             Some(state) if condition == Condition::Clean => {
                 let is_valid = level == Level::L0 && state < INIT_STATES_PER_TASK;
-                is_valid
-                    .then_some(Self::clean(task, state))
-                    .ok_or_else(|| unknown(text))
+                is_valid.then_some(Self::clean(task, state)).ok_or_else(|| unknown(text))
             }
             Some(config) => Self::perturbed(task, condition, level, config),
             None => Err(unknown(text)),
@@ -273,10 +259,7 @@ mod tests {
             ids.push(id);
         }
         let name = ids[3].variant().expect("a variant");
-        assert_eq!(
-            (name.benchmark(), name.change()),
-            (Some(Benchmark::Plus), "noise_30")
-        );
+        assert_eq!((name.benchmark(), name.change()), (Some(Benchmark::Plus), "noise_30"));
         assert!(
             !name.is_unperturbed() && ids[4].variant().is_some_and(|name| name.is_unperturbed())
         );
@@ -293,10 +276,7 @@ mod tests {
         let name = id.variant().expect("a suite");
         assert_eq!((name.benchmark(), name.change()), (None, "libero_90"));
         assert_eq!(id.suite_name(), "libero_90");
-        assert!(
-            "own/3".parse::<TaskRef>().is_err(),
-            "no task without its file"
-        );
+        assert!("own/3".parse::<TaskRef>().is_err(), "no task without its file");
     }
 
     #[test]

@@ -83,10 +83,7 @@ impl ManifestRow {
     pub fn under(self, execution: &Execution) -> Self {
         match self.id.condition() {
             Condition::Latency => self,
-            _ => Self {
-                execution: execution.clone(),
-                ..self
-            },
+            _ => Self { execution: execution.clone(), ..self },
         }
     }
 
@@ -113,11 +110,7 @@ impl ManifestRow {
         let id = self.id;
         let config = id.number();
         let id = RolloutId::perturbed(id.task(), Condition::of(axes), id.level(), config)?;
-        let mut row = Self {
-            id,
-            perturbation: self.perturbation.only(axes),
-            ..self.clone()
-        };
+        let mut row = Self { id, perturbation: self.perturbation.only(axes), ..self.clone() };
         if !axes.contains(Axis::Language) {
             row.instruction = id.task().instruction();
             row.variant_id = None;
@@ -346,11 +339,7 @@ impl TryFrom<FlatRow> for ManifestRow {
         if condition == Condition::Latency {
             let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
             if Some(&given) != expected.as_ref() {
-                return Err(RowError::Latency {
-                    id,
-                    given,
-                    expected,
-                });
+                return Err(RowError::Latency { id, given, expected });
             }
         }
         let given = flat.placebo_radius;
@@ -488,9 +477,6 @@ mod tests {
         placebo["level"] = json!("L0");
         placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");
         let error = serde_json::from_value::<ManifestRow>(placebo).expect_err("no radius");
-        assert!(
-            error.to_string().contains("`placebo_radius` is missing"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("`placebo_radius` is missing"), "{error}");
     }
 }

@@ -110,9 +110,7 @@ impl Schedule {
                 answer.actions.get(done..).unwrap_or_default()
             });
             let mut under_way = remaining.to_vec();
-            let gripper = remaining
-                .last()
-                .map_or(self.gripper, |action| action[GRIPPER]);
+            let gripper = remaining.last().map_or(self.gripper, |action| action[GRIPPER]);
             // The arm holds still from the end of the current response until the next response
             // takes effect.
             if under_way.len() < delay as usize {
@@ -141,12 +139,8 @@ impl Schedule {
         if let Some(response) = self.pending.take() {
             self.current = Some(response);
         }
-        self.pending = Some(Answer {
-            query: self.queries,
-            first_step,
-            effective_from: step + delay,
-            actions,
-        });
+        self.pending =
+            Some(Answer { query: self.queries, first_step, effective_from: step + delay, actions });
         self.queries += 1;
         self.next_query = step + steps_to_query.max(1);
     }
@@ -165,35 +159,22 @@ impl Schedule {
         match scheduled {
             Some((action, source)) => {
                 self.gripper = action[GRIPPER];
-                Command {
-                    action,
-                    source: Some(source),
-                }
+                Command { action, source: Some(source) }
             }
-            None => Command {
-                action: hold(self.gripper),
-                source: None,
-            },
+            None => Command { action: hold(self.gripper), source: None },
         }
     }
 
     /// Returns the response in effect at the next step.
     fn current(&self) -> Option<&Answer> {
-        let effective = self
-            .pending
-            .as_ref()
-            .filter(|answer| answer.effective_from <= self.step);
+        let effective = self.pending.as_ref().filter(|answer| answer.effective_from <= self.step);
         effective.or(self.current.as_ref())
     }
 
     /// Returns the delay of the response to the next query.
     fn delay(&self) -> u32 {
         let delays = self.execution.delays();
-        delays.map_or(0, |delays| {
-            delays
-                .of_query(self.task, self.init_id, self.queries)
-                .into()
-        })
+        delays.map_or(0, |delays| delays.of_query(self.task, self.init_id, self.queries).into())
     }
 }
 

@@ -51,10 +51,7 @@ mod tests {
     #[test]
     fn seeds_are_the_crc_32_of_the_id() {
         assert_eq!(rollout_seed(&id("spatial/t0/camera/L2/c00")), 2_926_471_293);
-        assert_eq!(
-            policy_seed(&id("long/t5/combination/L3/c08"), 0),
-            2_736_294_675
-        );
+        assert_eq!(policy_seed(&id("long/t5/combination/L3/c08"), 0), 2_736_294_675);
         assert_eq!(policy_seed(&id("goal/t9/clean/i00"), 1), 250_929_353);
     }
 

@@ -171,9 +171,8 @@ pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     let conditions: Vec<Condition> = conditions.chain([Condition::Combination]).collect();
     for (&(task, config), rollouts) in &units {
         for &level in &levels {
-            let missing = conditions
-                .iter()
-                .find(|&&condition| !rollouts.contains(&(level, condition)));
+            let missing =
+                conditions.iter().find(|&&condition| !rollouts.contains(&(level, condition)));
             if let Some(&condition) = missing
                 && let Ok(rollout) = RolloutId::perturbed(task, condition, level, config)
             {

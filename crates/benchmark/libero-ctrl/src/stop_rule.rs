@@ -38,14 +38,8 @@ pub enum Measure {
 
 impl Measure {
     /// All measures.
-    pub const ALL: [Self; 6] = [
-        Self::SSim,
-        Self::RE,
-        Self::RC,
-        Self::RD,
-        Self::I,
-        Self::Difference,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I, Self::Difference];
 
     /// Measures of one policy.
     pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
@@ -185,10 +179,7 @@ impl FromStr for Clause {
             let (measure, limit) = width.split_once(')').ok_or_else(unknown)?;
             let limit = limit.trim().strip_prefix('<').and_then(number);
             let limit = limit.filter(|&limit| limit > 0.0 && limit <= 2.0);
-            return Ok(Self::Width(
-                measure.trim().parse()?,
-                limit.ok_or_else(unknown)?,
-            ));
+            return Ok(Self::Width(measure.trim().parse()?, limit.ok_or_else(unknown)?));
         }
         let (measure, value) = text.split_once(" excludes ").ok_or_else(unknown)?;
         let measure: Measure = measure.trim().parse()?;
@@ -302,10 +293,7 @@ mod tests {
             "width( I )<0.080 and  S_sim  excludes  5e-1",
             " width(I)  < 8e-2 and S_sim excludes +0.5 ",
         ] {
-            assert_eq!(
-                rule(text).to_string(),
-                "width(I) < 0.08 and S_sim excludes 0.5"
-            );
+            assert_eq!(rule(text).to_string(), "width(I) < 0.08 and S_sim excludes 0.5");
         }
         assert_eq!(rule("I excludes -0").to_string(), "I excludes 0");
         let new_tasks = rule(" I  excludes 0.0 for new tasks ");
@@ -335,10 +323,7 @@ mod tests {
             "width(I) < 0.1 for new tasks",
             "difference excludes 0 for new tasks",
         ] {
-            assert!(
-                refusal_of(text).contains("valid are width(M) < X"),
-                "{text}"
-            );
+            assert!(refusal_of(text).contains("valid are width(M) < X"), "{text}");
         }
         assert!(refusal_of("width(I) < 0.1 and and I excludes 0").contains("`and I`"));
         assert_eq!(

@@ -45,9 +45,7 @@ impl Randomness {
             Realisation::Matched => {
                 Self::Matched(MatchedStream::new(id.task(), id.level(), id.number(), axis))
             }
-            Realisation::Reference => Self::Reference {
-                seed: reference_seed(id, axis),
-            },
+            Realisation::Reference => Self::Reference { seed: reference_seed(id, axis) },
         }
     }
 }
@@ -66,9 +64,7 @@ impl MatchedStream {
 
     /// Creates the stream with the given name.
     pub(crate) fn named(name: &str) -> Self {
-        Self {
-            key: Sha256::digest(name.as_bytes()).into(),
-        }
+        Self { key: Sha256::digest(name.as_bytes()).into() }
     }
 
     /// Returns the generator of the draws made once per rollout.

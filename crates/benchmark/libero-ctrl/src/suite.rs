@@ -116,10 +116,7 @@ impl TaskRef {
 
     /// Returns a task of a suite file, by its position in the file.
     pub const fn own(index: u8) -> Self {
-        Self {
-            suite: Suite::Own,
-            index,
-        }
+        Self { suite: Suite::Own, index }
     }
 
     /// Returns the forty tasks by suite.
@@ -172,13 +169,9 @@ impl FromStr for TaskRef {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let (suite, index) = text
-            .split_once('/')
-            .ok_or_else(|| unknown_task(text, "SUITE"))?;
+        let (suite, index) = text.split_once('/').ok_or_else(|| unknown_task(text, "SUITE"))?;
         let suite: Suite = suite.parse()?;
-        let index = index
-            .parse()
-            .map_err(|_| unknown_task(text, suite.name()))?;
+        let index = index.parse().map_err(|_| unknown_task(text, suite.name()))?;
         Self::new(suite, index)
     }
 }
@@ -208,10 +201,7 @@ mod tests {
     fn instruction_is_the_file_name_without_its_scene() {
         let instruction = |task: &str| task.parse::<TaskRef>().expect("a task").instruction();
         assert_eq!(instruction("goal/7"), "turn on the stove");
-        assert_eq!(
-            instruction("libero_10/2"),
-            "turn on the stove and put the moka pot on it"
-        );
+        assert_eq!(instruction("libero_10/2"), "turn on the stove and put the moka pot on it");
         assert_eq!(
             instruction("libero_10/5"),
             "pick up the book and place it in the back compartment of the caddy"
@@ -230,9 +220,6 @@ mod tests {
             error("libero_goal/10"),
             "read task `libero_goal/10`: valid are libero_goal/0 to libero_goal/9"
         );
-        assert_eq!(
-            error("libero_goal"),
-            "read task `libero_goal`: valid are SUITE/0 to SUITE/9"
-        );
+        assert_eq!(error("libero_goal"), "read task `libero_goal`: valid are SUITE/0 to SUITE/9");
     }
 }

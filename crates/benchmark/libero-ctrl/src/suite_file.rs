@@ -138,11 +138,7 @@ struct TaskTable {
 impl From<TaskText> for FileTask {
     fn from(text: TaskText) -> Self {
         match text {
-            TaskText::Name(name) => Self {
-                name,
-                prompt: None,
-                changes: Changes::default(),
-            },
+            TaskText::Name(name) => Self { name, prompt: None, changes: Changes::default() },
             TaskText::Table(table) => Self {
                 name: table.name,
                 prompt: table.prompt,
@@ -271,10 +267,7 @@ impl SuiteFile {
     /// Returns the SHA-256 of the file's content, hex, which does not depend on the formatting of
     /// the file or the number of trials.
     pub fn digest(&self) -> String {
-        let content = Self {
-            trials: 0,
-            ..self.clone()
-        };
+        let content = Self { trials: 0, ..self.clone() };
         let text = serde_json::to_string(&content).expect("texts and numbers serialise");
         let digest = Sha256::digest(text.as_bytes());
         digest.iter().fold(String::new(), |mut hex, byte| {
@@ -353,29 +346,16 @@ impl FileTask {
             return Err(invalid(&field("name"), &quoted(&self.name), remedy));
         }
         check_path(&field("name"), &self.name)?;
-        if self
-            .prompt
-            .as_deref()
-            .is_some_and(|text| text.trim().is_empty())
-        {
+        if self.prompt.as_deref().is_some_and(|text| text.trim().is_empty()) {
             let remedy = "write a sentence, or leave the field out";
             return Err(invalid(&field("prompt"), "empty", remedy));
         }
         let prompt = self.prompt.as_deref().unwrap_or_default();
         if prompt.len() > MAX_PROMPT_BYTES || prompt.contains(char::is_control) {
             let remedy = format!("write at most {MAX_PROMPT_BYTES} bytes on one line");
-            return Err(invalid(
-                &field("prompt"),
-                "too long or of several lines",
-                &remedy,
-            ));
+            return Err(invalid(&field("prompt"), "too long or of several lines", &remedy));
         }
-        let Changes {
-            view,
-            posture,
-            noise,
-            sha256,
-        } = &self.changes;
+        let Changes { view, posture, noise, sha256 } = &self.changes;
         if let Some([horizontal, vertical, scale, pan, tilt]) = view {
             let angles = [horizontal, vertical, pan, tilt];
             if *scale == 0 || angles.into_iter().any(|angle| *angle >= 360) {
@@ -396,10 +376,7 @@ impl FileTask {
             check_range(&field("noise"), u32::from(*noise), 1, most)?;
         }
         let is_hex = |text: &String| {
-            text.len() == 64
-                && text
-                    .bytes()
-                    .all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+            text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
         };
         if let Some(text) = sha256
             && !is_hex(text)

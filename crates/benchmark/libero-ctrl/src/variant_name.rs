@@ -56,10 +56,7 @@ impl VariantName {
         }
         let mut bytes = [0; MAX_CHANGE_BYTES];
         bytes[..change.len()].copy_from_slice(change.as_bytes());
-        Ok(Self {
-            benchmark,
-            change: bytes,
-        })
+        Ok(Self { benchmark, change: bytes })
     }
 
     /// The benchmark; `None` for a suite of a suite file.

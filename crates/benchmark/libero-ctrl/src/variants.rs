@@ -73,11 +73,7 @@ impl VariantsError {
                 realisation != Realisation::Matched,
                 "the rollouts have no random elements of LIBERO-CTRL's axes; write matched",
             ),
-            (
-                "replicates",
-                replicates > 1,
-                "its protocol runs each rollout once; write 1",
-            ),
+            ("replicates", replicates > 1, "its protocol runs each rollout once; write 1"),
             (
                 "record",
                 record == Record::Transitions,
@@ -96,10 +92,6 @@ impl VariantsError {
         ];
         let mut rules = rules.into_iter();
         let (field, _, problem) = rules.find(|(_, is_refused, _)| *is_refused)?;
-        Some(Self {
-            field,
-            rollouts,
-            problem,
-        })
+        Some(Self { field, rollouts, problem })
     }
 }

@@ -69,10 +69,7 @@ mod tests {
     #[test]
     fn assets_are_a_packs_name_or_the_beginning_of_its_digest() {
         let check = |assets: &str, is_known: bool| {
-            let wanted = Wanted {
-                assets: Some(assets.to_owned()),
-                renderer: None,
-            };
+            let wanted = Wanted { assets: Some(assets.to_owned()), renderer: None };
             assert_eq!(wanted.unknown_assets().is_none(), is_known, "{assets}");
         };
         check("primitives", true);

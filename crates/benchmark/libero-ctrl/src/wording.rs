@@ -79,11 +79,7 @@ pub fn plain_words(message: &str) -> String {
         if let Some((given, expected)) =
             after(prefix).and_then(|rest| rest.split_once(", expected "))
         {
-            let count = if prefix == "invalid length " {
-                "length "
-            } else {
-                ""
-            };
+            let count = if prefix == "invalid length " { "length " } else { "" };
             return format!(
                 "{count}{} is given where {} is expected",
                 value(given),
@@ -192,10 +188,7 @@ mod tests {
             "there is no field `counts`; the fields are `count`, `kind`, `flag`, `pair` (line 1, \
              column 9)",
         );
-        check(
-            r#"{"count": 1, "count": 1}"#,
-            "the field `count` occurs twice (line 1, column 20)",
-        );
+        check(r#"{"count": 1, "count": 1}"#, "the field `count` occurs twice (line 1, column 20)");
         check(
             r#"{"count": -1}"#,
             "`-1` is given where a whole number, 0 or more, is expected (line 1, column 12)",
@@ -217,10 +210,7 @@ mod tests {
             "length 1 is given where a list of 2 is expected (line 1, column 24)",
         );
         check("", "the text ends too early (line 1, column 0)");
-        check(
-            r#"{"count": 1} x"#,
-            "there is text after the end (line 1, column 14)",
-        );
+        check(r#"{"count": 1} x"#, "there is text after the end (line 1, column 14)");
         check("[1", "the text ends too early (line 1, column 2)");
         check("{1}", "key must be a string (line 1, column 2)");
     }

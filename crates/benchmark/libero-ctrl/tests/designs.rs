@@ -12,12 +12,8 @@ use proptest::sample::{select, subsequence};
 
 /// Components that are at least 0 in drawn directions: the camera's distance, the hand's height,
 /// lag and noise of the actions.
-const HALF_SPACES: [(Axis, usize); 4] = [
-    (Axis::Camera, 2),
-    (Axis::Robot, 2),
-    (Axis::Actuation, 3),
-    (Axis::Actuation, 4),
-];
+const HALF_SPACES: [(Axis, usize); 4] =
+    [(Axis::Camera, 2), (Axis::Robot, 2), (Axis::Actuation, 3), (Axis::Actuation, 4)];
 
 fn level_of_micros(micros: u32) -> String {
     let text = format!("r{}.{:06}", micros / 1_000_000, micros % 1_000_000);
@@ -166,23 +162,17 @@ proptest! {
 fn drawn_directions_are_uniform_on_the_sphere() {
     for axis in Axis::METRIC {
         let configs = PRESETS..MAX_CONFIGS;
-        let directions: Vec<Vec<f64>> = configs
-            .map(|config| normalised(axis, &single(axis, Level::L3, config, 0)))
-            .collect();
+        let directions: Vec<Vec<f64>> =
+            configs.map(|config| normalised(axis, &single(axis, Level::L3, config, 0))).collect();
         let is_half_space = |component| HALF_SPACES.contains(&(axis, component));
         for component in 0..unit(axis).len() {
-            let values = directions
-                .iter()
-                .map(|direction| direction[component] / 8.0);
+            let values = directions.iter().map(|direction| direction[component] / 8.0);
             let mean = values.clone().sum::<f64>() / directions.len() as f64;
             let square = values.map(|x| x * x).sum::<f64>() / directions.len() as f64;
             let dimension = unit(axis).len() as f64;
             // Five standard errors of the mean of 990 values, each of variance 1 / dimension.
             let tolerance = 5.0 / (dimension * directions.len() as f64).sqrt();
-            assert!(
-                mean.abs() < tolerance || is_half_space(component),
-                "{axis}: {mean}"
-            );
+            assert!(mean.abs() < tolerance || is_half_space(component), "{axis}: {mean}");
             // The standard error of the scaled mean square is below 0.04.
             assert!((square * dimension - 1.0).abs() < 0.2, "{axis}: {square}");
         }
@@ -199,10 +189,8 @@ fn the_first_fifty_configurations_cover_all_initial_states() {
         ..Design::v0_1()
     };
     let rows = design.expand().expect("rows");
-    let perturbed: Vec<&ManifestRow> = rows
-        .iter()
-        .filter(|row| row.id.config().is_some())
-        .collect();
+    let perturbed: Vec<&ManifestRow> =
+        rows.iter().filter(|row| row.id.config().is_some()).collect();
     let states: BTreeSet<u16> = perturbed[..50].iter().map(|row| row.init_id).collect();
     assert_eq!((perturbed.len(), states.len()), (60, 50));
     assert_eq!(perturbed[57].init_id, perturbed[7].init_id);

@@ -63,16 +63,9 @@ fn drawn_delays_have_the_frequencies_of_the_distribution() {
         // 300 is more than four standard deviations, each of at most 65.
         assert!(deviation.abs() < 300.0, "{steps}: {counts:?}");
     }
-    let first: Vec<u16> = (0..9)
-        .map(|query| delays.of_query(task, 3, query))
-        .collect();
-    let of_other_state: Vec<u16> = (0..9)
-        .map(|query| delays.of_query(task, 4, query))
-        .collect();
-    assert_ne!(
-        first, of_other_state,
-        "each initial state has its own delays"
-    );
+    let first: Vec<u16> = (0..9).map(|query| delays.of_query(task, 3, query)).collect();
+    let of_other_state: Vec<u16> = (0..9).map(|query| delays.of_query(task, 4, query)).collect();
+    assert_ne!(first, of_other_state, "each initial state has its own delays");
     // Pins the stream: if these values change, the version in the stream's key must change.
     assert_eq!(first, [2, 9, 2, 2, 2, 2, 2, 2, 2]);
 }
@@ -96,12 +89,7 @@ fn measured_latencies_are_converted_to_weights_in_thousandths() {
 
 #[test]
 fn delays_as_long_as_a_response_are_refused_with_the_remedy() {
-    for (text, horizon) in [
-        ("wait", 1),
-        ("hold:9", 1),
-        ("overlap:7", 8),
-        ("overlap:1*1+9*1", 8),
-    ] {
+    for (text, horizon) in [("wait", 1), ("hold:9", 1), ("overlap:7", 8), ("overlap:1*1+9*1", 8)] {
         assert_eq!(execution(text).check(horizon), Ok(()), "{text}");
     }
     for text in ["overlap:8", "overlap:9,rtc", "overlap:8*1+9*1"] {

@@ -20,10 +20,7 @@ fn reference(name: &str) -> Option<Value> {
 
 fn numbers(value: &Value) -> Vec<f64> {
     let items = value.as_array().expect("an array");
-    items
-        .iter()
-        .map(|x| x.as_f64().expect("a number"))
-        .collect()
+    items.iter().map(|x| x.as_f64().expect("a number")).collect()
 }
 
 #[test]
@@ -39,11 +36,7 @@ fn default_rng_equals_numpy_for_every_reference_seed() {
         let angle = rng.uniform(0.0, std::f64::consts::PI);
         assert_eq!(Some(angle), expected["uniform_pi"].as_f64(), "seed {seed}");
         let normals: Vec<f64> = (0..1000).map(|_| rng.standard_normal()).collect();
-        assert_eq!(
-            normals[995..],
-            numbers(&expected["normal1000_tail"]),
-            "seed {seed}"
-        );
+        assert_eq!(normals[995..], numbers(&expected["normal1000_tail"]), "seed {seed}");
     }
 }
 

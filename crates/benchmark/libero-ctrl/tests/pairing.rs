@@ -30,8 +30,7 @@ fn level() -> impl Strategy<Value = Level> {
 
 fn row(rows: &[ManifestRow], condition: Condition) -> &ManifestRow {
     let mut rows = rows.iter();
-    rows.find(|row| row.id.condition() == condition)
-        .expect("a row of the condition")
+    rows.find(|row| row.id.condition() == condition).expect("a row of the condition")
 }
 
 proptest! {

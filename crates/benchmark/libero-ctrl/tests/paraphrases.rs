@@ -25,60 +25,30 @@ const ON: &[&str] = &[" on ", " onto ", " on top of ", " atop ", " upon "];
 const ON_TOP: &[&str] = &["on top of", "atop", "the top of"];
 const IN: &[&str] = &[" in ", " into ", " inside "];
 const NEXT_TO: &[&str] = &["next to", "beside", "alongside", "adjacent to"];
-const PLATE: &[&str] = &[
-    "on the plate",
-    "onto the plate",
-    "on the dinner plate",
-    "on top of the plate",
-];
+const PLATE: &[&str] =
+    &["on the plate", "onto the plate", "on the dinner plate", "on top of the plate"];
 const RAMEKIN: &[&str] = &["ramekin"];
 const COOKIES: &[&str] = &["cookie", "biscuit"];
 const STOVE: &[&str] = &["stove", "cooktop", "hob", "cooker", "burner"];
 const WOODEN: &[&str] = &["wooden ", "wood "];
-const CABINET: &[&str] = &[
-    "cabinet",
-    "cupboard",
-    "chest of drawers",
-    "dresser",
-    "drawer unit",
-];
+const CABINET: &[&str] = &["cabinet", "cupboard", "chest of drawers", "dresser", "drawer unit"];
 const BASKET: &[&str] = &["basket", "hamper"];
-const TOP_DRAWER: &[&str] = &[
-    "top drawer",
-    "topmost drawer",
-    "uppermost drawer",
-    "highest drawer",
-];
+const TOP_DRAWER: &[&str] = &["top drawer", "topmost drawer", "uppermost drawer", "highest drawer"];
 const MIDDLE_DRAWER: &[&str] = &["middle drawer", "center drawer", "central drawer"];
-const BOTTOM_DRAWER: &[&str] = &[
-    "bottom drawer",
-    "bottommost drawer",
-    "lowest drawer",
-    "lowermost drawer",
-];
+const BOTTOM_DRAWER: &[&str] =
+    &["bottom drawer", "bottommost drawer", "lowest drawer", "lowermost drawer"];
 const OPEN: &[&str] = &["open"];
 const CLOSE: &[&str] = &["close", "closing", "shut"];
 const TURN_ON: &[&str] = &["switch", "power", "turn", "start", "fire", "activat"];
 const TOWARDS_FRONT: &[&str] = &["in front of", "to the front of", "to the front side of"];
 const MOKA: &[&str] = &["moka", "coffee pot", "coffee maker", "espresso"];
-const YELLOW_MUG: &[&str] = &[
-    "yellow and white mug",
-    "yellow and white cup",
-    "yellow and white coffee",
-];
+const YELLOW_MUG: &[&str] =
+    &["yellow and white mug", "yellow and white cup", "yellow and white coffee"];
 const WHITE_MUG: &[&str] = &["the white mug", "the white cup", "the white coffee"];
-const LEFT_PLATE: &[&str] = &[
-    "left plate",
-    "left-hand plate",
-    "left dinner plate",
-    "left-hand dinner plate",
-];
-const RIGHT_PLATE: &[&str] = &[
-    "right plate",
-    "right-hand plate",
-    "right dinner plate",
-    "right-hand dinner plate",
-];
+const LEFT_PLATE: &[&str] =
+    &["left plate", "left-hand plate", "left dinner plate", "left-hand dinner plate"];
+const RIGHT_PLATE: &[&str] =
+    &["right plate", "right-hand plate", "right dinner plate", "right-hand dinner plate"];
 const RIGHT_OF: &[&str] = &["to the right of", "to the right-hand side of"];
 
 fn required(task: &str) -> Required {
@@ -106,12 +76,7 @@ fn required(task: &str) -> Required {
         "libero_goal/0" => &[OPEN, MIDDLE_DRAWER, CABINET],
         "libero_goal/1" => &[ANY_BOWL, ON, STOVE],
         "libero_goal/2" => &[&["bottle"], ON_TOP, CABINET],
-        "libero_goal/3" => &[
-            OPEN,
-            TOP_DRAWER,
-            ANY_BOWL,
-            &["inside", "into it", "in there"],
-        ],
+        "libero_goal/3" => &[OPEN, TOP_DRAWER, ANY_BOWL, &["inside", "into it", "in there"]],
         "libero_goal/4" => &[ANY_BOWL, ON_TOP, CABINET],
         "libero_goal/5" => &[&["plate"], TOWARDS_FRONT, STOVE],
         "libero_goal/6" => &[&["cream cheese"], IN, ANY_BOWL],
@@ -120,12 +85,9 @@ fn required(task: &str) -> Required {
         "libero_goal/9" => &[&["bottle"], ON, &["rack", "holder", "stand"]],
         "libero_10/0" => &[&["both"], &["alphabet soup"], &["tomato sauce"], IN, BASKET],
         "libero_10/1" => &[&["both"], &["cream cheese"], &["butter"], IN, BASKET],
-        "libero_10/2" => &[
-            TURN_ON,
-            STOVE,
-            MOKA,
-            &["on it", "on top of it", "onto it", "on the stovetop"],
-        ],
+        "libero_10/2" => {
+            &[TURN_ON, STOVE, MOKA, &["on it", "on top of it", "onto it", "on the stovetop"]]
+        }
         "libero_10/3" => &[BOWL, IN, BOTTOM_DRAWER, CABINET, CLOSE],
         "libero_10/4" => &[WHITE_MUG, LEFT_PLATE, YELLOW_MUG, RIGHT_PLATE, ON],
         "libero_10/5" => &[&["book"], IN, &["back", "rear"], &["caddy", "organizer"]],
@@ -165,18 +127,8 @@ fn sentences() -> impl Iterator<Item = Sentence> {
 fn every_task_level_and_configuration_has_a_named_sentence() {
     let all: Vec<Sentence> = sentences().collect();
     assert_eq!(all.len(), 1_200);
-    for Sentence {
-        task,
-        level,
-        config,
-        variant_id,
-        ..
-    } in all
-    {
-        assert_eq!(
-            variant_id,
-            format!("t{}/{level}/v{config:02}", task.index())
-        );
+    for Sentence { task, level, config, variant_id, .. } in all {
+        assert_eq!(variant_id, format!("t{}/{level}/v{config:02}", task.index()));
     }
     let first = "libero_goal/0".parse().expect("a task");
     assert_eq!(paraphrase(first, Level::L1, 1).variant_id, "t0/L1/v01");
@@ -204,43 +156,25 @@ fn no_sentence_is_a_canonical_instruction() {
 
 #[test]
 fn every_sentence_names_the_objects_and_relations_of_its_task() {
-    for Sentence {
-        task,
-        variant_id,
-        text,
-        ..
-    } in sentences()
-    {
+    for Sentence { task, variant_id, text, .. } in sentences() {
         // Padding lets short words at the start or end match as whole words.
         let padded = format!(" {text} ");
         for alternatives in required(&task.to_string()) {
             let is_named = alternatives.iter().any(|words| padded.contains(words));
-            assert!(
-                is_named,
-                "{task} {variant_id} `{text}`: none of {alternatives:?}"
-            );
+            assert!(is_named, "{task} {variant_id} `{text}`: none of {alternatives:?}");
         }
     }
 }
 
 #[test]
 fn the_orthography_is_that_of_the_canonical_instructions() {
-    for Sentence {
-        task,
-        variant_id,
-        text,
-        ..
-    } in sentences()
-    {
+    for Sentence { task, variant_id, text, .. } in sentences() {
         let name = format!("{task} {variant_id} `{text}`");
         assert!(text.len() <= MAX_CHARS, "{name}: {} characters", text.len());
         let is_allowed = |c: char| c.is_ascii_lowercase() || " ,-".contains(c);
         assert!(text.chars().all(is_allowed), "{name}");
         let is_letter = |c: Option<char>| c.is_some_and(|c| c.is_ascii_lowercase());
-        assert!(
-            is_letter(text.chars().next()) && is_letter(text.chars().last()),
-            "{name}"
-        );
+        assert!(is_letter(text.chars().next()) && is_letter(text.chars().last()), "{name}");
         for mistake in ["  ", " ,", ",,", "the the ", "{", "}"] {
             assert!(!text.contains(mistake), "{name}");
         }
@@ -251,9 +185,7 @@ fn the_orthography_is_that_of_the_canonical_instructions() {
 fn a_higher_level_has_more_words_on_average() {
     let words = |level| -> usize {
         let of_level = sentences().filter(|sentence| sentence.level == level);
-        of_level
-            .map(|sentence| sentence.text.split(' ').count())
-            .sum()
+        of_level.map(|sentence| sentence.text.split(' ').count()).sum()
     };
     let [l1, l2, l3] = Level::PERTURBED.map(words);
     assert!(l1 < l2 && l2 < l3, "{l1}, {l2}, {l3}");
@@ -262,49 +194,27 @@ fn a_higher_level_has_more_words_on_average() {
 #[test]
 fn the_sentences_have_the_reviewed_digest() {
     let mut hash = Sha256::new();
-    for Sentence {
-        task,
-        variant_id,
-        text,
-        ..
-    } in sentences()
-    {
+    for Sentence { task, variant_id, text, .. } in sentences() {
         hash.update(format!("{task} {variant_id} {text}\n"));
     }
-    let digest: String = hash
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
-    assert_eq!(
-        digest, DIGEST,
-        "the sentences are not those that were reviewed"
-    );
+    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(digest, DIGEST, "the sentences are not those that were reviewed");
 }
 
 #[test]
 fn the_documented_sentences_of_a_task_are_current() {
     let documented = include_str!("../../../../docs/PARAPHRASES.md");
     let task = "libero_10/2".parse().expect("a task");
-    assert!(
-        documented.contains(&task_text(task)),
-        "write:\n{}",
-        task_text(task)
-    );
+    assert!(documented.contains(&task_text(task)), "write:\n{}", task_text(task));
 }
 
 /// Returns a task's sentences in the format of the documentation.
 fn task_text(task: TaskRef) -> String {
     let sentences = sentences().filter(|sentence| sentence.task == task);
     let mut lines: Vec<(u16, Level, String)> = sentences
-        .map(
-            |Sentence {
-                 level,
-                 config,
-                 text,
-                 ..
-             }| { (config, level, format!("| {config} | {level} | {text} |\n")) },
-        )
+        .map(|Sentence { level, config, text, .. }| {
+            (config, level, format!("| {config} | {level} | {text} |\n"))
+        })
         .collect();
     lines.sort();
     lines.into_iter().map(|(_, _, line)| line).collect()
@@ -314,14 +224,7 @@ fn task_text(task: TaskRef) -> String {
 #[test]
 #[ignore = "prints the 1,200 sentences for a reviewer"]
 fn print_all() {
-    for Sentence {
-        task,
-        level,
-        config,
-        text,
-        ..
-    } in sentences()
-    {
+    for Sentence { task, level, config, text, .. } in sentences() {
         println!("{task} {config} {level}: {text}");
     }
 }

@@ -15,11 +15,7 @@ fn task() -> TaskRef {
 
 /// Returns an action that identifies its query and its index in the response; the gripper varies.
 fn action(query: u32, index: usize) -> Action {
-    let gripper = if (query as usize + index).is_multiple_of(3) {
-        1.0
-    } else {
-        -1.0
-    };
+    let gripper = if (query as usize + index).is_multiple_of(3) { 1.0 } else { -1.0 };
     [f64::from(query), index as f64, 0.5, 0.0, 0.0, 0.0, gripper]
 }
 
@@ -37,10 +33,7 @@ struct Run {
 fn run(execution: &str, execute: usize, lengths: &[usize]) -> Run {
     let execution: Execution = execution.parse().expect("an execution model");
     let mut schedule = Schedule::new(execution, execute, task(), INIT_ID);
-    let mut run_result = Run {
-        queries: Vec::new(),
-        commands: Vec::new(),
-    };
+    let mut run_result = Run { queries: Vec::new(), commands: Vec::new() };
     for step in 0..STEPS {
         if let Some(due) = schedule.due() {
             let query = run_result.queries.len() as u32;
@@ -126,17 +119,9 @@ fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseEr
     };
     let (query_steps, expected) = timeline(overlaps, &delay_of, execute, lengths);
     let run_result = run(text, execute, lengths);
-    let sources: Vec<_> = run_result
-        .commands
-        .iter()
-        .map(|command| command.source)
-        .collect();
+    let sources: Vec<_> = run_result.commands.iter().map(|command| command.source).collect();
     prop_assert_eq!(&sources, &expected);
-    let executed: Vec<Action> = run_result
-        .commands
-        .iter()
-        .map(|command| command.action)
-        .collect();
+    let executed: Vec<Action> = run_result.commands.iter().map(|command| command.action).collect();
     prop_assert_eq!(&executed, &commands(&expected));
     let steps: Vec<usize> = run_result.queries.iter().map(|(step, ..)| *step).collect();
     prop_assert_eq!(steps, query_steps);
@@ -197,11 +182,7 @@ fn a_response_takes_effect_three_steps_after_its_query() {
         [0, 5, 10, 15],
         "as late as possible without a gap between responses"
     );
-    let sources: Vec<_> = run_result
-        .commands
-        .iter()
-        .map(|command| command.source)
-        .collect();
+    let sources: Vec<_> = run_result.commands.iter().map(|command| command.source).collect();
     let source = |query, index| Some((query, index));
     assert_eq!(
         sources[..13],

@@ -48,24 +48,13 @@ fn a_rule_that_cannot_end_the_campaign_is_refused_with_the_remedy() {
         assert!(error.contains(expected), "{error}");
     };
     let stop = |stop: Value| ("stop", stop);
-    check(
-        &[stop(json!({"rule": "width(difference) < 0.1"}))],
-        "valid are S_sim, R_e, R_c, R_d, I",
-    );
+    check(&[stop(json!({"rule": "width(difference) < 0.1"}))], "valid are S_sim, R_e, R_c, R_d, I");
     check(&[stop(json!({"rule": "soon"}))], "stop rule `soon`");
     check(&[stop(json!({"seed": 1}))], "`rule`");
+    check(&[stop(json!({"rule": "I excludes 0", "strata": "x"}))], "`x`");
+    check(&[stop(json!({"rule": "I excludes 0 for new tasks"}))], "needs whole_tasks");
     check(
-        &[stop(json!({"rule": "I excludes 0", "strata": "x"}))],
-        "`x`",
-    );
-    check(
-        &[stop(json!({"rule": "I excludes 0 for new tasks"}))],
-        "needs whole_tasks",
-    );
-    check(
-        &[stop(
-            json!({"rule": "I excludes 0", "strata": "whole_tasks"}),
-        )],
+        &[stop(json!({"rule": "I excludes 0", "strata": "whole_tasks"}))],
         "needs suites or tasks",
     );
     check(
@@ -82,9 +71,7 @@ fn a_rule_that_cannot_end_the_campaign_is_refused_with_the_remedy() {
     for field in ["tasks", "axes", "levels"] {
         explains[field] = Value::Null;
     }
-    let error = read(&explains)
-        .expect_err("`stop` with `explains`")
-        .to_string();
+    let error = read(&explains).expect_err("`stop` with `explains`").to_string();
     assert!(error.contains("`stop` with `explains`"), "{error}");
 }
 
@@ -103,10 +90,8 @@ fn imported_configurations_need_all_conditions_at_all_levels() {
     let error = read(&imported(&fewer)).expect_err("a rollout is missing");
     let error = error.to_string();
     assert!(error.contains("spatial/t1/robot/L2/c01 is not"), "{error}");
-    let nominal: Vec<ManifestRow> = rows
-        .into_iter()
-        .filter(|row| row.id.config().is_none())
-        .collect();
+    let nominal: Vec<ManifestRow> =
+        rows.into_iter().filter(|row| row.id.config().is_none()).collect();
     let error = read(&imported(&nominal)).expect_err("nothing is perturbed");
     assert!(error.to_string().contains("two axes or more"), "{error}");
 }

@@ -59,11 +59,7 @@ impl Case {
     pub fn of_id(id: RolloutId) -> Result<Self, SelectionError> {
         let task = id.task();
         let subject = id.variant().and_then(|name| subject(task, name));
-        Ok(Self {
-            subject: subject.ok_or(SelectionError::Id { id })?,
-            task,
-            trial: id.number(),
-        })
+        Ok(Self { subject: subject.ok_or(SelectionError::Id { id })?, task, trial: id.number() })
     }
 
     /// Returns the case of a manifest row, and its protocol.
@@ -223,9 +219,7 @@ fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
             Some(Subject::Plus(entry(&Variant { task, change })?))
         }
         Benchmark::Pro => {
-            let kind = Kind::ALL
-                .into_iter()
-                .find(|kind| kind.ending() == name.change())?;
+            let kind = Kind::ALL.into_iter().find(|kind| kind.ending() == name.change())?;
             let suite = task.suite();
             Some(Subject::Pro(ProSuite { suite, kind }))
         }
@@ -281,9 +275,6 @@ mod tests {
         assert_eq!(prompt.as_deref(), Some("The plate is empty"));
         let pair = case("goal/t8/para:unperturbed/i00").row(&official);
         assert_eq!(pair.instruction, "put the bowl on the plate");
-        assert_eq!(
-            (pair.settle_steps, pair.max_steps, pair.init_id),
-            (10, 300, 0)
-        );
+        assert_eq!((pair.settle_steps, pair.max_steps, pair.init_id), (10, 300, 0));
     }
 }

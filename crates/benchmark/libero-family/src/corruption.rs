@@ -40,13 +40,7 @@ pub enum Kind {
 
 impl Kind {
     /// All kinds, in the order of their numbers.
-    pub const ALL: [Self; 5] = [
-        Self::Motion,
-        Self::Gaussian,
-        Self::Zoom,
-        Self::Fog,
-        Self::Glass,
-    ];
+    pub const ALL: [Self; 5] = [Self::Motion, Self::Gaussian, Self::Zoom, Self::Fog, Self::Glass];
 
     /// Returns the name in reports.
     pub const fn name(self) -> &'static str {
@@ -125,12 +119,7 @@ impl Corruption {
         };
         match is_complete && is_supported {
             true => Ok(()),
-            false => Err(UnsuitedPicture {
-                kind: self.kind,
-                height,
-                width,
-                bytes,
-            }),
+            false => Err(UnsuitedPicture { kind: self.kind, height, width, bytes }),
         }
     }
 

@@ -57,19 +57,14 @@ impl fmt::Display for Lack {
                 "file {path}; put it there, or correct `bddl`, `states` or the task's `name` in the \
                  suite file"
             ),
-            Self::OtherFiles {
-                bddl,
-                expected,
-                found,
-            } => write!(
+            Self::OtherFiles { bddl, expected, found } => write!(
                 f,
                 "the suite file's version of {bddl} and its states: their SHA-256 is {found}, and \
                  the suite file has {expected}; get the files with that SHA-256"
             ),
-            Self::States { path, count } => write!(
-                f,
-                "initial states: {path} has {count}; lower `trials` in the suite file"
-            ),
+            Self::States { path, count } => {
+                write!(f, "initial states: {path} has {count}; lower `trials` in the suite file")
+            }
             Self::Scene(reason) => write!(f, "a scene that can be composed: failed to {reason}"),
             Self::Further(Further::Models) => write!(
                 f,

@@ -64,16 +64,13 @@ impl FromStr for ProSuite {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        Self::all()
-            .find(|suite| suite.to_string() == text)
-            .ok_or_else(|| UnknownName {
-                kind: "suite of LIBERO-PRO",
-                given: text.to_owned(),
-                valid:
-                    "libero_spatial, libero_object, libero_goal or libero_10, followed by _lan, \
+        Self::all().find(|suite| suite.to_string() == text).ok_or_else(|| UnknownName {
+            kind: "suite of LIBERO-PRO",
+            given: text.to_owned(),
+            valid: "libero_spatial, libero_object, libero_goal or libero_10, followed by _lan, \
                         _object, _swap or _task"
-                        .to_owned(),
-            })
+                .to_owned(),
+        })
     }
 }
 

@@ -156,10 +156,9 @@ impl Protocol {
     pub fn check(&self, benchmark: Benchmark) -> Result<(), SelectionError> {
         match self.benchmark == benchmark {
             true => Ok(()),
-            false => Err(SelectionError::Foreign {
-                protocol: self.name,
-                benchmark: benchmark.name(),
-            }),
+            false => {
+                Err(SelectionError::Foreign { protocol: self.name, benchmark: benchmark.name() })
+            }
         }
     }
 
@@ -184,13 +183,10 @@ impl FromStr for Protocol {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        PROTOCOLS
-            .into_iter()
-            .find(|protocol| protocol.name == text)
-            .ok_or_else(|| UnknownName {
-                kind: "protocol",
-                given: text.to_owned(),
-                valid: PROTOCOLS.map(|protocol| protocol.name).join(", "),
-            })
+        PROTOCOLS.into_iter().find(|protocol| protocol.name == text).ok_or_else(|| UnknownName {
+            kind: "protocol",
+            given: text.to_owned(),
+            valid: PROTOCOLS.map(|protocol| protocol.name).join(", "),
+        })
     }
 }

@@ -63,10 +63,7 @@ impl Selection {
     /// benchmark has.
     pub fn of_spec(spec: &Variants) -> Result<Self, SelectionError> {
         let refuse = |filter, is_given: bool| match is_given {
-            true => Err(SelectionError::Filter {
-                benchmark: spec.benchmark.name(),
-                filter,
-            }),
+            true => Err(SelectionError::Filter { benchmark: spec.benchmark.name(), filter }),
             false => Ok(()),
         };
         match spec.benchmark {
@@ -77,11 +74,7 @@ impl Selection {
                 if let Some(&given) = spec.difficulties.iter().find(|difficulty| **difficulty > 5) {
                     let (field, given) = ("difficulties", given.into());
                     let valid = [0, 5];
-                    return Err(SelectionError::Range {
-                        field,
-                        given,
-                        valid,
-                    });
+                    return Err(SelectionError::Range { field, given, valid });
                 }
                 let variants = spec.variants.iter().map(|name| name.parse());
                 Ok(Self::Plus(PlusFilters {
@@ -100,11 +93,7 @@ impl Selection {
                 let trials = spec.trials.unwrap_or(STATES);
                 if !(1..=STATES).contains(&trials) {
                     let (field, given, valid) = ("trials", trials, [1, STATES]);
-                    return Err(SelectionError::Range {
-                        field,
-                        given,
-                        valid,
-                    });
+                    return Err(SelectionError::Range { field, given, valid });
                 }
                 let suites: Vec<ProSuite> = parse_all(&spec.suites)?;
                 Ok(Self::Pro(ProFilters {
@@ -121,11 +110,8 @@ impl Selection {
                 refuse("suites", !spec.suites.is_empty())?;
                 refuse("dimensions", !spec.dimensions.is_empty())?;
                 refuse("difficulties", !spec.difficulties.is_empty())?;
-                let tasks: Vec<Vec<TaskRef>> = spec
-                    .tasks
-                    .iter()
-                    .map(|text| select_tasks(text))
-                    .collect::<Result<_, _>>()?;
+                let tasks: Vec<Vec<TaskRef>> =
+                    spec.tasks.iter().map(|text| select_tasks(text)).collect::<Result<_, _>>()?;
                 Ok(Self::Para(ParaFilters {
                     types: parse_all(&spec.paraphrases)?,
                     tasks: tasks.concat(),
@@ -162,14 +148,8 @@ impl Selection {
 
 impl PlusFilters {
     fn cases(&self) -> Result<Vec<Case>, SelectionError> {
-        if let Some(unused) = self
-            .variants
-            .iter()
-            .find(|variant| entry(variant).is_none())
-        {
-            return Err(SelectionError::Unused {
-                name: unused.to_string(),
-            });
+        if let Some(unused) = self.variants.iter().find(|variant| entry(variant).is_none()) {
+            return Err(SelectionError::Unused { name: unused.to_string() });
         }
         let chosen = inventory().iter().filter(|entry| {
             matches_filter(&self.variants, &entry.variant)
@@ -232,9 +212,7 @@ pub fn expand(spec: &CampaignSpec) -> Result<Vec<ManifestRow>, SpecError> {
         return spec.expand();
     };
     spec.check()?;
-    rows(variants).map_err(|error| SpecError::Selection {
-        problem: error.to_string(),
-    })
+    rows(variants).map_err(|error| SpecError::Selection { problem: error.to_string() })
 }
 
 fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
@@ -316,10 +294,7 @@ mod tests {
     #[test]
     fn every_rollout_of_each_benchmark_has_a_distinct_id_that_is_parsed() {
         let plus = Selection::Plus(PlusFilters::default());
-        let pro = Selection::Pro(ProFilters {
-            suites: ProSuite::all().collect(),
-            trials: STATES,
-        });
+        let pro = Selection::Pro(ProFilters { suites: ProSuite::all().collect(), trials: STATES });
         let para = Selection::Para(ParaFilters::default());
         for (selection, protocol, rollouts) in [
             (plus, Protocol::PLUS_OFFICIAL, 10_030 + 40),
@@ -348,35 +323,22 @@ mod tests {
         let noise = format!("{{{plus},\"dimensions\":[\"noise\"],\"suites\":[\"libero_goal\"]}}");
         let rows = expand(&spec(&noise)).expect("rows");
         assert_eq!(rows[0].id.to_string(), "goal/t0/plus:unperturbed/i00");
-        assert!(
-            rows[10..]
-                .iter()
-                .all(|row| row.id.to_string().contains("plus:noise_"))
-        );
+        assert!(rows[10..].iter().all(|row| row.id.to_string().contains("plus:noise_")));
         let text = libero_ctrl::manifest::to_text(&rows[..1]);
         assert!(text.contains("\"protocol\":\"plus-official\""), "{text}");
         let variant = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
-        assert_eq!(
-            count(&format!("{{{plus},\"variants\":[\"{variant}\"]}}")),
-            2
-        );
+        assert_eq!(count(&format!("{{{plus},\"variants\":[\"{variant}\"]}}")), 2);
         let pro = r#"{"benchmark":"libero-pro","protocol":"pro-bddl","suites":["libero_goal_swap",
                      "libero_goal_lan"],"trials":3}"#;
         assert_eq!(count(pro), 2 * 10 * 3 + 10 * 3);
         let para = r#""benchmark":"libero-para","protocol":"para-official""#;
         assert_eq!(count(&format!("{{{para}}}")), 4_092 + 10);
         let hints = format!("{{{para},\"paraphrases\":[\"hint\"],\"tasks\":[\"libero_goal/8\"]}}");
-        let ids: Vec<String> = expand(&spec(&hints))
-            .expect("rows")
-            .iter()
-            .map(|row| row.id.to_string())
-            .collect();
+        let ids: Vec<String> =
+            expand(&spec(&hints)).expect("rows").iter().map(|row| row.id.to_string()).collect();
         assert_eq!(ids[0], "goal/t8/para:unperturbed/i00");
         assert!(
-            ids.len() > 5
-                && ids[1..]
-                    .iter()
-                    .all(|id| id.starts_with("goal/t8/para:act_hint_")),
+            ids.len() > 5 && ids[1..].iter().all(|id| id.starts_with("goal/t8/para:act_hint_")),
             "{ids:?}"
         );
     }
@@ -392,10 +354,7 @@ mod tests {
         let Rollouts::Variants(variants) = spec(runnable).rollouts else {
             panic!("variants");
         };
-        assert_eq!(
-            left_out(&variants).expect("a selection").count(),
-            10_030 - 7_045
-        );
+        assert_eq!(left_out(&variants).expect("a selection").count(), 10_030 - 7_045);
         let none = r#"{"benchmark":"libero-plus","protocol":"plus-official",
                       "dimensions":["light"],"runnable":true}"#;
         check_refused(none, "run 1142 of the 1142 chosen rollouts");
@@ -425,18 +384,12 @@ mod tests {
         check_refused(&plus(r#""difficulties":[6]"#), "valid are 0 to 5");
         check_refused(&plus(r#""trials":3"#), "leave it out");
         check_refused(&plus(r#""suites":["libero_goal_swap"]"#), "libero_goal");
-        check_refused(
-            &plus(r#""variants":["turn_on_the_stove"]"#),
-            "without a change",
-        );
+        check_refused(&plus(r#""variants":["turn_on_the_stove"]"#), "without a change");
         check_refused(
             &plus(r#""variants":["turn_on_the_stove_table_19"]"#),
             "`worker variants --list`",
         );
-        check_refused(
-            &plus(r#""dimensions":["noise"],"difficulties":[0]"#),
-            "leave a filter out",
-        );
+        check_refused(&plus(r#""dimensions":["noise"],"difficulties":[0]"#), "leave a filter out");
         check_refused(&pro(r#""trials":51"#), "valid are 1 to 50");
         check_refused(&pro(r#""dimensions":["noise"]"#), "leave it out");
         check_refused(&pro(r#""suites":["libero_goal_env"]"#), "_swap");
@@ -445,14 +398,8 @@ mod tests {
         let para = |rest: &str| {
             format!(r#"{{"benchmark":"libero-para","protocol":"para-official",{rest}}}"#)
         };
-        check_refused(
-            &para(r#""paraphrases":["noise"]"#),
-            "valid are all, obj, act, comp",
-        );
-        check_refused(
-            &para(r#""tasks":["libero_object/3"]"#),
-            "leave a filter out",
-        );
+        check_refused(&para(r#""paraphrases":["noise"]"#), "valid are all, obj, act, comp");
+        check_refused(&para(r#""tasks":["libero_object/3"]"#), "leave a filter out");
         check_refused(&para(r#""tasks":["libero_goal/10"]"#), "libero_goal/9");
         check_refused(&para(r#""dimensions":["noise"]"#), "leave it out");
         check_refused(&para(r#""trials":3"#), "leave it out");

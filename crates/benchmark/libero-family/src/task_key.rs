@@ -25,10 +25,7 @@ impl TaskKey {
             None => None,
             Some(_) => Case::of_id(id).ok().and_then(|case| own_files(&case)),
         };
-        Self {
-            task: id.task(),
-            files,
-        }
+        Self { task: id.task(), files }
     }
 
     /// Returns the text of a row's key. The key of a suite file's task has the file's name and
@@ -49,10 +46,7 @@ impl TaskKey {
 
     /// Returns for every task the key of the rollouts that need a benchmark's task files.
     pub fn needing(benchmark: Benchmark) -> impl Iterator<Item = Self> {
-        TaskRef::all().map(move |task| Self {
-            task,
-            files: Some(benchmark),
-        })
+        TaskRef::all().map(move |task| Self { task, files: Some(benchmark) })
     }
 
     /// Returns the benchmark whose task files a key needs, from the key's text.
@@ -112,10 +106,7 @@ mod tests {
             ("goal/t8/plus:noise_30/i00", "libero_goal/8"),
             ("goal/t8/plus:initstate_19/i00", "libero_goal/8"),
             ("goal/t8/plus:language_1/i00", "libero_goal/8+libero-plus"),
-            (
-                "goal/t8/plus:level1_sample1/i00",
-                "libero_goal/8+libero-plus",
-            ),
+            ("goal/t8/plus:level1_sample1/i00", "libero_goal/8+libero-plus"),
             ("object/t0/plus:tb_18/i00", "libero_object/0+libero-plus"),
             ("goal/t8/pro:swap/i07", "libero_goal/8+libero-pro"),
             ("goal/t8/para:act_hint_1/i00", "libero_goal/8+libero-para"),

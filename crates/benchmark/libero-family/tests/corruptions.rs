@@ -41,32 +41,18 @@ fn check(kind: Kind) {
         let mut rng = LegacyRng::seed(1000 + u32::from(number));
         for expected in [first, second] {
             let mut rgb = picture(side);
-            let mut picture = Picture {
-                height: side,
-                width: side,
-                rgb: &mut rgb,
-            };
+            let mut picture = Picture { height: side, width: side, rgb: &mut rgb };
             corruption.apply(&mut picture, &mut rng).unwrap();
             let digest = Sha256::digest(&rgb);
-            let digest: String = digest[..8]
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect();
+            let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
             assert_eq!(digest, expected, "{number} ({corruption}) at {side} pixels");
         }
         let mut skipping = LegacyRng::seed(1000 + u32::from(number));
         corruption.skip(side, side, &mut skipping);
         corruption.skip(side, side, &mut skipping);
-        assert!(
-            skipping == rng,
-            "{number}: skip consumes as many numbers as apply"
-        );
+        assert!(skipping == rng, "{number}: skip consumes as many numbers as apply");
         let next: f64 = next.parse().unwrap();
-        assert_eq!(
-            rng.random_sample(),
-            next,
-            "{number}: the generator has the recorded state"
-        );
+        assert_eq!(rng.random_sample(), next, "{number}: the generator has the recorded state");
         checked += 1;
     }
     // Ten severities at two sizes.
@@ -103,11 +89,7 @@ fn pictures_of_unsupported_size_are_refused_and_unchanged() {
     let mut rng = LegacyRng::seed(1);
     let initial = rng.clone();
     let mut rgb = vec![7; 300 * 300 * 3];
-    let mut large = Picture {
-        height: 300,
-        width: 300,
-        rgb: &mut rgb,
-    };
+    let mut large = Picture { height: 300, width: 300, rgb: &mut rgb };
     let fog = Corruption::new(31).unwrap();
     let error = fog.apply(&mut large, &mut rng).unwrap_err().to_string();
     assert!(
@@ -117,10 +99,7 @@ fn pictures_of_unsupported_size_are_refused_and_unchanged() {
     );
     let zoom = Corruption::new(21).unwrap();
     let error = zoom.check(300, 200, 300 * 200 * 3).unwrap_err().to_string();
-    assert!(
-        error.contains("`zoom`, which supports square pictures of at least 2"),
-        "{error}"
-    );
+    assert!(error.contains("`zoom`, which supports square pictures of at least 2"), "{error}");
     assert!(rng == initial && rgb.iter().all(|byte| *byte == 7));
     assert_eq!(Corruption::new(0), None);
     assert_eq!(Corruption::new(51), None);

@@ -21,11 +21,7 @@ fn check(kind: &str, lines: &[String]) {
     for line in lines {
         hash.update(format!("{line}\n"));
     }
-    let digest: String = hash
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(digest, fields[2], "{kind}, for example {:?}", &lines[..2]);
 }
 
@@ -60,9 +56,7 @@ fn every_name_is_parsed_and_distinct() {
 #[test]
 fn state_files_equal_the_released_codes() {
     check("states", &all_lines(|entry| entry.variant.states_file()));
-    let single = inventory()
-        .iter()
-        .filter(|entry| entry.variant.has_one_state());
+    let single = inventory().iter().filter(|entry| entry.variant.has_one_state());
     // Variants with added objects, and with moved objects.
     assert_eq!(single.count(), 829 + 696);
 }
@@ -85,10 +79,7 @@ fn released_prompts_reveal_the_change() {
     let reveals_change = |entry: &&Entry| {
         let released = Prompt::Released.of(&entry.variant, "the sentence");
         let stripped = Prompt::Stripped.of(&entry.variant, "the sentence");
-        assert_eq!(
-            Prompt::Bddl.of(&entry.variant, "the sentence"),
-            "the sentence"
-        );
+        assert_eq!(Prompt::Bddl.of(&entry.variant, "the sentence"), "the sentence");
         released != stripped
     };
     // All variants except the 1,537 of language.
@@ -100,16 +91,14 @@ fn released_prompts_reveal_the_change() {
     assert!(all.filter(is_language).all(|entry| {
         Prompt::ALL.map(|prompt| prompt.of(&entry.variant, "the sentence")) == ["the sentence"; 3]
     }));
-    let variant: Variant = "put_the_bowl_on_the_plate_view_0_0_181_0_0_initstate_0"
-        .parse()
-        .unwrap();
+    let variant: Variant =
+        "put_the_bowl_on_the_plate_view_0_0_181_0_0_initstate_0".parse().unwrap();
     assert_eq!(
         Prompt::Released.of(&variant, ""),
         "put the bowl on the plate view 0 0 181 0 0 initstate 0"
     );
-    let variant: Variant = "KITCHEN_SCENE3_turn_on_the_stove_and_put_the_moka_pot_on_it_light_12"
-        .parse()
-        .unwrap();
+    let variant: Variant =
+        "KITCHEN_SCENE3_turn_on_the_stove_and_put_the_moka_pot_on_it_light_12".parse().unwrap();
     assert_eq!(
         Prompt::Released.of(&variant, ""),
         "turn on the stove and put the moka pot on it light 12"
@@ -200,38 +189,18 @@ fn postures_equal_those_of_the_five_hundred_robot_classes() {
 fn cameras_equal_the_released_codes() {
     // Orientations of LIBERO's `agentview`, w x y z: above tables, and lower in the scenes of the
     // living room and of the floor.
-    const HIGH: [f64; 4] = [
-        0.6380177736282349,
-        0.3048497438430786,
-        0.30484986305236816,
-        0.6380177736282349,
-    ];
-    const LOW: [f64; 4] = [
-        0.6182166934013367,
-        0.3432307541370392,
-        0.3432314395904541,
-        0.6182177066802979,
-    ];
+    const HIGH: [f64; 4] =
+        [0.6380177736282349, 0.3048497438430786, 0.30484986305236816, 0.6380177736282349];
+    const LOW: [f64; 4] =
+        [0.6182166934013367, 0.3432307541370392, 0.3432314395904541, 0.6182177066802979];
     let pose = |pos, quat| CameraPose { pos, quat };
     let high = |x| pose([x, 0.0, 1.6103500240372423], HIGH);
     let bases = BTreeMap::from([
         ("libero_tabletop_manipulation", high(0.6586131746834771)),
-        (
-            "libero_kitchen_tabletop_manipulation",
-            high(0.6586131746834771),
-        ),
-        (
-            "libero_study_tabletop_manipulation",
-            high(0.4586131746834771),
-        ),
-        (
-            "libero_living_room_tabletop_manipulation",
-            pose([0.6065773716836134, 0.0, 0.96], LOW),
-        ),
-        (
-            "libero_floor_manipulation",
-            pose([0.8965773716836134, 5.216182733499864e-7, 0.65], LOW),
-        ),
+        ("libero_kitchen_tabletop_manipulation", high(0.6586131746834771)),
+        ("libero_study_tabletop_manipulation", high(0.4586131746834771)),
+        ("libero_living_room_tabletop_manipulation", pose([0.6065773716836134, 0.0, 0.96], LOW)),
+        ("libero_floor_manipulation", pose([0.8965773716836134, 5.216182733499864e-7, 0.65], LOW)),
     ]);
     let class = |entry: &Entry| match (entry.variant.task.suite(), entry.variant.task.name()) {
         (Suite::Spatial | Suite::Goal, _) => "libero_tabletop_manipulation",
@@ -242,28 +211,16 @@ fn cameras_equal_the_released_codes() {
     };
     let used: BTreeSet<(&str, String, View)> = inventory()
         .iter()
-        .map(|entry| {
-            (
-                class(entry),
-                entry.variant.view().to_string(),
-                entry.variant.view(),
-            )
-        })
+        .map(|entry| (class(entry), entry.variant.view().to_string(), entry.variant.view()))
         .collect();
     let lines = used.into_iter().map(|(class, text, view)| {
         let CameraPose { pos, quat } = view.apply(bases[class]);
-        let numbers = pos
-            .iter()
-            .chain(&quat)
-            .map(|number| format!("{:.4}", number + 0.0));
+        let numbers = pos.iter().chain(&quat).map(|number| format!("{:.4}", number + 0.0));
         format!("{class} {text} {}", numbers.collect::<Vec<_>>().join(" "))
     });
     check("camera", &lines.collect::<Vec<_>>());
     let nominal = View::NOMINAL.apply(bases["libero_tabletop_manipulation"]);
-    assert_eq!(
-        nominal,
-        pose([0.6586, 0.0, 1.6104], [0.638, 0.3048, 0.3048, 0.638])
-    );
+    assert_eq!(nominal, pose([0.6586, 0.0, 1.6104], [0.638, 0.3048, 0.3048, 0.638]));
 }
 
 #[test]
@@ -295,11 +252,5 @@ fn unknown_names_are_refused_with_the_valid_forms() {
     assert_eq!(unused.change, Change::Table(19));
     assert!(entry(&unused).is_none());
     assert_eq!("noise".parse(), Ok(Dimension::Noise));
-    assert!(
-        "wind"
-            .parse::<Dimension>()
-            .unwrap_err()
-            .to_string()
-            .contains("background")
-    );
+    assert!("wind".parse::<Dimension>().unwrap_err().to_string().contains("background"));
 }

@@ -96,24 +96,15 @@ pub(crate) struct Quat {
 }
 
 impl Quat {
-    pub(crate) const IDENTITY: Self = Self {
-        w: 1.0,
-        v: Vec3::new(0.0, 0.0, 0.0),
-    };
+    pub(crate) const IDENTITY: Self = Self { w: 1.0, v: Vec3::new(0.0, 0.0, 0.0) };
 
     /// Returns the rotation by `angle` about the unit vector `axis`.
     pub(crate) fn turn(axis: Vec3, angle: f64) -> Self {
-        Self {
-            w: (angle / 2.0).cos(),
-            v: axis * (angle / 2.0).sin(),
-        }
+        Self { w: (angle / 2.0).cos(), v: axis * (angle / 2.0).sin() }
     }
 
     pub(crate) fn inverse(self) -> Self {
-        Self {
-            w: self.w,
-            v: self.v * -1.0,
-        }
+        Self { w: self.w, v: self.v * -1.0 }
     }
 
     /// Composes rotations: `first`, then this rotation.
@@ -131,20 +122,9 @@ impl Quat {
 
     /// Returns axis times angle for the shorter direction, so that the length is at most pi.
     pub(crate) fn rotation_vector(self) -> Vec3 {
-        let q = if self.w < 0.0 {
-            Self {
-                w: -self.w,
-                v: self.v * -1.0,
-            }
-        } else {
-            self
-        };
+        let q = if self.w < 0.0 { Self { w: -self.w, v: self.v * -1.0 } } else { self };
         let s = q.v.norm();
-        if s < 1e-9 {
-            q.v * 2.0
-        } else {
-            q.v * (2.0 * s.atan2(q.w) / s)
-        }
+        if s < 1e-9 { q.v * 2.0 } else { q.v * (2.0 * s.atan2(q.w) / s) }
     }
 }
 
@@ -152,11 +132,7 @@ impl Quat {
 /// is symmetric.
 pub(crate) fn half_turn(angle: f64) -> f64 {
     let a = angle.rem_euclid(2.0 * FRAC_PI_2);
-    if a > FRAC_PI_2 {
-        a - 2.0 * FRAC_PI_2
-    } else {
-        a
-    }
+    if a > FRAC_PI_2 { a - 2.0 * FRAC_PI_2 } else { a }
 }
 
 /// Footprint of a body as a rectangle along its own horizontal axes.
@@ -179,10 +155,7 @@ pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     let (c, s) = (t.cos().abs(), t.sin().abs());
     let det = c * c - s * s;
     let (mut a, mut b) = if det.abs() > 0.05 {
-        (
-            (half.x * c - half.y * s) / det,
-            (half.y * c - half.x * s) / det,
-        )
+        ((half.x * c - half.y * s) / det, (half.y * c - half.x * s) / det)
     } else {
         let side = (half.x + half.y) / (2.0 * (c + s));
         (side, side)
@@ -192,16 +165,8 @@ pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
         // The bounding box of a round body does not depend on its orientation.
         (a, b, angle) = (half.x, half.y, 0.0);
     }
-    let (narrow, wide, turn) = if a <= b {
-        (a, b, 0.0)
-    } else {
-        (b, a, FRAC_PI_2)
-    };
-    Footprint {
-        narrow_angle: half_turn(angle + turn),
-        narrow,
-        wide,
-    }
+    let (narrow, wide, turn) = if a <= b { (a, b, 0.0) } else { (b, a, FRAC_PI_2) };
+    Footprint { narrow_angle: half_turn(angle + turn), narrow, wide }
 }
 
 /// Returns the horizontal part of the most upright body axis: zero if a body axis is vertical,
@@ -254,14 +219,8 @@ mod tests {
             let (a, b) = (0.014, 0.056);
             let half = Vec3::new(a * c + b * s, a * s + b * c, 0.07);
             let found = footprint(Quat::turn(Vec3::UP, angle), half);
-            assert!(
-                near(found.narrow, a) && near(found.wide, b),
-                "{angle}: {found:?}"
-            );
-            assert!(
-                near(half_turn(found.narrow_angle - angle), 0.0),
-                "{angle}: {found:?}"
-            );
+            assert!(near(found.narrow, a) && near(found.wide, b), "{angle}: {found:?}");
+            assert!(near(half_turn(found.narrow_angle - angle), 0.0), "{angle}: {found:?}");
         }
     }
 

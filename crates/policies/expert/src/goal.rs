@@ -74,10 +74,7 @@ fn let_go(world: &World) -> Option<Command> {
         (false, _) => Vec3::default(),
     };
     Some(Command {
-        hand: HandPose {
-            pos: world.grip + way_out,
-            quat: world.grip_quat,
-        },
+        hand: HandPose { pos: world.grip + way_out, quat: world.grip_quat },
         fingers: Fingers::Open,
         pace: 1.0,
     })
@@ -130,9 +127,7 @@ pub(crate) fn resume(
         Some(Skill::Routine(routine)) => routine.resume(world, motion)?,
         Some(Skill::LetGo) | None => {}
     }
-    let can_continue = skills
-        .first()
-        .is_some_and(|skill| skill.can_continue(world));
+    let can_continue = skills.first().is_some_and(|skill| skill.can_continue(world));
     if !can_continue && let_go(world).is_some() {
         skills.insert(0, Skill::LetGo);
     }
@@ -156,11 +151,8 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
             ("close", [target]) => closing.extend(close(world, target)?),
             ("on", [object, target]) => placing.extend(put_on(world, predicate, object, target)?),
             ("in", [object, region]) => {
-                let place = Place {
-                    relation: Relation::In,
-                    target: (*region).to_owned(),
-                    slot: 0.0,
-                };
+                let place =
+                    Place { relation: Relation::In, target: (*region).to_owned(), slot: 0.0 };
                 let put = transfer(world, object, place)?;
                 if put.is_some() {
                     opening.extend(open(world, region, routine::DRAWER_AJAR_M)?);
@@ -185,19 +177,14 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertErr
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
         return Ok(None);
     };
-    let pull = RoutineTask::PullDrawer {
-        region: region.to_owned(),
-        to,
-    };
+    let pull = RoutineTask::PullDrawer { region: region.to_owned(), to };
     let is_open = position < to.max(routine::DRAWER_COUNTS_AS_OPEN_M);
     Ok((!is_open).then(|| Skill::Routine(Routine::new(pull))))
 }
 
 fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
     let is_on = routine::knob_is_on(routine::only_joint(world, stove)?);
-    let turn = RoutineTask::TurnKnob {
-        stove: stove.to_owned(),
-    };
+    let turn = RoutineTask::TurnKnob { stove: stove.to_owned() };
     Ok((!is_on).then(|| Skill::Routine(Routine::new(turn))))
 }
 
@@ -207,17 +194,13 @@ fn close(world: &World, target: &str) -> Result<Option<Skill>, ExpertError> {
     let drawer = drawer_joint(target).and_then(|joint| world.joint(&joint).ok());
     let (task, is_closed) = match drawer {
         Some(position) => (
-            RoutineTask::PushDrawer {
-                region: target.to_owned(),
-            },
+            RoutineTask::PushDrawer { region: target.to_owned() },
             routine::drawer_is_closed(position),
         ),
         None => {
             let position = routine::only_joint(world, target)?;
             (
-                RoutineTask::PushDoor {
-                    microwave: target.to_owned(),
-                },
+                RoutineTask::PushDoor { microwave: target.to_owned() },
                 routine::door_is_closed(position),
             )
         }
@@ -232,19 +215,12 @@ fn put_on(
     target: &str,
 ) -> Result<Option<Skill>, ExpertError> {
     let slot = slot(&world.goal, predicate);
-    let mut place = Place {
-        relation: Relation::On,
-        target: target.to_owned(),
-        slot,
-    };
+    let mut place = Place { relation: Relation::On, target: target.to_owned(), slot };
     if let Some(other) = other_object_at_target(&world.goal, predicate) {
         place.slot = free_slot(world, &place, object, other)?;
     }
     if routine::must_be_dragged(world.entity(object)?) && world.entity(target)?.is_region() {
-        let task = RoutineTask::Drag {
-            object: object.to_owned(),
-            region: target.to_owned(),
-        };
+        let task = RoutineTask::Drag { object: object.to_owned(), region: target.to_owned() };
         let is_placed = place.holds(world, world.entity(object)?)?;
         return Ok((!is_placed).then(|| Skill::Routine(Routine::new(task))));
     }
@@ -272,11 +248,7 @@ fn other_object_at_target<'a>(goal: &'a [Predicate], predicate: &Predicate) -> O
             && other.name == predicate.name
             && other.arguments.last() == predicate.arguments.last()
     };
-    goal.iter()
-        .find(shares_target)?
-        .arguments
-        .first()
-        .map(String::as_str)
+    goal.iter().find(shares_target)?.arguments.first().map(String::as_str)
 }
 
 /// Returns the side of the target that `place` has, or the opposite side if `other` is already at
@@ -287,10 +259,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
         return Ok(place.slot);
     }
     let clearance = |slot: f64| -> Result<f64, ExpertError> {
-        let side = Place {
-            slot,
-            ..place.clone()
-        };
+        let side = Place { slot, ..place.clone() };
         let rest = side.spot(world, object)?.rest;
         Ok((rest - other.pos).horizontal_norm())
     };
@@ -336,18 +305,12 @@ mod tests {
 
     #[test]
     fn an_open_drawer_is_filled_before_it_is_closed() {
-        check(
-            &mug_into_drawer_and_close_it(-0.15),
-            &["Transfer", "PushDrawer"],
-        );
+        check(&mug_into_drawer_and_close_it(-0.15), &["Transfer", "PushDrawer"]);
     }
 
     #[test]
     fn a_shut_drawer_is_opened_before_it_is_filled() {
-        check(
-            &mug_into_drawer_and_close_it(0.005),
-            &["PullDrawer", "Transfer"],
-        );
+        check(&mug_into_drawer_and_close_it(0.005), &["PullDrawer", "Transfer"]);
     }
 
     #[test]
@@ -355,12 +318,7 @@ mod tests {
         let scene = KinematicScene::new("in", &["mug_1", "basket_1_contain_region"])
             .goal("turnon", &["stove_1"])
             .object("mug_1", [0.0, 0.0, 0.05], MUG)
-            .region(
-                "basket_1_contain_region",
-                "basket_1",
-                [0.0, 0.0, 0.07],
-                [0.06, 0.06, 0.07],
-            )
+            .region("basket_1_contain_region", "basket_1", [0.0, 0.0, 0.07], [0.06, 0.06, 0.07])
             .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
             .joint("stove_1_button", 1.2);
         check(&scene, &[]);
@@ -372,12 +330,7 @@ mod tests {
             .goal("on", &["mug_2", "stove_1_cook_region"])
             .object("mug_1", [0.0, 0.0, 0.05], MUG)
             .object("mug_2", [0.1, 0.0, 0.05], MUG)
-            .region(
-                "stove_1_cook_region",
-                "stove_1",
-                [0.3, 0.0, 0.0],
-                [0.07, 0.07, 0.002],
-            );
+            .region("stove_1_cook_region", "stove_1", [0.3, 0.0, 0.0], [0.07, 0.07, 0.002]);
         check(&scene, &["slot: -1.0", "slot: 1.0"]);
     }
 
@@ -385,12 +338,7 @@ mod tests {
     fn a_flat_plate_is_dragged_to_its_region() {
         let scene = KinematicScene::new("on", &["plate_1", "table_front_region"])
             .object("plate_1", [0.0, 0.0, 0.0095], [0.069, 0.069, 0.0095])
-            .region(
-                "table_front_region",
-                "",
-                [0.3, 0.0, 0.0],
-                [0.04, 0.04, 0.007],
-            );
+            .region("table_front_region", "", [0.3, 0.0, 0.0], [0.04, 0.04, 0.007]);
         check(&scene, &["Drag"]);
     }
 

@@ -70,26 +70,10 @@ struct Part {
 }
 
 const HAND: [Part; 4] = [
-    Part {
-        at: -0.052,
-        half: (0.0135, 0.0105),
-        bottom: -FINGERTIP_M,
-    },
-    Part {
-        at: 0.052,
-        half: (0.0135, 0.0105),
-        bottom: -FINGERTIP_M,
-    },
-    Part {
-        at: 0.0,
-        half: (0.102, 0.019),
-        bottom: 0.031,
-    },
-    Part {
-        at: 0.0,
-        half: (0.05, 0.05),
-        bottom: 0.123,
-    },
+    Part { at: -0.052, half: (0.0135, 0.0105), bottom: -FINGERTIP_M },
+    Part { at: 0.052, half: (0.0135, 0.0105), bottom: -FINGERTIP_M },
+    Part { at: 0.0, half: (0.102, 0.019), bottom: 0.031 },
+    Part { at: 0.0, half: (0.05, 0.05), bottom: 0.123 },
 ];
 
 /// Categories held by a knob on top, above the body's origin, with the depth of the grip
@@ -188,19 +172,13 @@ pub(crate) fn nearest(
     };
     let ranked = choices(world, object, purpose).into_iter();
     let ranked = ranked.map(|grasp| (rank(&grasp), grasp));
-    ranked
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, grasp)| grasp)
+    ranked.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, grasp)| grasp)
 }
 
 fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
     let above_origin = object.pos - object.centre;
     let offset = above_origin.at_height(object.half.z - depth);
-    Grasp {
-        offset,
-        closing: shape.narrow_angle,
-        strain: 0.0,
-    }
+    Grasp { offset, closing: shape.narrow_angle, strain: 0.0 }
 }
 
 /// Returns the grasp across the upright handle at the end of a mug's box.
@@ -224,10 +202,7 @@ fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     });
     let mut all = across.to_vec();
     if 2.0 * shape.wide <= PINCH_WIDTH_M {
-        all.push(Grasp {
-            closing: shape.narrow_angle + FRAC_PI_2,
-            ..across[0]
-        });
+        all.push(Grasp { closing: shape.narrow_angle + FRAC_PI_2, ..across[0] });
     }
     all
 }
@@ -237,9 +212,7 @@ fn rims(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     let angles: Vec<f64> = if shape.wide > ROUND_RATIO * shape.narrow {
         vec![shape.narrow_angle, shape.narrow_angle + PI]
     } else {
-        (0..RIM_POINTS)
-            .map(|i| 2.0 * PI * f64::from(i) / f64::from(RIM_POINTS))
-            .collect()
+        (0..RIM_POINTS).map(|i| 2.0 * PI * f64::from(i) / f64::from(RIM_POINTS)).collect()
     };
     let at = |angle: f64| {
         RIM_INSETS_M.map(|inset| Grasp {
@@ -292,9 +265,7 @@ fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) ->
         !is_above && solid.overlaps_from_above(grip + along * part.at, reach)
     };
     let solids = world.solids().iter().filter(|solid| among(solid));
-    solids
-        .map(|solid| HAND.iter().filter(|part| hits(part, solid)).count())
-        .sum()
+    solids.map(|solid| HAND.iter().filter(|part| hits(part, solid)).count()).sum()
 }
 
 /// Returns the depth, m, by which the outer finger would penetrate the wall of the container
@@ -324,11 +295,8 @@ mod tests {
     }
 
     fn best(scene: &KinematicScene, requirement: GraspRequirement) -> Grasp {
-        let purpose = Purpose {
-            requirement,
-            destination: Vec3::new(-0.2, 0.0, 0.0),
-            owner: "plate",
-        };
+        let purpose =
+            Purpose { requirement, destination: Vec3::new(-0.2, 0.0, 0.0), owner: "plate" };
         let world = scene.world();
         choices(&world, world.entity("thing").unwrap(), purpose)[0]
     }
@@ -339,10 +307,7 @@ mod tests {
 
     #[test]
     fn a_box_is_pinched_in_the_middle_across_its_narrow_side() {
-        let grasp = best(
-            &scene().object("thing", [0.0, 0.0, 0.03], BOX),
-            GraspRequirement::Any,
-        );
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.03], BOX), GraspRequirement::Any);
         assert!(parallel(grasp.closing, FRAC_PI_2), "{grasp:?}");
         assert!(grasp.offset.horizontal_norm() < 1e-9, "{grasp:?}");
     }
@@ -350,42 +315,24 @@ mod tests {
     #[test]
     fn fingers_that_reach_for_a_flat_box_stay_above_its_support() {
         let flat = [0.04, 0.02, 0.009];
-        let grasp = best(
-            &scene().object("thing", [0.0, 0.0, 0.009], flat),
-            GraspRequirement::Any,
-        );
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.009], flat), GraspRequirement::Any);
         let lowest = 0.009 + grasp.offset.z - FINGERTIP_M;
         assert!((lowest - FLOOR_GAP_M).abs() < 1e-9, "{grasp:?}");
     }
 
     #[test]
     fn a_bowl_is_held_at_its_rim_with_the_fingers_on_both_sides_of_it() {
-        let grasp = best(
-            &scene().object("thing", [0.0, 0.0, 0.025], BOWL),
-            GraspRequirement::Any,
-        );
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.025], BOWL), GraspRequirement::Any);
         let radius = grasp.offset.horizontal_norm();
-        assert!(
-            (radius - (BOWL[0] - RIM_INSETS_M[0])).abs() < 1e-9,
-            "{grasp:?}"
-        );
-        assert!(parallel(
-            grasp.closing,
-            grasp.offset.y.atan2(grasp.offset.x)
-        ));
+        assert!((radius - (BOWL[0] - RIM_INSETS_M[0])).abs() < 1e-9, "{grasp:?}");
+        assert!(parallel(grasp.closing, grasp.offset.y.atan2(grasp.offset.x)));
     }
 
     #[test]
     fn a_mug_is_held_at_its_sides_and_not_where_its_handle_is() {
         let mug = [0.05, 0.07, 0.05];
-        let grasp = best(
-            &scene().object("thing", [0.0, 0.0, 0.05], mug),
-            GraspRequirement::Any,
-        );
-        assert!(
-            grasp.offset.y.abs() < 1e-9 && grasp.offset.x.abs() > 0.04,
-            "{grasp:?}"
-        );
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.05], mug), GraspRequirement::Any);
+        assert!(grasp.offset.y.abs() < 1e-9 && grasp.offset.x.abs() > 0.04, "{grasp:?}");
     }
 
     #[test]
@@ -404,9 +351,11 @@ mod tests {
     #[test]
     fn a_neighbour_of_a_box_moves_the_pinch_off_its_centre() {
         // At the centre, the palm would hit the bottle.
-        let scene = scene()
-            .object("thing", [0.0, 0.0, 0.009], [0.04, 0.02, 0.009])
-            .object("bottle", [0.035, 0.1, 0.07], [0.022, 0.03, 0.07]);
+        let scene = scene().object("thing", [0.0, 0.0, 0.009], [0.04, 0.02, 0.009]).object(
+            "bottle",
+            [0.035, 0.1, 0.07],
+            [0.022, 0.03, 0.07],
+        );
         let grasp = best(&scene, GraspRequirement::Any);
         assert!(grasp.offset.x < -0.005, "{grasp:?}");
     }

@@ -44,12 +44,7 @@ impl KinematicScene {
             gripper_opening: 0.08,
             ..Privileged::default()
         };
-        Self {
-            state,
-            failing_grasps: 0,
-            held: None,
-            velocity: [0.0; 3],
-        }
+        Self { state, failing_grasps: 0, held: None, velocity: [0.0; 3] }
     }
 
     /// Creates a scene with a mug, and an oven with an open front; the goal is the mug in the oven.
@@ -57,18 +52,8 @@ impl KinematicScene {
         Self::new("in", &["mug_1", "oven_1_inside"])
             .object("mug_1", [0.0, 0.0, 0.05], MUG_M)
             .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
-            .region(
-                "oven_1_inside",
-                "oven_1",
-                [0.0, 0.4, 0.1],
-                [0.12, 0.08, 0.08],
-            )
-            .region(
-                "oven_1_top_side",
-                "oven_1",
-                [0.0, 0.4, 0.2],
-                [0.15, 0.1, 0.001],
-            )
+            .region("oven_1_inside", "oven_1", [0.0, 0.4, 0.1], [0.12, 0.08, 0.08])
+            .region("oven_1_top_side", "oven_1", [0.0, 0.4, 0.2], [0.15, 0.1, 0.001])
     }
 
     pub(crate) fn goal(mut self, name: &str, arguments: &[&str]) -> Self {
@@ -83,23 +68,11 @@ impl KinematicScene {
 
     /// Adds an object with the given centre and half extents, m.
     pub(crate) fn object(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
-        self.entity(
-            name,
-            EntityKind::Object,
-            name.trim_end_matches("_1"),
-            centre,
-            half,
-        )
+        self.entity(name, EntityKind::Object, name.trim_end_matches("_1"), centre, half)
     }
 
     pub(crate) fn fixture(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
-        self.entity(
-            name,
-            EntityKind::Fixture,
-            name.trim_end_matches("_1"),
-            centre,
-            half,
-        )
+        self.entity(name, EntityKind::Fixture, name.trim_end_matches("_1"), centre, half)
     }
 
     /// Adds a region on or in `parent`.
@@ -142,11 +115,7 @@ impl KinematicScene {
             let q = turned.after(self.world().grip_quat);
             self.state.grip_quat_wxyz = [q.w, q.v.x, q.v.y, q.v.z];
         }
-        if a[6] > 0.0 {
-            self.close()
-        } else {
-            self.open()
-        }
+        if a[6] > 0.0 { self.close() } else { self.open() }
     }
 
     /// Drops the held object to the floor.
@@ -214,10 +183,7 @@ impl KinematicScene {
 
 fn predicate(name: &str, arguments: &[&str]) -> Predicate {
     let arguments = arguments.iter().map(|a| (*a).to_owned()).collect();
-    Predicate {
-        name: name.to_owned(),
-        arguments,
-    }
+    Predicate { name: name.to_owned(), arguments }
 }
 
 fn add(point: &mut [f64], shift: [f64; 3]) {

@@ -92,11 +92,7 @@ impl Expert {
         // Commands at a lower pace move the hand near obstacles, where contact may stop it.
         let travels = command.pace >= 1.0;
         let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
-        self.far_steps = if travels && is_far {
-            self.far_steps + 1
-        } else {
-            0
-        };
+        self.far_steps = if travels && is_far { self.far_steps + 1 } else { 0 };
         if self.far_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
             (self.far_steps, self.backing_steps) = (0, BACKING_STEPS);
         }
@@ -109,13 +105,7 @@ impl Expert {
             true => up,
             false => world.rest().at_height(world.rest().z.max(world.grip.z)),
         };
-        Command {
-            hand: HandPose {
-                pos,
-                quat: motion::pointing_down(FRAC_PI_2),
-            },
-            ..command
-        }
+        Command { hand: HandPose { pos, quat: motion::pointing_down(FRAC_PI_2) }, ..command }
     }
 
     /// Returns the next skill's command. Replans when the plan is exhausted, because an
@@ -135,15 +125,8 @@ impl Expert {
             }
         }
         self.plan = (!plan.is_empty()).then_some(plan);
-        let current = HandPose {
-            pos: world.grip,
-            quat: world.grip_quat,
-        };
-        Ok(next.unwrap_or(Command {
-            hand: current,
-            fingers: Fingers::Open,
-            pace: 1.0,
-        }))
+        let current = HandPose { pos: world.grip, quat: world.grip_quat };
+        Ok(next.unwrap_or(Command { hand: current, fingers: Fingers::Open, pace: 1.0 }))
     }
 }
 
@@ -242,10 +225,7 @@ mod tests {
             let action = expert.act(&scene.state).expect("an action");
             scene.apply(action);
         }
-        assert!(
-            scene.state.entities[0].pos[2] > 0.05,
-            "the expert lifts the bowl"
-        );
+        assert!(scene.state.entities[0].pos[2] > 0.05, "the expert lifts the bowl");
         // A new expert takes over a grasp that it has not observed.
         let mut new_expert = Expert::default();
         for _ in 0..4 {

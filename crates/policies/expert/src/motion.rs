@@ -70,10 +70,7 @@ pub(crate) struct HandPose {
 
 impl HandPose {
     pub(crate) fn moved(self, by: Vec3) -> Self {
-        Self {
-            pos: self.pos + by,
-            ..self
-        }
+        Self { pos: self.pos + by, ..self }
     }
 
     /// Angle between the hand's current orientation and that of this pose, rad.
@@ -113,10 +110,7 @@ impl HandPose {
 /// pose, in which the hand closes along the world's y. It is at most a quarter turn from the rest
 /// pose, which is within the range of the last joint.
 pub(crate) fn pointing_down(angle: f64) -> Quat {
-    let rest = Quat {
-        w: 0.0,
-        v: Vec3::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
-    };
+    let rest = Quat { w: 0.0, v: Vec3::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0) };
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
 }
 
@@ -159,11 +153,7 @@ pub(crate) struct Command {
 pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
     let predicted = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
     let shift = (command.hand.pos - predicted) * (POSITION_GAIN / UNIT_M);
-    let turn = command
-        .hand
-        .quat
-        .after(world.grip_quat.inverse())
-        .rotation_vector();
+    let turn = command.hand.quat.after(world.grip_quat.inverse()).rotation_vector();
     // Horizontal and vertical components are saturated separately, so that a long descent does not
     // slow the horizontal correction.
     let across = saturate(shift.at_height(0.0), 1.0);
@@ -179,11 +169,7 @@ pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action
 /// Shortens `v` until no coordinate exceeds `limit`, keeping its direction.
 fn saturate(v: Vec3, limit: f64) -> Vec3 {
     let largest = v.max_abs();
-    if largest > limit {
-        v * (limit / largest)
-    } else {
-        v
-    }
+    if largest > limit { v * (limit / largest) } else { v }
 }
 
 /// Load of the moving hand, or the object that it is about to grasp.
@@ -239,9 +225,7 @@ pub(crate) fn detour(world: &World, goal: Vec3, load: HandLoad) -> Vec3 {
 /// Top of the highest solid within the corridor from the hand to `goal`.
 fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> {
     let start = world.grip;
-    let steps = ((goal - start).horizontal_norm() / (CORRIDOR_M / 2.0))
-        .ceil()
-        .max(1.0);
+    let steps = ((goal - start).horizontal_norm() / (CORRIDOR_M / 2.0)).ceil().max(1.0);
     let crossed = |solid: &&Solid| {
         (0..=steps as u32).any(|i| {
             let p = start + (goal - start) * (f64::from(i) / steps);
@@ -249,10 +233,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> 
         })
     };
     let obstacles = world.solids().iter().filter(|solid| !load.is_load(solid));
-    obstacles
-        .filter(crossed)
-        .map(Solid::top)
-        .max_by(f64::total_cmp)
+    obstacles.filter(crossed).map(Solid::top).max_by(f64::total_cmp)
 }
 
 /// Returns the horizontal direction out from under the solid above the held object; `None` if no
@@ -262,10 +243,8 @@ fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
         return None;
     };
     let room = CLEARANCE_M / 2.0;
-    let reach = [
-        Vec3::new(object.half.x + room, 0.0, 0.0),
-        Vec3::new(0.0, object.half.y + room, 0.0),
-    ];
+    let reach =
+        [Vec3::new(object.half.x + room, 0.0, 0.0), Vec3::new(0.0, object.half.y + room, 0.0)];
     let overhead = |solid: &&Solid| {
         let is_above = solid.bottom() > object.centre.z && !load.is_load(solid);
         is_above && solid.overlaps_from_above(object.centre, reach)
@@ -303,11 +282,8 @@ impl Motion {
             self.still_steps = if is_still { self.still_steps + 1 } else { 0 };
             self.opening_change = world.opening - opening;
             let are_fingers_still = self.opening_change.abs() < STILL_M;
-            self.finger_still_steps = if are_fingers_still {
-                self.finger_still_steps + 1
-            } else {
-                0
-            };
+            self.finger_still_steps =
+                if are_fingers_still { self.finger_still_steps + 1 } else { 0 };
         }
         self.trail.rotate_left(1);
         self.trail[TRAIL_STEPS - 1] = world.grip;
@@ -371,15 +347,8 @@ mod tests {
     }
 
     fn command(world: &World, by: Vec3, pace: f64) -> Command {
-        let hand = HandPose {
-            pos: world.grip + by,
-            quat: world.grip_quat,
-        };
-        Command {
-            hand,
-            fingers: Fingers::Close,
-            pace,
-        }
+        let hand = HandPose { pos: world.grip + by, quat: world.grip_quat };
+        Command { hand, fingers: Fingers::Close, pace }
     }
 
     #[test]
@@ -402,11 +371,7 @@ mod tests {
     #[test]
     fn a_hand_at_its_goal_stays_there() {
         let world = scene().world();
-        let action = servo(
-            &world,
-            &Motion::default(),
-            &command(&world, Vec3::default(), 1.0),
-        );
+        let action = servo(&world, &Motion::default(), &command(&world, Vec3::default(), 1.0));
         assert!(action[..6].iter().all(|v| v.abs() < 1e-6), "{action:?}");
         assert_eq!(action[6], 1.0);
     }
@@ -421,14 +386,9 @@ mod tests {
                     .norm()
                     < 1e-9
             );
-            let from_rest = pose
-                .after(pointing_down(FRAC_PI_2).inverse())
-                .rotation_vector();
+            let from_rest = pose.after(pointing_down(FRAC_PI_2).inverse()).rotation_vector();
             assert!(from_rest.norm() <= FRAC_PI_2 + 1e-9, "{angle}");
-            assert!(
-                (pose.rotate(Vec3::UP) + Vec3::UP).norm() < 1e-9,
-                "points down"
-            );
+            assert!((pose.rotate(Vec3::UP) + Vec3::UP).norm() < 1e-9, "points down");
         }
     }
 
@@ -455,9 +415,7 @@ mod tests {
 
     #[test]
     fn the_hand_climbs_over_obstacles_before_it_crosses() {
-        let mut world = scene()
-            .object("tower", [0.2, 0.0, 0.25], [0.03, 0.03, 0.25])
-            .world();
+        let mut world = scene().object("tower", [0.2, 0.0, 0.25], [0.03, 0.03, 0.25]).world();
         let goal = Vec3::new(0.4, 0.0, 0.1);
         let up = detour(&world, goal, HandLoad::Empty(FINGERTIP_M));
         assert_eq!((up.x, up.y), (0.0, 0.0));
@@ -472,9 +430,11 @@ mod tests {
 
     #[test]
     fn a_held_object_comes_out_from_under_a_shelf_before_it_goes_up() {
-        let scene = scene()
-            .object("cup", [0.0, 0.0, 0.3], [0.04, 0.04, 0.05])
-            .object("shelf", [0.05, 0.0, 0.5], [0.06, 0.2, 0.02]);
+        let scene = scene().object("cup", [0.0, 0.0, 0.3], [0.04, 0.04, 0.05]).object(
+            "shelf",
+            [0.05, 0.0, 0.5],
+            [0.06, 0.2, 0.02],
+        );
         let world = scene.world();
         let cup = world.entity("cup").unwrap();
         let next = detour(&world, Vec3::new(0.3, 0.0, 0.7), HandLoad::With(cup));

@@ -101,28 +101,16 @@ impl Place {
                 if let Some(out) = world.front_of_drawer(target) {
                     centre = centre + out * DRAWER_SHIFT_M;
                 }
-                (
-                    centre.at_height(brim + CARRY_M),
-                    centre.at_height(brim - DROP_DEPTH_M),
-                )
+                (centre.at_height(brim + CARRY_M), centre.at_height(brim - DROP_DEPTH_M))
             }
             Entry::Through(out) => {
                 floor += COVERED_FLOOR_GAP_M;
                 let depth = target.extent_along(out);
                 let rest = centre + out * (depth - COVERED_DEPTH_M);
-                (
-                    (rest + out * COVERED_RUN_M).at_height(floor),
-                    rest.at_height(floor),
-                )
+                ((rest + out * COVERED_RUN_M).at_height(floor), rest.at_height(floor))
             }
         };
-        Ok(Spot {
-            approach_start,
-            rest,
-            entry,
-            floor,
-            brim,
-        })
+        Ok(Spot { approach_start, rest, entry, floor, brim })
     }
 
     /// Returns true if the object is in its place, judging by bounding boxes.
@@ -153,11 +141,7 @@ impl Place {
     /// If the scene lacks the target.
     pub(crate) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, ExpertError> {
         let target = world.entity(&self.target)?;
-        Ok(if target.is_region() {
-            &target.category
-        } else {
-            &target.name
-        })
+        Ok(if target.is_region() { &target.category } else { &target.name })
     }
 
     /// Requirement of the place on the grasp.
@@ -245,11 +229,7 @@ mod tests {
     }
 
     fn place(relation: Relation, target: &str, slot: f64) -> Place {
-        Place {
-            relation,
-            target: target.to_owned(),
-            slot,
-        }
+        Place { relation, target: target.to_owned(), slot }
     }
 
     fn spot(place: &Place) -> Spot {
@@ -261,10 +241,7 @@ mod tests {
     fn an_object_descends_straight_onto_the_middle_of_its_plate() {
         let spot = spot(&place(Relation::On, "plate_1", 0.0));
         assert_eq!((spot.approach_start.x, spot.approach_start.y), (0.3, 0.0));
-        assert!(
-            spot.approach_start.z > 0.02 && spot.rest.z <= 0.0,
-            "{spot:?}"
-        );
+        assert!(spot.approach_start.z > 0.02 && spot.rest.z <= 0.0, "{spot:?}");
         assert_eq!(spot.way_out(), Vec3::UP);
     }
 
@@ -278,15 +255,9 @@ mod tests {
     fn a_covered_region_is_reached_through_its_open_front() {
         let inside = place(Relation::In, "oven_1_inside", 0.0);
         let spot = spot(&inside);
-        assert!(
-            spot.approach_start.y < 0.3 && spot.rest.y > 0.32,
-            "{spot:?}"
-        );
+        assert!(spot.approach_start.y < 0.3 && spot.rest.y > 0.32, "{spot:?}");
         assert_eq!(spot.approach_start.z, spot.rest.z);
         assert_eq!(spot.way_out(), Vec3::new(0.0, -1.0, 0.0));
-        assert_eq!(
-            inside.grasp_requirement(&scene().world()),
-            Ok(GraspRequirement::Handle)
-        );
+        assert_eq!(inside.grasp_requirement(&scene().world()), Ok(GraspRequirement::Handle));
     }
 }

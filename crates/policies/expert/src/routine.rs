@@ -115,11 +115,7 @@ enum Until {
 
 impl Routine {
     pub(crate) fn new(task: RoutineTask) -> Self {
-        Self {
-            task,
-            stage: 0,
-            ticks: 0,
-        }
+        Self { task, stage: 0, ticks: 0 }
     }
 
     pub(crate) fn task(&self) -> &RoutineTask {
@@ -154,11 +150,7 @@ impl Routine {
                     hand.pos = detour(world, hand.pos, HandLoad::Empty(STANDOFF_M));
                 }
                 let pace = if is_travelling { 1.0 } else { GENTLE };
-                return Ok(Some(Command {
-                    hand,
-                    fingers: stage.fingers,
-                    pace,
-                }));
+                return Ok(Some(Command { hand, fingers: stage.fingers, pace }));
             }
             self.stage += 1;
             self.ticks = 0;
@@ -258,15 +250,9 @@ impl Drawer {
         let joint = drawer_joint(region).unwrap_or_default();
         let inside = world.entity(region)?;
         let out = world.front_of_drawer(inside);
-        let out = out.ok_or_else(|| ExpertError::NoDrawer {
-            region: region.to_owned(),
-        })?;
+        let out = out.ok_or_else(|| ExpertError::NoDrawer { region: region.to_owned() })?;
         let handle = inside.pos + out * HANDLE_OUT_M + Vec3::UP * HANDLE_UP_M;
-        Ok(Self {
-            position: world.joint(&joint)?,
-            handle,
-            out,
-        })
+        Ok(Self { position: world.joint(&joint)?, handle, out })
     }
 }
 
@@ -280,14 +266,8 @@ fn pull_drawer(
     // The fingers close on the bar of the handle from above and below.
     let upright = pointing_down(drawer.out.y.atan2(drawer.out.x));
     let quat = tilted(upright, drawer.out * -1.0, PULL_TILT);
-    let at = |away: f64| HandPose {
-        pos: drawer.handle + drawer.out * away,
-        quat,
-    };
-    let current = HandPose {
-        pos: world.grip,
-        quat,
-    };
+    let at = |away: f64| HandPose { pos: drawer.handle + drawer.out * away, quat };
+    let current = HandPose { pos: world.grip, quat };
     Ok(Some(match number {
         0 => stage(at(STANDOFF_M), Fingers::Open, Until::AtPoseAfterDetour),
         1 => stage(at(0.0), Fingers::Open, Until::AtPoseOrStopped),
@@ -295,11 +275,7 @@ fn pull_drawer(
         3 => {
             let is_open = drawer.position < to;
             let is_lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
-            stage(
-                at(LEAD_M),
-                Fingers::Close,
-                Until::ConditionHolds(is_open || is_lost),
-            )
+            stage(at(LEAD_M), Fingers::Close, Until::ConditionHolds(is_open || is_lost))
         }
         4 => stage(current, Fingers::Open, Until::Steps(FINGER_STEPS)),
         5 => stage(at(STANDOFF_M), Fingers::Open, Until::AtPoseOrStopped),
@@ -312,19 +288,12 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
     let along_bar = drawer.out.cross(Vec3::UP);
     let upright = pointing_down(along_bar.y.atan2(along_bar.x));
     let quat = tilted(upright, drawer.out * -1.0, PUSH_TILT);
-    let at = |away: f64| HandPose {
-        pos: drawer.handle + drawer.out * away,
-        quat,
-    };
+    let at = |away: f64| HandPose { pos: drawer.handle + drawer.out * away, quat };
     Ok(Some(match number {
         0 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseAfterDetour),
         1 => {
             let is_closed = drawer.position > DRAWER_CLOSED_M;
-            stage(
-                at(-LEAD_M),
-                Fingers::Close,
-                Until::ConditionHolds(is_closed),
-            )
+            stage(at(-LEAD_M), Fingers::Close, Until::ConditionHolds(is_closed))
         }
         2 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseOrStopped),
         _ => return Ok(None),
@@ -341,39 +310,15 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
         quat: pointing_down(ridge + ahead + FRAC_PI_2),
     };
     Ok(Some(match number {
-        0 => stage(
-            at(0.0, STANDOFF_M / 2.0),
-            Fingers::Open,
-            Until::AtPoseAfterDetour,
-        ),
-        1 => stage(
-            at(0.0, -KNOB_DEPTH_M),
-            Fingers::Open,
-            Until::AtPoseOrStopped,
-        ),
-        2 => stage(
-            at(0.0, -KNOB_DEPTH_M),
-            Fingers::Close,
-            Until::Steps(FINGER_STEPS),
-        ),
+        0 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::AtPoseAfterDetour),
+        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::AtPoseOrStopped),
+        2 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
             let is_on = position > KNOB_ON;
-            stage(
-                at(LEAD_RAD, -KNOB_DEPTH_M),
-                Fingers::Close,
-                Until::ConditionHolds(is_on),
-            )
+            stage(at(LEAD_RAD, -KNOB_DEPTH_M), Fingers::Close, Until::ConditionHolds(is_on))
         }
-        4 => stage(
-            at(0.0, -KNOB_DEPTH_M),
-            Fingers::Open,
-            Until::Steps(FINGER_STEPS),
-        ),
-        5 => stage(
-            at(0.0, STANDOFF_M / 2.0),
-            Fingers::Open,
-            Until::AtPoseOrStopped,
-        ),
+        4 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::Steps(FINGER_STEPS)),
+        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::AtPoseOrStopped),
         _ => return Ok(None),
     }))
 }
@@ -388,28 +333,13 @@ fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage
         let hinge = oven.pos + oven.quat.rotate(HINGE);
         let height = oven.pos.z + DOOR_TOP_M - DOOR_DEPTH_M;
         let pos = (hinge + along * DOOR_REACH_M + out * front).at_height(height);
-        HandPose {
-            pos,
-            quat: pointing_down(along.y.atan2(along.x)),
-        }
+        HandPose { pos, quat: pointing_down(along.y.atan2(along.x)) }
     };
     let pushed = at(angle + LEAD_RAD, DOOR_FRONT_M / 2.0);
     Ok(Some(match number {
-        0 => stage(
-            at(angle, DOOR_FRONT_M + STANDOFF_M),
-            Fingers::Close,
-            Until::AtPoseAfterDetour,
-        ),
-        1 => stage(
-            pushed,
-            Fingers::Close,
-            Until::ConditionHolds(angle > DOOR_CLOSED),
-        ),
-        2 => stage(
-            at(angle, DOOR_FRONT_M + STANDOFF_M),
-            Fingers::Close,
-            Until::AtPoseOrStopped,
-        ),
+        0 => stage(at(angle, DOOR_FRONT_M + STANDOFF_M), Fingers::Close, Until::AtPoseAfterDetour),
+        1 => stage(pushed, Fingers::Close, Until::ConditionHolds(angle > DOOR_CLOSED)),
+        2 => stage(at(angle, DOOR_FRONT_M + STANDOFF_M), Fingers::Close, Until::AtPoseOrStopped),
         _ => return Ok(None),
     }))
 }
@@ -437,11 +367,7 @@ fn drag(
             Fingers::Close,
             Until::AtPoseAfterDetour,
         ),
-        1 => stage(
-            at(DRAG_FROM_M, pressing),
-            Fingers::Close,
-            Until::AtPoseOrStopped,
-        ),
+        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::AtPoseOrStopped),
         2 => {
             let has_slipped = (world.grip - entity.centre).horizontal_norm() > widest;
             let is_done = distance < DRAG_DONE_M || has_slipped;
@@ -460,9 +386,7 @@ fn drag(
 /// Returns the position of the first joint of `fixture`, which has only one.
 pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertError> {
     let name = world.joints_of(fixture).next();
-    let name = name.ok_or_else(|| ExpertError::NoJoint {
-        fixture: fixture.to_owned(),
-    })?;
+    let name = name.ok_or_else(|| ExpertError::NoJoint { fixture: fixture.to_owned() })?;
     world.joint(name)
 }
 
@@ -474,11 +398,7 @@ pub(crate) fn must_be_dragged(object: &Entity) -> bool {
 }
 
 fn stage(hand: HandPose, fingers: Fingers, until: Until) -> Stage {
-    Stage {
-        hand,
-        fingers,
-        until,
-    }
+    Stage { hand, fingers, until }
 }
 
 #[cfg(test)]
@@ -506,25 +426,15 @@ mod tests {
                 .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
                 .joint("stove_1_button", 0.1)
         };
-        let task = RoutineTask::TurnKnob {
-            stove: "stove_1".to_owned(),
-        };
+        let task = RoutineTask::TurnKnob { stove: "stove_1".to_owned() };
         let at_knob = task.stage(2, &scene().world()).unwrap().unwrap().hand;
         let stage_after = |openings: &[f64]| {
             let (world, motion) = with_hand(scene(), at_knob, openings);
             task.current_stage(&world, &motion).unwrap()
         };
-        assert_eq!(
-            stage_after(&[0.026, 0.026, 0.027]),
-            3,
-            "the knob shifts between the fingers"
-        );
+        assert_eq!(stage_after(&[0.026, 0.026, 0.027]), 3, "the knob shifts between the fingers");
         assert_eq!(stage_after(&[0.06, 0.05, 0.04]), 2, "the fingers close");
-        assert_eq!(
-            stage_after(&[0.0; 5]),
-            0,
-            "there is nothing between the fingers"
-        );
+        assert_eq!(stage_after(&[0.0; 5]), 0, "there is nothing between the fingers");
     }
 
     #[test]
@@ -534,9 +444,7 @@ mod tests {
                 .fixture("microwave_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
                 .joint("microwave_1_door", -0.4)
         };
-        let task = RoutineTask::PushDoor {
-            microwave: "microwave_1".to_owned(),
-        };
+        let task = RoutineTask::PushDoor { microwave: "microwave_1".to_owned() };
         let pose = |number| task.stage(number, &scene().world()).unwrap().unwrap().hand;
         let (from, to) = (pose(0), pose(1));
         for turned in [0.0, 0.8, 1.6, 2.4] {

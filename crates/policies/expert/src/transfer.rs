@@ -162,15 +162,8 @@ impl Transfer {
             let hand = upright_hand(world);
             // An object stopped before its place is pushed on while the fingers open, so that it
             // does not move back.
-            let ahead = if is_at_rest {
-                Vec3::default()
-            } else {
-                to_rest.at_height(0.0)
-            };
-            Phase::Release {
-                hand: hand.moved(ahead),
-                way_out: spot.way_out(),
-            }
+            let ahead = if is_at_rest { Vec3::default() } else { to_rest.at_height(0.0) };
+            Phase::Release { hand: hand.moved(ahead), way_out: spot.way_out() }
         } else if self.holds(world, motion)? {
             let hold = self.hold(earlier, world, object);
             let to_approach_start = Spot::hand_for(world, object, spot.approach_start) - world.grip;
@@ -205,9 +198,8 @@ impl Transfer {
         let purpose = self.purpose(world, object)?;
         let (earlier, blocked) = (self.grasp.as_ref(), self.blocked.as_ref());
         let grasp = grasp::nearest(world, object, purpose, earlier, blocked);
-        let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
-            object: self.object.clone(),
-        })?;
+        let grasp =
+            grasp.ok_or_else(|| ExpertError::NotGraspable { object: self.object.clone() })?;
         self.grasp = Some(grasp);
         Ok(grasp)
     }
@@ -321,18 +313,11 @@ impl Transfer {
         // In the first steps of a phase the hand has not yet set off.
         let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
         if (hand.pos - world.grip).norm() < DEEP_M || has_stopped || self.is_overdue() {
-            return Next::Go(Phase::Close(HandPose {
-                pos: world.grip,
-                ..hand
-            }));
+            return Next::Go(Phase::Close(HandPose { pos: world.grip, ..hand }));
         }
         // Moves sideways first if the fingers would come down on the object.
         let aside = (hand.pos - world.grip).horizontal_norm();
-        let pos = if aside > 2.0 * NEAR_M {
-            hand.pos.at_height(world.grip.z)
-        } else {
-            hand.pos
-        };
+        let pos = if aside > 2.0 * NEAR_M { hand.pos.at_height(world.grip.z) } else { hand.pos };
         stay(HandPose { pos, ..hand }, Fingers::Open, GENTLE)
     }
 
@@ -382,14 +367,8 @@ impl Transfer {
         let spot = self.place.spot(world, object)?;
         let has_stopped = self.ticks > 3 && motion.still_steps() >= 2;
         if spot.can_release(world, object) || has_stopped || self.is_overdue() {
-            let hand = HandPose {
-                pos: world.grip,
-                quat: hold.quat,
-            };
-            return Ok(Next::Go(Phase::Release {
-                hand,
-                way_out: spot.way_out(),
-            }));
+            let hand = HandPose { pos: world.grip, quat: hold.quat };
+            return Ok(Next::Go(Phase::Release { hand, way_out: spot.way_out() }));
         }
         let pos = Spot::hand_for(world, object, spot.rest);
         Ok(hold_to(pos, hold, GENTLE))
@@ -403,10 +382,7 @@ impl Transfer {
 impl Grip {
     /// Returns the pose of the hand for a grasp of the object at its current pose.
     fn hand(&self, object: &Entity) -> HandPose {
-        HandPose {
-            pos: object.centre + self.grasp.offset,
-            quat: self.quat,
-        }
+        HandPose { pos: object.centre + self.grasp.offset, quat: self.quat }
     }
 }
 
@@ -420,10 +396,7 @@ impl Hold {
 /// to the hand's current orientation.
 fn upright_hand(world: &World) -> HandPose {
     let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
-    HandPose {
-        pos: world.grip,
-        quat: pointing_down_like(world, closing.y.atan2(closing.x)),
-    }
+    HandPose { pos: world.grip, quat: pointing_down_like(world, closing.y.atan2(closing.x)) }
 }
 
 /// Returns true if the object has not yet been lifted since the fingers closed. If the hand moved
@@ -444,10 +417,7 @@ fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) 
     let is_turned = hand.turn_from(world) < TURNED_RAD;
     let is_deep = above < NEAR_M || (above < STOPPED_M && motion.still_steps() >= 3);
     if is_turned && aside < NEAR_M && is_deep && motion.may_close(world) {
-        return Phase::Close(HandPose {
-            pos: world.grip,
-            ..hand
-        });
+        return Phase::Close(HandPose { pos: world.grip, ..hand });
     }
     let is_closing = world.opening < FINGERS_OPEN_M && motion.may_close(world);
     let is_at_object = world.gap_to(object) < BESIDE_M && aside < ALMOST_M && above < STOPPED_M;
@@ -466,23 +436,12 @@ fn near(world: &World, hand: HandPose) -> bool {
 }
 
 fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
-    Next::Stay(Command {
-        hand,
-        fingers,
-        pace,
-    })
+    Next::Stay(Command { hand, fingers, pace })
 }
 
 /// Keeps the fingers closed on the way to `pos`.
 fn hold_to(pos: Vec3, hold: Hold, pace: f64) -> Next {
-    stay(
-        HandPose {
-            pos,
-            quat: hold.quat,
-        },
-        Fingers::Close,
-        pace,
-    )
+    stay(HandPose { pos, quat: hold.quat }, Fingers::Close, pace)
 }
 
 #[cfg(test)]

@@ -100,10 +100,7 @@ impl World {
     /// If there are too many entities, or a field holds a number that is out of range.
     pub(crate) fn read(state: &Privileged) -> Result<Self, ExpertError> {
         if state.entities.len() > MAX_ENTITIES {
-            return Err(ExpertError::Entities {
-                given: state.entities.len(),
-                most: MAX_ENTITIES,
-            });
+            return Err(ExpertError::Entities { given: state.entities.len(), most: MAX_ENTITIES });
         }
         let mut entities = Vec::with_capacity(state.entities.len());
         for e in &state.entities {
@@ -143,9 +140,7 @@ impl World {
     /// If the scene has no such entity.
     pub(crate) fn entity(&self, name: &str) -> Result<&Entity, ExpertError> {
         let found = self.entities.iter().find(|e| e.name == name);
-        found.ok_or_else(|| ExpertError::NoEntity {
-            name: name.to_owned(),
-        })
+        found.ok_or_else(|| ExpertError::NoEntity { name: name.to_owned() })
     }
 
     /// Returns the position of a joint, rad or m.
@@ -154,18 +149,13 @@ impl World {
     /// If the scene has no such joint.
     pub(crate) fn joint(&self, name: &str) -> Result<f64, ExpertError> {
         let found = self.joints.iter().find(|(n, _)| n == name);
-        found.map(|j| j.1).ok_or_else(|| ExpertError::NoJointNamed {
-            name: name.to_owned(),
-        })
+        found.map(|j| j.1).ok_or_else(|| ExpertError::NoJointNamed { name: name.to_owned() })
     }
 
     /// Returns the names of the joints of the instance `owner`.
     pub(crate) fn joints_of(&self, owner: &str) -> impl Iterator<Item = &str> {
         let prefix = format!("{owner}_");
-        self.joints
-            .iter()
-            .map(|j| j.0.as_str())
-            .filter(move |n| n.starts_with(&prefix))
+        self.joints.iter().map(|j| j.0.as_str()).filter(move |n| n.starts_with(&prefix))
     }
 
     /// Position of the grip point when the arm is at rest.
@@ -189,10 +179,7 @@ impl World {
 
     /// Returns the objects whose boxes, enlarged by `margin` m, contain the grip point.
     pub(crate) fn objects_at_grip(&self, margin: f64) -> impl Iterator<Item = &Entity> {
-        let objects = self
-            .entities
-            .iter()
-            .filter(|e| e.kind == EntityKind::Object);
+        let objects = self.entities.iter().filter(|e| e.kind == EntityKind::Object);
         objects.filter(move |e| self.gap_to(e) < margin)
     }
 
@@ -243,9 +230,7 @@ impl World {
 
 /// Returns the name of the joint of the drawer that contains `region`, by LIBERO's naming.
 pub(crate) fn drawer_joint(region: &str) -> Option<String> {
-    region
-        .strip_suffix("_region")
-        .map(|drawer| format!("{drawer}_level"))
+    region.strip_suffix("_region").map(|drawer| format!("{drawer}_level"))
 }
 
 /// Returns the name of the region on top of `fixture`, by LIBERO's naming.
@@ -325,22 +310,13 @@ fn solids(world: &World) -> Vec<Solid> {
         let parts = world.regions().filter(|r| r.category == e.name);
         let drawers = parts.filter_map(|r| Some((r, world.front_of_drawer(r)?)));
         let drawers: Vec<Solid> = drawers.flat_map(|(r, out)| drawer(e, r, out)).collect();
-        let whole = Solid {
-            owner: e.name.clone(),
-            centre: e.centre,
-            quat: Quat::IDENTITY,
-            half: e.half,
-        };
+        let whole =
+            Solid { owner: e.name.clone(), centre: e.centre, quat: Quat::IDENTITY, half: e.half };
         match world.entity(&top_side(&e.name)) {
             Ok(top) if !drawers.is_empty() => {
                 let centre = top.pos.at_height(e.centre.z);
                 let half = top.half.at_height(e.half.z);
-                solids.push(Solid {
-                    centre,
-                    quat: top.quat,
-                    half,
-                    ..whole
-                });
+                solids.push(Solid { centre, quat: top.quat, half, ..whole });
                 solids.extend(drawers);
             }
             _ => solids.push(whole),
@@ -360,15 +336,7 @@ fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
         half: Vec3::new(along, across, across),
     };
     let (centre, half) = (region.pos, region.half + wall);
-    [
-        Solid {
-            centre,
-            quat: region.quat,
-            half,
-            ..handle.clone()
-        },
-        handle,
-    ]
+    [Solid { centre, quat: region.quat, half, ..handle.clone() }, handle]
 }
 
 /// Checks that the magnitudes of values are at most `largest`. Paths are sampled every few
@@ -382,11 +350,9 @@ fn check_range(
     // NaN fails the comparison.
     let is_within = |value: &f64| value.abs() <= largest;
     match values.iter().find(|value| !is_within(value)) {
-        Some(value) => Err(ExpertError::OutOfRange {
-            field,
-            owner: owner.to_owned(),
-            value: *value,
-        }),
+        Some(value) => {
+            Err(ExpertError::OutOfRange { field, owner: owner.to_owned(), value: *value })
+        }
         None => Ok(()),
     }
 }

@@ -220,10 +220,9 @@ impl BackendError {
             Self::Refused { status, .. } => status.code(),
             Self::UnsupportedPolicy { .. }
             | Self::OutOfOrder { .. }
-            | Self::Description {
-                fault: DescriptionFault::Version { .. },
-                ..
-            } => Code::FailedPrecondition,
+            | Self::Description { fault: DescriptionFault::Version { .. }, .. } => {
+                Code::FailedPrecondition
+            }
             Self::Policy { .. }
             | Self::Description { .. }
             | Self::InvalidActions { .. }

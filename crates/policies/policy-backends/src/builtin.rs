@@ -49,10 +49,9 @@ impl Builtin {
     /// Returns the policy's description and constructor.
     pub(crate) fn policy(self) -> Policy {
         match self {
-            Self::Noop => Policy {
-                described: noop::describe(),
-                start: Box::new(|_| Box::new(noop::Noop)),
-            },
+            Self::Noop => {
+                Policy { described: noop::describe(), start: Box::new(|_| Box::new(noop::Noop)) }
+            }
             Self::Expert => Policy {
                 described: expert::describe(),
                 start: Box::new(|_| Box::new(::expert::Expert::default())),
@@ -78,9 +77,7 @@ impl FromStr for Builtin {
         Self::ALL
             .into_iter()
             .find(|builtin| builtin.name() == name)
-            .ok_or_else(|| UnknownBuiltin {
-                name: name.to_owned(),
-            })
+            .ok_or_else(|| UnknownBuiltin { name: name.to_owned() })
     }
 }
 

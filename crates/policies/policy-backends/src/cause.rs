@@ -42,10 +42,7 @@ impl Cause {
     /// Returns true if the server counts as recovered only after an answered query or, if it
     /// repeated an error, also after a different error.
     pub fn needs_query(&self) -> bool {
-        matches!(
-            self,
-            Self::NoAnswer | Self::RepeatedError(_) | Self::Broken(_)
-        )
+        matches!(self, Self::NoAnswer | Self::RepeatedError(_) | Self::Broken(_))
     }
 }
 

@@ -35,17 +35,11 @@ pub fn difference(expected: &DescribeResponse, given: &DescribeResponse) -> Opti
             ("seeding", (!described.unseeded).to_string()),
             ("language", described.language.to_string()),
             ("privileged", described.privileged.to_string()),
-            (
-                "real-time chunking",
-                described.real_time_chunking.to_string(),
-            ),
+            ("real-time chunking", described.real_time_chunking.to_string()),
         ]
     };
     let setting = |described: &DescribeResponse, name: &str| {
-        let named = described
-            .settings
-            .iter()
-            .find(|setting| setting.name == name);
+        let named = described.settings.iter().find(|setting| setting.name == name);
         named.map_or_else(|| "not given".to_owned(), |setting| setting.value.clone())
     };
     let names = expected.settings.iter().chain(&given.settings);

@@ -42,9 +42,7 @@ impl GrpcAddress {
     pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));
-        let endpoint = endpoint.map_err(|_| AddressError {
-            text: self.to_string(),
-        })?;
+        let endpoint = endpoint.map_err(|_| AddressError { text: self.to_string() })?;
         Ok(endpoint
             .connect_timeout(CONNECT_TIMEOUT)
             .tcp_nodelay(true)
@@ -58,9 +56,7 @@ impl FromStr for GrpcAddress {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        let invalid = || AddressError {
-            text: text.to_owned(),
-        };
+        let invalid = || AddressError { text: text.to_owned() };
         let (scheme, rest) = text.split_once("://").ok_or_else(invalid)?;
         let encrypted = match scheme {
             "grpc" => false,
@@ -68,20 +64,13 @@ impl FromStr for GrpcAddress {
             _ => return Err(invalid()),
         };
         let (authority, policy) = rest.split_once('/').unwrap_or((rest, ""));
-        let address = Self {
-            authority: authority.to_owned(),
-            policy: policy.to_owned(),
-            encrypted,
-        };
+        let address =
+            Self { authority: authority.to_owned(), policy: policy.to_owned(), encrypted };
         let uri = format!("http://{authority}").parse::<Uri>();
         let is_complete = uri.is_ok_and(|uri| {
             uri.host().is_some_and(|host| !host.is_empty()) && uri.port_u16().is_some()
         });
-        if is_complete && address.endpoint().is_ok() {
-            Ok(address)
-        } else {
-            Err(invalid())
-        }
+        if is_complete && address.endpoint().is_ok() { Ok(address) } else { Err(invalid()) }
     }
 }
 
@@ -126,11 +115,7 @@ impl GrpcBackend {
         let client = PolicyClient::new(access.connect_lazy(endpoint)?)
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-        Ok(Self {
-            address,
-            client,
-            peer,
-        })
+        Ok(Self { address, client, peer })
     }
 
     /// Makes one call. Distinguishes an unreachable server from a server that returned an error.
@@ -152,22 +137,12 @@ impl GrpcBackend {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
             },
-            Some(trouble) => BackendError::Unreachable {
-                address,
-                trouble: trouble.into(),
-            },
-            None if matches!(
-                status.code(),
-                Code::Unauthenticated | Code::PermissionDenied
-            ) =>
-            {
+            Some(trouble) => BackendError::Unreachable { address, trouble: trouble.into() },
+            None if matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied) => {
                 let reason = status.message().to_owned();
                 BackendError::TokenRejected { address, reason }
             }
-            None => BackendError::Refused {
-                address,
-                status: status.into(),
-            },
+            None => BackendError::Refused { address, status: status.into() },
         }
     }
 }
@@ -185,16 +160,12 @@ impl Backend for GrpcBackend {
 
     async fn reset(&self, mut request: ResetRequest) -> Result<(), BackendError> {
         request.policy.clone_from(&self.address.policy);
-        self.call(self.client.clone().reset(request))
-            .await
-            .map(drop)
+        self.call(self.client.clone().reset(request)).await.map(drop)
     }
 
     async fn end(&self, session: &str) {
-        let request = EndRequest {
-            policy: self.address.policy.clone(),
-            session: session.to_owned(),
-        };
+        let request =
+            EndRequest { policy: self.address.policy.clone(), session: session.to_owned() };
         // Servers of the first release do not implement `End`.
         if let Err(status) = self.client.clone().end(request).await {
             tracing::debug!(backend = %self, "end of session {session:?}: {status}");
@@ -244,17 +215,9 @@ mod tests {
         let address: GrpcAddress = "grpc://gpu7:5000/pi05".parse().expect("an address");
         assert_eq!(
             address,
-            GrpcAddress {
-                authority: "gpu7:5000".into(),
-                policy: "pi05".into(),
-                encrypted: false,
-            }
+            GrpcAddress { authority: "gpu7:5000".into(), policy: "pi05".into(), encrypted: false }
         );
-        for text in [
-            "grpc://gpu7:5000/pi05",
-            "grpc://[::1]:5000",
-            "https://gpu7:5000",
-        ] {
+        for text in ["grpc://gpu7:5000/pi05", "grpc://[::1]:5000", "https://gpu7:5000"] {
             let address: GrpcAddress = text.parse().expect(text);
             assert_eq!(address.to_string(), text);
         }

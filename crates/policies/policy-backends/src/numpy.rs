@@ -81,28 +81,17 @@ pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
         return Err(ArrayError::NotAnArray);
     };
     let numbers: Option<Vec<f32>> = match dtype {
-        "<f4" => elements(data).map(|elements| {
-            elements
-                .iter()
-                .map(|bytes| f32::from_le_bytes(*bytes))
-                .collect()
-        }),
+        "<f4" => elements(data)
+            .map(|elements| elements.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()),
         "<f8" => elements(data).map(|elements| {
-            elements
-                .iter()
-                .map(|bytes| f64::from_le_bytes(*bytes) as f32)
-                .collect()
+            elements.iter().map(|bytes| f64::from_le_bytes(*bytes) as f32).collect()
         }),
         other => {
-            return Err(ArrayError::Dtype {
-                dtype: other.chars().take(16).collect(),
-            });
+            return Err(ArrayError::Dtype { dtype: other.chars().take(16).collect() });
         }
     };
     let numbers = numbers.ok_or(ArrayError::NotAnArray)?;
-    let count = shape
-        .iter()
-        .try_fold(1_usize, |count, side| count.checked_mul(*side));
+    let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
     if count != Some(numbers.len()) {
         return Err(ArrayError::NotAnArray);
     }
@@ -124,10 +113,7 @@ pub(super) fn lookup<'a, 'b>(map: &'b ValueRef<'a>, key: &str) -> Option<&'b Val
     };
     let is_key =
         |name: &ValueRef<'_>| as_text(name) == Some(key) || as_bytes(name) == Some(key.as_bytes());
-    entries
-        .iter()
-        .find(|(name, _)| is_key(name))
-        .map(|(_, value)| value)
+    entries.iter().find(|(name, _)| is_key(name)).map(|(_, value)| value)
 }
 
 pub(super) fn as_text<'a>(value: &ValueRef<'a>) -> Option<&'a str> {

@@ -8,11 +8,7 @@ pub(super) const FRAME_SIDE: u32 = 256;
 
 /// Requests a camera's frames.
 pub(super) fn camera(name: &str) -> CameraRequest {
-    CameraRequest {
-        name: name.to_owned(),
-        width: FRAME_SIDE,
-        height: FRAME_SIDE,
-    }
+    CameraRequest { name: name.to_owned(), width: FRAME_SIDE, height: FRAME_SIDE }
 }
 
 /// Returns a camera's frame, RGB of [`FRAME_SIDE`]² pixels, rotated by 180°: the simulator's row 0
@@ -22,9 +18,7 @@ pub(super) fn camera(name: &str) -> CameraRequest {
 /// # Errors
 /// If the observation has no such frame of that size.
 pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<Vec<u8>, String> {
-    let mut frames = observation
-        .iter()
-        .flat_map(|observation| &observation.images);
+    let mut frames = observation.iter().flat_map(|observation| &observation.images);
     let frame = frames
         .find(|frame| frame.camera == camera)
         .filter(|frame| (frame.width, frame.height) == (FRAME_SIDE, FRAME_SIDE))
@@ -48,9 +42,7 @@ pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,
 ) -> Result<[f64; N], String> {
-    let mut readings = observation
-        .iter()
-        .flat_map(|observation| &observation.state);
+    let mut readings = observation.iter().flat_map(|observation| &observation.state);
     let reading = readings.find(|reading| reading.field() == field);
     reading
         .and_then(|reading| reading.values.as_slice().try_into().ok())

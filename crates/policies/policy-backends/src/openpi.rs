@@ -34,11 +34,8 @@ pub mod frame;
 /// Longest quoted part of a server's traceback, characters: the end, which names the error.
 const QUOTED_CHARS: usize = 600;
 /// Robot readings that form the eight numbers of the server's state, in order.
-const STATE: [StateField; 3] = [
-    StateField::EefPos,
-    StateField::EefAxisAngle,
-    StateField::GripperPos,
-];
+const STATE: [StateField; 3] =
+    [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos];
 /// Connections, and concurrent queries, per server: the server computes one query while the next
 /// one is in transit.
 pub const MAX_CONNECTIONS: usize = 2;
@@ -62,17 +59,10 @@ impl OpenpiBackend {
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
         // openpi's client sends its key with this scheme.
-        let server = Server::new(
-            address.host_port.clone(),
-            access,
-            ServerKind::Openpi,
-            schemes,
-            "Api-Key",
-        );
+        let server =
+            Server::new(address.host_port.clone(), access, ServerKind::Openpi, schemes, "Api-Key");
         Ok(Self {
-            server: server.ok_or_else(|| OpenpiAddressError {
-                text: address.to_string(),
-            })?,
+            server: server.ok_or_else(|| OpenpiAddressError { text: address.to_string() })?,
             address,
             prompts: Mutex::new(SessionTable::new(MAX_SESSIONS)),
             permits: Semaphore::new(MAX_CONNECTIONS),
@@ -181,9 +171,7 @@ async fn exchange(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u
 fn answer_bytes(received: Received) -> Result<Vec<u8>, BackendError> {
     match received {
         Received::Binary(bytes) => Ok(bytes),
-        Received::Text(traceback) => Err(BackendError::Policy {
-            message: last_chars(&traceback),
-        }),
+        Received::Text(traceback) => Err(BackendError::Policy { message: last_chars(&traceback) }),
     }
 }
 
@@ -197,10 +185,7 @@ fn last_chars(text: &str) -> String {
 /// same for all replicas.
 fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
     let digest = Sha256::digest(metadata);
-    let digest: String = digest[..8]
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),
@@ -260,10 +245,7 @@ fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, St
     }
     // The gateway's checks refuse an invalid width.
     let numbers = chunk.numbers[..execute as usize * width].to_vec();
-    Ok(InferResponse {
-        actions: numbers,
-        action_width: u32::try_from(width).unwrap_or(u32::MAX),
-    })
+    Ok(InferResponse { actions: numbers, action_width: u32::try_from(width).unwrap_or(u32::MAX) })
 }
 
 #[cfg(test)]
@@ -292,10 +274,7 @@ mod tests {
 
     #[test]
     fn only_the_executed_actions_of_a_chunk_are_returned() {
-        let chunk = codec::Chunk {
-            shape: [10, 7],
-            numbers: (0..70_u8).map(f32::from).collect(),
-        };
+        let chunk = codec::Chunk { shape: [10, 7], numbers: (0..70_u8).map(f32::from).collect() };
         let response = first_actions(&chunk, 5).expect("enough actions");
         assert_eq!(response.actions, chunk.numbers[..35]);
         let error = first_actions(&chunk, 11).expect_err("too few");
@@ -304,10 +283,7 @@ mod tests {
 
     #[test]
     fn an_empty_chunk_is_refused_without_advice_about_execute() {
-        let chunk = codec::Chunk {
-            shape: [0, 7],
-            numbers: vec![],
-        };
+        let chunk = codec::Chunk { shape: [0, 7], numbers: vec![] };
         let error = first_actions(&chunk, 5).expect_err("no actions");
         assert!(error.contains("chunks of 5 or more"), "{error}");
         assert!(!error.contains("?execute"), "{error}");

@@ -167,12 +167,8 @@ impl Backend for Recorder {
 
     async fn infer(&self, query: InferRequest) -> Result<InferResponse, BackendError> {
         let answer = self.inner.infer(query.clone()).await?;
-        let pair = Pair {
-            query,
-            answer: answer.clone(),
-        };
-        self.write(move |open| open.add(&pair.query.session, &pair))
-            .await;
+        let pair = Pair { query, answer: answer.clone() };
+        self.write(move |open| open.add(&pair.query.session, &pair)).await;
         Ok(answer)
     }
 

@@ -59,19 +59,12 @@ impl Writer {
         reset: &ResetRequest,
     ) -> io::Result<Self> {
         let digest = Sha256::digest(&reset.session);
-        let name: String = digest[..8]
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+        let name: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
         let partial = folder.join(format!("{name}.partial"));
         // Removes the file of a killed gateway, or a link, whose target must not be overwritten.
         let _ = std::fs::remove_file(&partial);
         let file = File::create_new(partial)?;
-        let mut writer = Self {
-            file: BufWriter::new(file),
-            folder: folder.to_owned(),
-            name,
-        };
+        let mut writer = Self { file: BufWriter::new(file), folder: folder.to_owned(), name };
         writer.file.write_all(FIRST_LINE)?;
         writer.message(described)?;
         writer.message(reset)?;
@@ -165,9 +158,7 @@ impl Reader {
             return Ok(None);
         };
         let mut message = vec![0; bytes];
-        self.file
-            .read_exact(&mut message)
-            .map_err(|_| self.broken())?;
+        self.file.read_exact(&mut message).map_err(|_| self.broken())?;
         let message = M::decode(message.as_slice());
         message.map(Some).map_err(|_| self.broken())
     }
@@ -193,9 +184,7 @@ impl Reader {
     }
 
     fn broken(&self) -> RecordingError {
-        RecordingError::Broken {
-            path: self.path.clone(),
-        }
+        RecordingError::Broken { path: self.path.clone() }
     }
 }
 
@@ -208,24 +197,17 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let mut files = vec![];
     for entry in entries {
         let path = entry.map_err(|source| io_error(folder, source))?.path();
-        if path
-            .extension()
-            .is_some_and(|extension| extension == SUFFIX)
-        {
+        if path.extension().is_some_and(|extension| extension == SUFFIX) {
             files.push(path);
         }
         if files.len() > MAX_FILES {
-            return Err(RecordingError::TooMany {
-                folder: folder.to_owned(),
-            });
+            return Err(RecordingError::TooMany { folder: folder.to_owned() });
         }
     }
     files.sort();
     match files.is_empty() {
         false => Ok(files),
-        true => Err(RecordingError::NoRecordings {
-            folder: folder.to_owned(),
-        }),
+        true => Err(RecordingError::NoRecordings { folder: folder.to_owned() }),
     }
 }
 
@@ -279,10 +261,7 @@ pub enum RecordingError {
 }
 
 fn io_error(path: &Path, source: io::Error) -> RecordingError {
-    RecordingError::Io {
-        path: path.to_owned(),
-        source,
-    }
+    RecordingError::Io { path: path.to_owned(), source }
 }
 
 #[cfg(test)]
@@ -291,27 +270,14 @@ mod tests {
 
     fn pair(query_index: u32) -> Pair {
         Pair {
-            query: InferRequest {
-                query_index,
-                ..InferRequest::default()
-            },
-            answer: InferResponse {
-                actions: vec![0.5; 7],
-                action_width: 7,
-            },
+            query: InferRequest { query_index, ..InferRequest::default() },
+            answer: InferResponse { actions: vec![0.5; 7], action_width: 7 },
         }
     }
 
     fn write(folder: &Path, pairs: u32) -> Writer {
-        let described = DescribeResponse {
-            name: "p".to_owned(),
-            ..DescribeResponse::default()
-        };
-        let reset = ResetRequest {
-            session: "a/b".to_owned(),
-            seed: 7,
-            ..ResetRequest::default()
-        };
+        let described = DescribeResponse { name: "p".to_owned(), ..DescribeResponse::default() };
+        let reset = ResetRequest { session: "a/b".to_owned(), seed: 7, ..ResetRequest::default() };
         let mut writer = Writer::begin(folder, &described, &reset).expect("written");
         for query in 0..pairs {
             writer.add(&pair(query)).expect("written");
@@ -336,19 +302,13 @@ mod tests {
     fn a_finished_recording_reads_back_under_its_final_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let writer = write(folder.path(), 2);
-        assert!(matches!(
-            files(folder.path()),
-            Err(RecordingError::NoRecordings { .. })
-        ));
+        assert!(matches!(files(folder.path()), Err(RecordingError::NoRecordings { .. })));
         writer.finish().expect("finished");
         let [path] = &files(folder.path()).expect("a recording")[..] else {
             panic!("one file");
         };
         let mut reader = Reader::open(path).expect("a recording");
-        assert_eq!(
-            (reader.described.name.as_str(), reader.reset.seed),
-            ("p", 7)
-        );
+        assert_eq!((reader.described.name.as_str(), reader.reset.seed), ("p", 7));
         assert_eq!(reader.pair().expect("a pair"), Some(pair(0)));
         assert_eq!(reader.pair().expect("a pair"), Some(pair(1)));
         assert_eq!(reader.pair().expect("the end"), None);

@@ -110,9 +110,8 @@ impl Backend for Replay {
             return Err(BackendError::Policy { message });
         }
         let read = move || paths.into_iter().map(RecordedEpisode::read).collect();
-        let read: Result<Vec<_>, RecordingError> = tokio::task::spawn_blocking(read)
-            .await
-            .map_err(|error| policy_error(&error))?;
+        let read: Result<Vec<_>, RecordingError> =
+            tokio::task::spawn_blocking(read).await.map_err(|error| policy_error(&error))?;
         let episodes = read.map_err(|error| policy_error(&format!("failed to {error}")))?;
         self.sessions().open(&request.session, Arc::new(episodes));
         Ok(())
@@ -127,9 +126,8 @@ impl Backend for Replay {
         let episodes = episodes.ok_or(BackendError::SessionLost)?;
         let observation = query.observation.unwrap_or_default();
         let observed = digest(&observation);
-        let answer = episodes
-            .iter()
-            .find_map(|episode| episode.answer(query.query_index, observed));
+        let answer =
+            episodes.iter().find_map(|episode| episode.answer(query.query_index, observed));
         match answer {
             Some(answer) => Ok(answer.clone()),
             None => {
@@ -162,10 +160,7 @@ impl RecordedEpisode {
 
     /// Returns the recorded answer if the recorded observation has this digest.
     fn answer(&self, query_index: u32, observed: [u8; 32]) -> Option<&InferResponse> {
-        let step = self
-            .steps
-            .iter()
-            .find(|step| step.query_index == query_index)?;
+        let step = self.steps.iter().find(|step| step.query_index == query_index)?;
         (step.digest == observed).then_some(&step.answer)
     }
 }
@@ -181,9 +176,7 @@ fn digest(observation: &Observation) -> [u8; 32] {
 }
 
 fn policy_error(error: &dyn fmt::Display) -> BackendError {
-    BackendError::Policy {
-        message: error.to_string(),
-    }
+    BackendError::Policy { message: error.to_string() }
 }
 
 /// Describes the first difference between an observation and the recorded observation of the same
@@ -211,10 +204,7 @@ fn difference(path: &Path, query_index: u32, sent: &Observation) -> Result<Strin
 fn first_difference(recorded: &Observation, sent: &Observation) -> String {
     if recorded.images.len() != sent.images.len() {
         let counts = (recorded.images.len(), sent.images.len());
-        return format!(
-            "{} frames were recorded, and {} were sent",
-            counts.0, counts.1
-        );
+        return format!("{} frames were recorded, and {} were sent", counts.0, counts.1);
     }
     for (recorded, sent) in recorded.images.iter().zip(&sent.images) {
         let shape =
@@ -236,10 +226,8 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
         let levels = recorded.rgb.iter().zip(&sent.rgb);
         let differing = levels.clone().filter(|(old, new)| old != new).count();
         if let Some(index) = levels.clone().position(|(old, new)| old != new) {
-            let (column, row) = (
-                index / 3 % sent.width.max(1) as usize,
-                index / 3 / sent.width.max(1) as usize,
-            );
+            let (column, row) =
+                (index / 3 % sent.width.max(1) as usize, index / 3 / sent.width.max(1) as usize);
             return format!(
                 "{differing} of {} numbers of {:?} differ, first at column {column} of row {row} \
                  (row 0 is at the bottom; {} was recorded, {} was sent)",

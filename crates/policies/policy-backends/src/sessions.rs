@@ -27,11 +27,7 @@ struct Entry<V> {
 impl<V> SessionTable<V> {
     /// Creates an empty table for `capacity` sessions (at least one).
     pub fn new(capacity: usize) -> Self {
-        Self {
-            capacity: capacity.max(1),
-            uses: 0,
-            entries: HashMap::new(),
-        }
+        Self { capacity: capacity.max(1), uses: 0, entries: HashMap::new() }
     }
 
     /// Opens a session, replacing a session of the same name. If the table is full, discards the
@@ -42,12 +38,7 @@ impl<V> SessionTable<V> {
         }
         let last_use = self.next_use();
         let entry = Entry { value, last_use };
-        &mut self
-            .entries
-            .entry(session.to_owned())
-            .insert_entry(entry)
-            .into_mut()
-            .value
+        &mut self.entries.entry(session.to_owned()).insert_entry(entry).into_mut().value
     }
 
     /// Returns the value of a session if it is open, and counts the use.

@@ -10,10 +10,7 @@ const CUT: &str = " …";
 /// could forge a line of the log.
 pub fn shorten(text: &str) -> String {
     let mut joined = String::new();
-    let lines = text
-        .lines()
-        .flat_map(|line| line.split('\r'))
-        .map(str::trim);
+    let lines = text.lines().flat_map(|line| line.split('\r')).map(str::trim);
     for line in lines.filter(|line| !line.is_empty()) {
         if !joined.is_empty() {
             joined.push_str(" | ");

@@ -53,9 +53,7 @@ impl FromStr for BackendSpec {
             Some(("vla-eval" | "vla-evals", _)) => Ok(Self::VlaEval(text.parse()?)),
             Some(("student", file)) if !file.is_empty() => Ok(Self::Student(file.into())),
             Some(("replay", folder)) if !folder.is_empty() => Ok(Self::Replay(folder.into())),
-            _ => Err(BackendSpecError::Kind {
-                text: text.to_owned(),
-            }),
+            _ => Err(BackendSpecError::Kind { text: text.to_owned() }),
         }
     }
 }

@@ -88,17 +88,10 @@ impl VlaEvalBackend {
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
         // The protocol has no tokens, but a proxy in front of the server may require one.
-        let server = Server::new(
-            address.host_port.clone(),
-            access,
-            ServerKind::VlaEval,
-            schemes,
-            "Bearer",
-        );
+        let server =
+            Server::new(address.host_port.clone(), access, ServerKind::VlaEval, schemes, "Bearer");
         Ok(Self {
-            server: server.ok_or_else(|| VlaEvalAddressError {
-                text: address.to_string(),
-            })?,
+            server: server.ok_or_else(|| VlaEvalAddressError { text: address.to_string() })?,
             address,
             episodes: Mutex::new(SessionTable::new(MAX_EPISODES)),
             idle: Mutex::default(),
@@ -108,12 +101,7 @@ impl VlaEvalBackend {
     async fn connect(&self) -> Result<Link, BackendError> {
         let hello = message::message(Kind::Hello, message::hello(), 1, now());
         let (connection, received) = self.server.connect(Some(hello)).await?;
-        Ok(Link {
-            terms: self.terms(&received)?,
-            connection,
-            sent: 1,
-            next_query: 0,
-        })
+        Ok(Link { terms: self.terms(&received)?, connection, sent: 1, next_query: 0 })
     }
 
     fn terms(&self, received: &Received) -> Result<Terms, BackendError> {
@@ -123,20 +111,17 @@ impl VlaEvalBackend {
         };
         let terms = match hello {
             Some(hello) => hello::terms(&hello.as_ref(), &self.address),
-            None => Err(
-                "it did not answer HELLO with a HELLO; name the address of a vla-eval model \
+            None => {
+                Err("it did not answer HELLO with a HELLO; name the address of a vla-eval model \
                  server, or write ws://HOST:PORT for an openpi server"
-                    .to_owned(),
-            ),
+                    .to_owned())
+            }
         };
         terms.map_err(|reason| self.unsupported(reason))
     }
 
     fn unsupported(&self, reason: String) -> BackendError {
-        BackendError::UnsupportedPolicy {
-            address: self.server.authority().to_owned(),
-            reason,
-        }
+        BackendError::UnsupportedPolicy { address: self.server.authority().to_owned(), reason }
     }
 
     /// Returns a connection without an episode.
@@ -202,28 +187,16 @@ impl Backend for VlaEvalBackend {
 
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let mut link = self.unused_link().await?;
-        let ResetRequest {
-            session,
-            suite,
-            instruction,
-            ..
-        } = request;
+        let ResetRequest { session, suite, instruction, .. } = request;
         if let Some(served) = link.terms.suite.as_ref().filter(|served| **served != suite) {
             return Err(self.unsupported(format!(
                 "it has a checkpoint for {served}, and the episode is of {suite}; give the policy \
                  a server per suite"
             )));
         }
-        link.send(Kind::EpisodeStart, message::task(&suite, &instruction))
-            .await?;
-        let episode = Episode {
-            instruction,
-            link: Some(link).into(),
-        };
-        let open = OpenEpisode {
-            last_use: Instant::now(),
-            episode: episode.into(),
-        };
+        link.send(Kind::EpisodeStart, message::task(&suite, &instruction)).await?;
+        let episode = Episode { instruction, link: Some(link).into() };
+        let open = OpenEpisode { last_use: Instant::now(), episode: episode.into() };
         let mut episodes = self.episodes();
         episodes.retain(|open| open.last_use.elapsed() < ENDED_AFTER);
         episodes.open(&session, open);
@@ -273,11 +246,7 @@ impl Backend for VlaEvalBackend {
             }
         };
         link.next_query += u32::from(answer.is_ok());
-        if answer
-            .as_ref()
-            .err()
-            .is_none_or(AnswerError::is_synchronised)
-        {
+        if answer.as_ref().err().is_none_or(AnswerError::is_synchronised) {
             *slot = Some(link);
         }
         answer.map_err(|error| failed(error.to_string()))
@@ -301,47 +270,30 @@ fn observation(
     let images = images.map(|(camera, slot)| {
         let frame = observations::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
-        Ok((
-            Value::from(*slot),
-            frame.map_err(|error| error.to_string())?,
-        ))
+        Ok((Value::from(*slot), frame.map_err(|error| error.to_string())?))
     });
     let images = Value::Map(images.collect::<Result<_, String>>()?);
     let entry = |key: &str, value| (Value::from(key), value);
-    let mut entries = vec![
-        entry("images", images),
-        entry("task_description", instruction.into()),
-    ];
+    let mut entries = vec![entry("images", images), entry("task_description", instruction.into())];
     if terms.sends_state {
         let position = observations::reading(observation, StateField::EefPos)?;
         let quaternion = observations::reading(observation, StateField::EefQuatXyzw)?;
         let hand = observations::reading(observation, StateField::EefRotation)?;
         let fingers = observations::reading(observation, StateField::GripperPos)?;
         let states = state::states(position, quaternion, fingers, terms.flips_quaternion);
-        let states = states
-            .iter()
-            .flat_map(|number| number.to_le_bytes())
-            .collect();
+        let states = states.iter().flat_map(|number| number.to_le_bytes()).collect();
         let controller_states = state::controller_states(position, hand, fingers);
-        let controller_states = controller_states
-            .iter()
-            .flat_map(|number| number.to_le_bytes());
+        let controller_states = controller_states.iter().flat_map(|number| number.to_le_bytes());
         entries.extend([
             entry("states", array(Keys::Text, "<f8", &[8], states)),
-            entry(
-                "controller_states",
-                array(Keys::Text, "<f4", &[8], controller_states.collect()),
-            ),
+            entry("controller_states", array(Keys::Text, "<f4", &[8], controller_states.collect())),
         ]);
     }
     Ok(Value::Map(entries))
 }
 
 /// Returns the seconds since 1970.
-#[allow(
-    clippy::disallowed_methods,
-    reason = "only a timestamp for the server's logs"
-)]
+#[allow(clippy::disallowed_methods, reason = "only a timestamp for the server's logs")]
 fn now() -> f64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.unwrap_or_default().as_secs_f64()

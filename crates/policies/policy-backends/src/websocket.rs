@@ -66,11 +66,7 @@ impl HostPort {
 
     /// Formats the address as written in a route.
     pub(super) fn text(&self, schemes: Schemes) -> String {
-        let scheme = if self.encrypted {
-            schemes.encrypted
-        } else {
-            schemes.clear
-        };
+        let scheme = if self.encrypted { schemes.encrypted } else { schemes.clear };
         format!("{scheme}://{}", self.authority)
     }
 
@@ -100,11 +96,7 @@ impl Server {
         authorization: &'static str,
     ) -> Option<Self> {
         let endpoint = Endpoint::from_shared(host_port.uri()).ok()?;
-        let settings = Settings {
-            clear,
-            encrypted,
-            ..SETTINGS
-        };
+        let settings = Settings { clear, encrypted, ..SETTINGS };
         Some(Self {
             peer: Peer::new(endpoint, &access, kind, settings),
             host_port,

@@ -178,10 +178,7 @@ impl CommonOptions {
     /// situation, or `--suite` without recordings.
     fn suite_of(&self, recorded: Option<&[Situation]>) -> String {
         let first = recorded.and_then(|situations| situations.first());
-        first.map_or_else(
-            || self.suite.name().to_owned(),
-            |situation| situation.suite.clone(),
-        )
+        first.map_or_else(|| self.suite.name().to_owned(), |situation| situation.suite.clone())
     }
 }
 

@@ -94,19 +94,12 @@ pub async fn compare(
         false => compare_means(&servers, randomness).await?,
     };
     for difference in answer_differences {
-        match differences
-            .iter_mut()
-            .find(|earlier| earlier.kind == difference.kind)
-        {
+        match differences.iter_mut().find(|earlier| earlier.kind == difference.kind) {
             Some(earlier) => earlier.text = format!("{} {}", earlier.text, difference.text),
             None => differences.push(difference),
         }
     }
-    Ok(Comparison {
-        descriptions,
-        differences,
-        note,
-    })
+    Ok(Comparison { descriptions, differences, note })
 }
 
 /// Finds differences between the servers' use of the seed, regardless of the observations.
@@ -144,9 +137,7 @@ async fn compare_paired(
     pair: &AnswerPair,
     randomness: [Randomness; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
-    let is_random = randomness
-        .iter()
-        .any(|randomness| randomness.seed_difference > REPEATABLE);
+    let is_random = randomness.iter().any(|randomness| randomness.seed_difference > REPEATABLE);
     let largest = pair.largest_difference();
     let seeds = |_: usize| vec![SEED];
     let setup = SearchSetup {
@@ -253,11 +244,7 @@ async fn compare_means(
         randomness.map(|randomness| randomness.seed_difference.max(randomness.repeat_difference));
     let note = format!(
         "{}; the means differ by up to {}, and single answers to the same observation by {}",
-        comparison_note(
-            servers,
-            &pair.a,
-            &format!("{SEEDS_PER_MEAN} answers to each averaged")
-        ),
+        comparison_note(servers, &pair.a, &format!("{SEEDS_PER_MEAN} answers to each averaged")),
         size(largest.value),
         size(noise[0].max(noise[1])),
     );
@@ -270,11 +257,7 @@ async fn compare_means(
         let text = format!(
             "both follow the seed, but the same seed gives them different noise: by up to {}. The \
              means of {SEEDS_PER_MEAN} seeds are alike.",
-            size(
-                randomness[0]
-                    .seed_difference
-                    .max(randomness[1].seed_difference)
-            ),
+            size(randomness[0].seed_difference.max(randomness[1].seed_difference)),
         );
         differences.push(Difference::new(Kind::Seed, text));
     }
@@ -307,13 +290,7 @@ fn not_explained(
     largest: LargestDifference,
     closest: &Explanation,
 ) -> Vec<Difference> {
-    let norm = |limit: &Limit| {
-        limit
-            .iter()
-            .map(|number| number * number)
-            .sum::<f64>()
-            .sqrt()
-    };
+    let norm = |limit: &Limit| limit.iter().map(|number| number * number).sum::<f64>().sqrt();
     let unchanged = fit(&pair.a, &pair.b, &[f64::INFINITY; 7]).remaining;
     let mut changes = closest.changes.iter();
     let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
@@ -333,10 +310,7 @@ fn unexplained(pair: &AnswerPair, largest: LargestDifference, closest: &Explanat
         COMPONENT_NAMES[largest.component],
     );
     for (letter, answers) in [("A", &pair.a), ("B", &pair.b)] {
-        if standard_deviations(answers)
-            .iter()
-            .all(|number| *number <= REPEATABLE)
-        {
+        if standard_deviations(answers).iter().all(|number| *number <= REPEATABLE) {
             text.push_str(&format!(
                 " {letter} answers all observations alike: run `policy-gateway doctor` on it."
             ));

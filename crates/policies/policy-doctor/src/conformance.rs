@@ -28,10 +28,7 @@ const CONCURRENCY: u32 = 8;
 
 /// Requirement of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(
-    missing_docs,
-    reason = "the sentences of `Display` describe the points"
-)]
+#[expect(missing_docs, reason = "the sentences of `Display` describe the points")]
 pub enum Point {
     Description,
     Version,
@@ -179,18 +176,14 @@ async fn examine(
             verdict::same(answers, &again.answers)
         }
         Point::OtherSeed => {
-            let other = probe
-                .episode("other seed", OTHER_SEED, QueryOrder::Forward)
-                .await?;
+            let other = probe.episode("other seed", OTHER_SEED, QueryOrder::Forward).await?;
             verdict::seeds(described.stochastic, answers, &other.answers)
         }
         Point::Order if described.stateful => {
             verdict::skip("the policy is stateful: it requires queries in order")
         }
         Point::Order => {
-            let backward = probe
-                .episode("backward", SEED, QueryOrder::Backward)
-                .await?;
+            let backward = probe.episode("backward", SEED, QueryOrder::Backward).await?;
             verdict::same(answers, &backward.answers)
         }
         Point::Isolation => verdict::same(answers, &probe.interleaved(SEED, OTHER_SEED).await?),

@@ -22,30 +22,15 @@ pub(crate) fn differences(
     let sides = fields(a).into_iter().zip(fields(b));
     let mut differences: Vec<DescriptionDifference> = sides
         .filter(|((_, a), (_, b))| a != b)
-        .map(|((what, a), (_, b))| DescriptionDifference {
-            what: what.to_owned(),
-            a,
-            b,
-        })
+        .map(|((what, a), (_, b))| DescriptionDifference { what: what.to_owned(), a, b })
         .collect();
     let setting = |described: &DescribeResponse, name: &str| {
-        let setting = described
-            .settings
-            .iter()
-            .find(|setting| setting.name == name);
-        setting.map_or_else(
-            || "not declared".to_owned(),
-            |setting| setting.value.clone(),
-        )
+        let setting = described.settings.iter().find(|setting| setting.name == name);
+        setting.map_or_else(|| "not declared".to_owned(), |setting| setting.value.clone())
     };
     let mut names: Vec<&str> = [a, b]
         .iter()
-        .flat_map(|description| {
-            description
-                .settings
-                .iter()
-                .map(|setting| setting.name.as_str())
-        })
+        .flat_map(|description| description.settings.iter().map(|setting| setting.name.as_str()))
         .collect();
     names.sort_unstable();
     names.dedup();
@@ -82,16 +67,10 @@ fn fields(described: &DescribeResponse) -> [(&'static str, String); 9] {
         ("actions per answer", described.horizon.to_string()),
         ("actions executed per answer", described.execute.to_string()),
         ("language", language.to_owned()),
-        (
-            "keeps state within an episode",
-            yes_or_no(described.stateful),
-        ),
+        ("keeps state within an episode", yes_or_no(described.stateful)),
         ("draws random numbers", yes_or_no(described.stochastic)),
         ("takes a seed", yes_or_no(!described.unseeded)),
-        (
-            "receives the simulator's state",
-            yes_or_no(described.privileged),
-        ),
+        ("receives the simulator's state", yes_or_no(described.privileged)),
     ]
 }
 
@@ -110,21 +89,10 @@ mod tests {
 
     #[test]
     fn every_difference_is_reported_with_both_values() {
-        let a = DescribeResponse {
-            horizon: 8,
-            execute: 8,
-            ..DescribeResponse::default()
-        };
+        let a = DescribeResponse { horizon: 8, execute: 8, ..DescribeResponse::default() };
         assert_eq!(differences(&a, &a), []);
-        let camera = CameraRequest {
-            name: "agentview".to_owned(),
-            width: 224,
-            height: 224,
-        };
-        let setting = Setting {
-            name: "statistics".to_owned(),
-            value: "libero".to_owned(),
-        };
+        let camera = CameraRequest { name: "agentview".to_owned(), width: 224, height: 224 };
+        let setting = Setting { name: "statistics".to_owned(), value: "libero".to_owned() };
         let b = DescribeResponse {
             cameras: vec![camera],
             state: vec![StateField::EefPos.into()],

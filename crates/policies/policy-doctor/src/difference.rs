@@ -10,15 +10,8 @@ use crate::{
 };
 
 /// Names of an action's seven components.
-pub(crate) const COMPONENT_NAMES: [&str; 7] = [
-    "x",
-    "y",
-    "z",
-    "rotation x",
-    "rotation y",
-    "rotation z",
-    "gripper",
-];
+pub(crate) const COMPONENT_NAMES: [&str; 7] =
+    ["x", "y", "z", "rotation x", "rotation y", "rotation z", "gripper"];
 
 /// Kind of a difference between two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -166,12 +159,7 @@ fn with_sizes(
     explanation: &Explanation,
     largest: LargestDifference,
 ) -> Vec<Difference> {
-    let remaining = explanation
-        .fit
-        .remaining
-        .iter()
-        .copied()
-        .fold(0.0, f64::max);
+    let remaining = explanation.fit.remaining.iter().copied().fold(0.0, f64::max);
     for difference in &mut differences {
         difference.text = format!(
             "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
@@ -196,9 +184,8 @@ pub(crate) fn size(number: f64) -> String {
 /// Describes the changes to observations in an explanation that leaves too large a difference.
 pub(crate) fn attempt(explanation: &Explanation) -> String {
     let changes = explanation.changes.iter();
-    let changes: Vec<String> = changes
-        .map(|(side, variant)| format!("{} is given {variant}", letter(*side)))
-        .collect();
+    let changes: Vec<String> =
+        changes.map(|(side, variant)| format!("{} is given {variant}", letter(*side))).collect();
     changes.join(", and ")
 }
 
@@ -236,11 +223,7 @@ fn describe_variant(side: Side, variant: &Variant) -> String {
 pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
     let mut differences = vec![];
     if fit.shift != 0 {
-        let (earlier, later) = if fit.shift > 0 {
-            ("A", "B")
-        } else {
-            ("B", "A")
-        };
+        let (earlier, later) = if fit.shift > 0 { ("A", "B") } else { ("B", "A") };
         let by = fit.shift.unsigned_abs();
         let text = format!(
             "{later}'s chunks begin {by} {} later: action k of {later} is action k + {by} of \
@@ -265,11 +248,9 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
     if !arm.is_empty() {
         let all = (0..7).filter(is_affine);
         let each = all.filter_map(|component| match fit.maps[component] {
-            Map::Affine { scale, offset } => Some(format!(
-                "{} = {}",
-                COMPONENT_NAMES[component],
-                scaled("A's", scale, offset)
-            )),
+            Map::Affine { scale, offset } => {
+                Some(format!("{} = {}", COMPONENT_NAMES[component], scaled("A's", scale, offset)))
+            }
             _ => None,
         });
         let text = format!(

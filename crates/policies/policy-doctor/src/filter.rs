@@ -30,10 +30,8 @@ impl Filter {
             return;
         }
         let (large, small) = ([image.width, image.height], [width, height]);
-        let (large, small) = (
-            large.map(|number| number as usize),
-            small.map(|number| number as usize),
-        );
+        let (large, small) =
+            (large.map(|number| number as usize), small.map(|number| number as usize));
         if image.rgb.len() != 3 * large[0] * large[1] {
             return;
         }
@@ -53,9 +51,7 @@ impl Filter {
             let count = columns.len() * rows.len();
             let levels = rows.flat_map(|row| {
                 let line = row * large[0];
-                columns
-                    .clone()
-                    .map(move |column| 3 * (line + column) + channel)
+                columns.clone().map(move |column| 3 * (line + column) + channel)
             });
             let sum: usize = levels.map(|index| usize::from(image.rgb[index])).sum();
             ((sum + count / 2) / count) as u8
@@ -97,11 +93,7 @@ pub(crate) mod tests {
             camera: "agentview".to_owned(),
             width: 2,
             height: 2,
-            rgb: rgb
-                .iter()
-                .flat_map(|value| [*value; 3])
-                .collect::<Vec<u8>>()
-                .into(),
+            rgb: rgb.iter().flat_map(|value| [*value; 3]).collect::<Vec<u8>>().into(),
         }
     }
 

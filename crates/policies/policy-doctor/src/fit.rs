@@ -116,19 +116,13 @@ impl Fit {
     /// Returns true if the remaining difference is within `limit`, which may differ from the limit
     /// with which the fit was made.
     pub(crate) fn is_within(&self, limit: &Limit) -> bool {
-        self.remaining
-            .iter()
-            .zip(limit)
-            .all(|(remaining, limit)| remaining <= limit)
+        self.remaining.iter().zip(limit).all(|(remaining, limit)| remaining <= limit)
     }
 
     /// Returns the norm of the remaining difference, in units of the limit.
     pub(crate) fn remainder(&self, limit: &Limit) -> f64 {
         let shares = self.remaining.iter().zip(limit);
-        shares
-            .map(|(remaining, limit)| (remaining / limit).powi(2))
-            .sum::<f64>()
-            .sqrt()
+        shares.map(|(remaining, limit)| (remaining / limit).powi(2)).sum::<f64>().sqrt()
     }
 }
 
@@ -163,17 +157,10 @@ fn fit_at_shift(first: &Answers, second: &Answers, shift: i32, limit: &Limit) ->
     let rows: Vec<(&Action, &Action)> = chunks
         .flat_map(|(a, b)| a.iter().skip(skip_first).zip(b.iter().skip(skip_second)))
         .collect();
-    let mut fit = Fit {
-        shift,
-        maps: [Map::Same; 7],
-        remaining: [0.0; 7],
-        explains: true,
-    };
+    let mut fit = Fit { shift, maps: [Map::Same; 7], remaining: [0.0; 7], explains: true };
     for component in 0..7 {
-        let numbers: Vec<(f64, f64)> = rows
-            .iter()
-            .map(|(a, b)| (a[component], b[component]))
-            .collect();
+        let numbers: Vec<(f64, f64)> =
+            rows.iter().map(|(a, b)| (a[component], b[component])).collect();
         let mut simplest = (Map::Same, remaining_difference(&numbers, Map::Same));
         if simplest.1 > limit[component] {
             let conventions = Convention::ALL.map(Map::Gripper);
@@ -208,19 +195,13 @@ fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
     let mean = |value: fn(&(f64, f64)) -> f64| numbers.iter().map(value).sum::<f64>() / count;
     let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
     let variance: f64 = numbers.iter().map(|(a, _)| (a - mean_a).powi(2)).sum();
-    let covariance: f64 = numbers
-        .iter()
-        .map(|(a, b)| (a - mean_a) * (b - mean_b))
-        .sum();
+    let covariance: f64 = numbers.iter().map(|(a, b)| (a - mean_a) * (b - mean_b)).sum();
     let scale = match variance / count > 1e-12 {
         true => covariance / variance,
         // If the first server's value is constant, only an offset can be determined.
         false => 1.0,
     };
-    (scale.abs() >= LEAST_SCALE).then_some(Map::Affine {
-        scale,
-        offset: mean_b - scale * mean_a,
-    })
+    (scale.abs() >= LEAST_SCALE).then_some(Map::Affine { scale, offset: mean_b - scale * mean_a })
 }
 
 #[cfg(test)]
@@ -269,11 +250,7 @@ mod tests {
             assert_eq!(found.maps[GRIPPER], Map::Gripper(convention));
             assert!(found.explains && found.cost() == 1);
         }
-        let scaled = fit(
-            &answers(),
-            &changed(|action| action[GRIPPER] *= 0.04),
-            &LIMIT,
-        );
+        let scaled = fit(&answers(), &changed(|action| action[GRIPPER] *= 0.04), &LIMIT);
         let Map::Affine { scale, offset } = scaled.maps[GRIPPER] else {
             panic!("{scaled:?}");
         };
@@ -282,11 +259,7 @@ mod tests {
 
     #[test]
     fn scale_and_offset_of_a_component_are_found() {
-        let found = fit(
-            &answers(),
-            &changed(|action| action[1] = 0.5 * action[1] - 0.2),
-            &LIMIT,
-        );
+        let found = fit(&answers(), &changed(|action| action[1] = 0.5 * action[1] - 0.2), &LIMIT);
         let Map::Affine { scale, offset } = found.maps[1] else {
             panic!("{found:?}");
         };

@@ -89,22 +89,14 @@ pub(crate) fn confusable(fields: &[StateField], other_fields: &[StateField]) -> 
 /// Returns the parts of the same width that are easily confused with a part.
 fn alternatives(part: Part) -> &'static [Part] {
     match part {
-        Field(EefAxisAngle) => &[
-            Part::RollPitchYaw,
-            Part::QuaternionVector,
-            Part::InverseAxisAngle,
-        ],
-        Field(EefQuatXyzw) => &[
-            Part::QuaternionWxyz,
-            Part::InverseQuaternion,
-            Part::PaddedAxisAngle,
-        ],
+        Field(EefAxisAngle) => {
+            &[Part::RollPitchYaw, Part::QuaternionVector, Part::InverseAxisAngle]
+        }
+        Field(EefQuatXyzw) => {
+            &[Part::QuaternionWxyz, Part::InverseQuaternion, Part::PaddedAxisAngle]
+        }
         Field(EefRotation) => &[Part::RotationColumns],
-        Field(GripperPos) => &[
-            Part::FingersUnsigned,
-            Part::FingersSwapped,
-            Part::FingersShare,
-        ],
+        Field(GripperPos) => &[Part::FingersUnsigned, Part::FingersSwapped, Part::FingersShare],
         Field(JointPos) => &[Field(JointVel)],
         _ => &[],
     }
@@ -170,9 +162,7 @@ impl Part {
             }
             Self::FingersUnsigned => fingers()?.map(f64::abs).to_vec(),
             Self::FingersSwapped => fingers()?.into_iter().rev().collect(),
-            Self::FingersShare => fingers()?
-                .map(|number| number.abs() / FINGER_TRAVEL)
-                .to_vec(),
+            Self::FingersShare => fingers()?.map(|number| number.abs() / FINGER_TRAVEL).to_vec(),
             Self::Opening => vec![fingers()?.iter().map(|number| number.abs()).sum()],
             Self::Zeros(count) => vec![0.0; count],
         })
@@ -232,10 +222,7 @@ mod tests {
         Situation {
             readings: vec![
                 (EefPos, vec![0.1, 0.2, 0.3]),
-                (
-                    EefQuatXyzw,
-                    pose::from_axis_angle([2.8, 0.4, -0.3]).to_vec(),
-                ),
+                (EefQuatXyzw, pose::from_axis_angle([2.8, 0.4, -0.3]).to_vec()),
                 (JointPos, vec![0.5; 7]),
                 (JointVel, vec![0.1; 7]),
                 (GripperPos, vec![0.03, -0.02]),

@@ -59,11 +59,7 @@ pub(crate) fn from_matrix(m: [f64; 9]) -> Quaternion {
         Some(2) => [xz, yz, squares[2], zw],
         _ => [xw, yw, zw, squares[3]],
     };
-    let norm = scaled
-        .iter()
-        .map(|number| number * number)
-        .sum::<f64>()
-        .sqrt();
+    let norm = scaled.iter().map(|number| number * number).sum::<f64>().sqrt();
     let sign = if scaled[3] < 0.0 { -1.0 } else { 1.0 };
     scaled.map(|number| sign * number / norm)
 }
@@ -71,11 +67,7 @@ pub(crate) fn from_matrix(m: [f64; 9]) -> Quaternion {
 /// Returns roll, pitch and yaw, rad: rotations about the fixed axes x, y, z, in this order.
 pub fn roll_pitch_yaw(quaternion: Quaternion) -> [f64; 3] {
     let m = matrix(quaternion);
-    [
-        m[7].atan2(m[8]),
-        (-m[6]).clamp(-1.0, 1.0).asin(),
-        m[3].atan2(m[0]),
-    ]
+    [m[7].atan2(m[8]), (-m[6]).clamp(-1.0, 1.0).asin(), m[3].atan2(m[0])]
 }
 
 #[cfg(test)]
@@ -83,10 +75,7 @@ mod tests {
     use super::*;
 
     fn close(actual: &[f64], expected: &[f64]) -> bool {
-        actual
-            .iter()
-            .zip(expected)
-            .all(|(a, b)| (a - b).abs() < 1e-9)
+        actual.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9)
     }
 
     #[test]
@@ -111,23 +100,14 @@ mod tests {
         let quaternion = from_axis_angle([3.0, 0.2, -0.1]);
         let antipode = quaternion.map(|number| -number);
         assert!(close(&matrix(quaternion), &matrix(antipode)));
-        let angle = axis_angle(antipode)
-            .iter()
-            .map(|number| number * number)
-            .sum::<f64>();
+        let angle = axis_angle(antipode).iter().map(|number| number * number).sum::<f64>();
         let full_turn = 2.0 * std::f64::consts::PI;
         assert!((angle.sqrt() + (9.05_f64).sqrt() - full_turn).abs() < 1e-9);
     }
 
     #[test]
     fn roll_pitch_and_yaw_are_those_of_the_fixed_axes() {
-        assert!(close(
-            &roll_pitch_yaw(from_axis_angle([0.3, 0.0, 0.0])),
-            &[0.3, 0.0, 0.0]
-        ));
-        assert!(close(
-            &roll_pitch_yaw(from_axis_angle([0.0, 0.0, -2.0])),
-            &[0.0, 0.0, -2.0]
-        ));
+        assert!(close(&roll_pitch_yaw(from_axis_angle([0.3, 0.0, 0.0])), &[0.3, 0.0, 0.0]));
+        assert!(close(&roll_pitch_yaw(from_axis_angle([0.0, 0.0, -2.0])), &[0.0, 0.0, -2.0]));
     }
 }

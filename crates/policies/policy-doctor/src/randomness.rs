@@ -34,9 +34,7 @@ impl Randomness {
         answers: &Answers,
     ) -> Result<Self, ExaminationError> {
         let same_seed = servers.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
-        let other_seed = servers
-            .query(side, &[], SITUATIONS, |_| vec![SEED + 1])
-            .await?;
+        let other_seed = servers.query(side, &[], SITUATIONS, |_| vec![SEED + 1]).await?;
         Ok(Self {
             repeat_difference: same_seed.largest_difference(answers).0,
             seed_difference: other_seed.largest_difference(answers).0,

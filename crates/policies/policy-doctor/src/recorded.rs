@@ -24,9 +24,7 @@ pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, 
     }
     match situations.is_empty() {
         false => Ok(situations),
-        true => Err(RecordingError::NoRecordings {
-            folder: folder.to_owned(),
-        }),
+        true => Err(RecordingError::NoRecordings { folder: folder.to_owned() }),
     }
 }
 
@@ -56,9 +54,7 @@ fn situation(reader: &Reader, pair: Pair) -> Situation {
     Situation {
         suite: reader.reset.suite.clone(),
         instruction: reader.reset.instruction.clone(),
-        readings: readings
-            .map(|reading| (reading.field(), reading.values.clone()))
-            .collect(),
+        readings: readings.map(|reading| (reading.field(), reading.values.clone())).collect(),
         frames: observation.images,
         privileged: observation.privileged,
     }
@@ -89,10 +85,7 @@ mod tests {
             };
             let query = InferRequest {
                 query_index,
-                observation: Some(Observation {
-                    state: vec![reading],
-                    ..Observation::default()
-                }),
+                observation: Some(Observation { state: vec![reading], ..Observation::default() }),
                 ..InferRequest::default()
             };
             let answer = InferResponse::default();
@@ -109,9 +102,7 @@ mod tests {
         record(folder.path(), "long", 10);
         let taken = situations(folder.path(), 4).expect("recordings");
         let readings = |session: &str| -> Vec<f64> {
-            let taken = taken
-                .iter()
-                .filter(|situation| situation.instruction == session);
+            let taken = taken.iter().filter(|situation| situation.instruction == session);
             taken.map(|situation| situation.readings[0].1[0]).collect()
         };
         assert_eq!(readings("short"), [0.0]);

@@ -46,11 +46,7 @@ impl DescribedServer {
 
 /// Formats a comparison as lines.
 pub(crate) fn comparison(comparison: &Comparison) -> Vec<String> {
-    let Comparison {
-        descriptions,
-        differences,
-        note,
-    } = comparison;
+    let Comparison { descriptions, differences, note } = comparison;
     let mut lines: Vec<String> = descriptions.iter().map(description).collect();
     lines.extend(differences.iter().map(difference));
     if differences.is_empty() {
@@ -151,11 +147,7 @@ impl<'a> ExaminationJson<'a> {
     pub(crate) fn new(server: DescribedServer, findings: &'a [Finding]) -> Self {
         let finding = |finding: &'a Finding| {
             let (verdict, text) = name_and_text(&finding.verdict);
-            FindingJson {
-                point: finding.point.name(),
-                verdict,
-                text,
-            }
+            FindingJson { point: finding.point.name(), verdict, text }
         };
         let findings: Vec<FindingJson<'a>> = findings.iter().map(finding).collect();
         Self {

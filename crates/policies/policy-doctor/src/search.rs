@@ -67,10 +67,7 @@ impl SearchSetup<'_> {
         b: &Answers,
     ) -> Result<SearchResult, ExaminationError> {
         let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).remaining);
-        let plain = Explanation {
-            changes: vec![],
-            fit: fit(a, b, &limit),
-        };
+        let plain = Explanation { changes: vec![], fit: fit(a, b, &limit) };
         let mut explained = match self.extend(&plain, &limit, a, b).await? {
             SearchResult::Explained(explained) => explained,
             unexplained => return Ok(unexplained),
@@ -84,10 +81,7 @@ impl SearchSetup<'_> {
             let (changed_a, changed_b) = self.answers(&explained.changes, a, b).await?;
             let fit = fit(&changed_a, &changed_b, &limit);
             let changes = explained.changes.clone();
-            match self
-                .extend(&Explanation { changes, fit }, &limit, a, b)
-                .await?
-            {
+            match self.extend(&Explanation { changes, fit }, &limit, a, b).await? {
                 SearchResult::Explained(extended) => explained = extended,
                 SearchResult::Unexplained(_) => break,
             }
@@ -116,13 +110,8 @@ impl SearchSetup<'_> {
         }
         let remainder = |explanation: &Explanation| explanation.fit.remainder(limit);
         let mut closest = start.clone();
-        let mut explanations: Vec<Explanation> = start
-            .fit
-            .explains
-            .then_some(start)
-            .cloned()
-            .into_iter()
-            .collect();
+        let mut explanations: Vec<Explanation> =
+            start.fit.explains.then_some(start).cloned().into_iter().collect();
         let depth = match self.allows_several {
             true => MAX_CHANGES - start.changes.len(),
             false => 1,
@@ -134,12 +123,8 @@ impl SearchSetup<'_> {
                 let fit = fit(&changed_a, &changed_b, limit);
                 candidates.push(Explanation { changes, fit });
             }
-            explanations.extend(
-                candidates
-                    .iter()
-                    .filter(|candidate| candidate.fit.explains)
-                    .cloned(),
-            );
+            explanations
+                .extend(candidates.iter().filter(|candidate| candidate.fit.explains).cloned());
             let simplest = explanations.iter().min_by(|first, second| {
                 let by_remainder = || remainder(first).total_cmp(&remainder(second));
                 first.cost().cmp(&second.cost()).then_with(by_remainder)
@@ -190,10 +175,7 @@ impl SearchSetup<'_> {
     ) -> Result<(Answers, Answers), ExaminationError> {
         let changed_a = self.changed(Side::A, changes).await?;
         let changed_b = self.changed(Side::B, changes).await?;
-        Ok((
-            changed_a.unwrap_or_else(|| a.clone()),
-            changed_b.unwrap_or_else(|| b.clone()),
-        ))
+        Ok((changed_a.unwrap_or_else(|| a.clone()), changed_b.unwrap_or_else(|| b.clone())))
     }
 
     /// Returns one server's answers under its changes; `None` if `changes` holds no change for this

@@ -70,13 +70,7 @@ impl Server {
         if let Err(fault) = policy_protocol::description(&described) {
             return Err(ExaminationError::Description { url, fault });
         }
-        Ok(Self {
-            url,
-            described,
-            backend,
-            sessions: AtomicU32::new(0),
-            run: std::process::id(),
-        })
+        Ok(Self { url, described, backend, sessions: AtomicU32::new(0), run: std::process::id() })
     }
 
     /// Starts an episode.
@@ -99,11 +93,7 @@ impl Server {
             seed,
         };
         in_time(&self.url, self.backend.reset(request)).await?;
-        Ok(Episode {
-            server: self,
-            session,
-            next_query: 0,
-        })
+        Ok(Episode { server: self, session, next_query: 0 })
     }
 
     /// Returns the actions of an answer after checking it.
@@ -135,10 +125,7 @@ impl Episode<'_> {
         self.next_query += 1;
         let sent = Instant::now();
         let response = in_time(&self.server.url, self.server.backend.infer(request)).await?;
-        Ok(TimedAnswer {
-            response,
-            latency: sent.elapsed(),
-        })
+        Ok(TimedAnswer { response, latency: sent.elapsed() })
     }
 
     /// Sends the next query, and returns the checked actions of its answer.
@@ -170,13 +157,8 @@ async fn in_time<T>(
     answer: impl Future<Output = Result<T, BackendError>>,
 ) -> Result<T, ExaminationError> {
     let answer = tokio::time::timeout(ANSWER_TIMEOUT, answer).await;
-    let answer = answer.map_err(|_| ExaminationError::NoAnswer {
-        url: url.to_owned(),
-    })?;
-    answer.map_err(|error| ExaminationError::Answer {
-        url: url.to_owned(),
-        problem: chain(&error),
-    })
+    let answer = answer.map_err(|_| ExaminationError::NoAnswer { url: url.to_owned() })?;
+    answer.map_err(|error| ExaminationError::Answer { url: url.to_owned(), problem: chain(&error) })
 }
 
 /// Reason why servers cannot be compared or diagnosed. The message follows "failed to …".

@@ -48,14 +48,10 @@ impl ServerPair {
         situations: Vec<Situation>,
     ) -> Result<Self, ExaminationError> {
         let observations = |server: &Server| -> Result<Vec<Observation>, ExaminationError> {
-            let observations = situations
-                .iter()
-                .map(|situation| situation.observation(&server.described));
+            let observations =
+                situations.iter().map(|situation| situation.observation(&server.described));
             observations.collect::<Result<_, _>>().map_err(|missing| {
-                ExaminationError::MissingInput {
-                    url: server.url.clone(),
-                    missing,
-                }
+                ExaminationError::MissingInput { url: server.url.clone(), missing }
             })
         };
         let (observations_a, observations_b) = (observations(&a)?, observations(&b)?);
@@ -97,11 +93,8 @@ impl ServerPair {
             Side::B => Side::A,
         };
         let mut variants = Variant::all(self.described(side), self.described(other));
-        variants.retain(|variant| {
-            self.situations
-                .iter()
-                .all(|situation| variant.applies(situation))
-        });
+        variants
+            .retain(|variant| self.situations.iter().all(|situation| variant.applies(situation)));
         variants
     }
 

@@ -53,19 +53,13 @@ impl Situation {
         let mut observation = Observation::default();
         for camera in &described.cameras {
             let frame = self.frames.iter().find(|frame| frame.camera == camera.name);
-            let frame = frame.ok_or_else(|| MissingInput::Frames {
-                camera: camera.name.clone(),
-            })?;
-            observation
-                .images
-                .push(resized(frame, camera.width, camera.height));
+            let frame =
+                frame.ok_or_else(|| MissingInput::Frames { camera: camera.name.clone() })?;
+            observation.images.push(resized(frame, camera.width, camera.height));
         }
         for field in described.state() {
             let values = self.reading(field).ok_or(MissingInput::Reading { field })?;
-            observation.state.push(StateReading {
-                field: field.into(),
-                values,
-            });
+            observation.state.push(StateReading { field: field.into(), values });
         }
         if described.privileged {
             let state = self.privileged.clone().ok_or(MissingInput::Privileged);
@@ -90,20 +84,18 @@ impl Situation {
 
     /// Returns the hand's orientation, from any stored representation.
     pub fn quaternion(&self) -> Option<Quaternion> {
-        self.readings
-            .iter()
-            .find_map(|(field, values)| match field {
-                StateField::EefQuatXyzw => values.as_slice().try_into().ok(),
-                StateField::EefAxisAngle => {
-                    let rotation = values.as_slice().try_into().ok()?;
-                    Some(pose::from_axis_angle(rotation))
-                }
-                StateField::EefRotation => {
-                    let matrix = values.as_slice().try_into().ok()?;
-                    Some(pose::from_matrix(matrix))
-                }
-                _ => None,
-            })
+        self.readings.iter().find_map(|(field, values)| match field {
+            StateField::EefQuatXyzw => values.as_slice().try_into().ok(),
+            StateField::EefAxisAngle => {
+                let rotation = values.as_slice().try_into().ok()?;
+                Some(pose::from_axis_angle(rotation))
+            }
+            StateField::EefRotation => {
+                let matrix = values.as_slice().try_into().ok()?;
+                Some(pose::from_matrix(matrix))
+            }
+            _ => None,
+        })
     }
 }
 
@@ -141,11 +133,7 @@ mod tests {
             ..Situation::default()
         };
         let mut described = DescribeResponse {
-            cameras: vec![CameraRequest {
-                name: "agentview".to_owned(),
-                width: 3,
-                height: 2,
-            }],
+            cameras: vec![CameraRequest { name: "agentview".to_owned(), width: 3, height: 2 }],
             state: vec![StateField::EefQuatXyzw.into()],
             ..DescribeResponse::default()
         };

@@ -36,9 +36,7 @@ pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
 
 /// Returns the cameras of all descriptions, without duplicates.
 pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
-    let cameras = described
-        .iter()
-        .flat_map(|description| &description.cameras);
+    let cameras = described.iter().flat_map(|description| &description.cameras);
     let mut names: Vec<&str> = cameras.map(|camera| camera.name.as_str()).collect();
     names.sort_unstable();
     names.dedup();
@@ -82,11 +80,7 @@ impl Hand {
         let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
         let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * random.number());
         let quaternion = [1.0, y, z, sign * (0.08 + w.abs())];
-        let norm = quaternion
-            .iter()
-            .map(|number| number * number)
-            .sum::<f64>()
-            .sqrt();
+        let norm = quaternion.iter().map(|number| number * number).sum::<f64>().sqrt();
         Self {
             position: [
                 -0.1 + 0.12 * random.number(),
@@ -104,14 +98,8 @@ impl Hand {
         vec![
             (StateField::EefPos, self.position.to_vec()),
             (StateField::EefQuatXyzw, self.quaternion.to_vec()),
-            (
-                StateField::JointPos,
-                rest.map(|angle| around(angle, 0.35)).to_vec(),
-            ),
-            (
-                StateField::JointVel,
-                rest.map(|_| around(0.0, 0.2)).to_vec(),
-            ),
+            (StateField::JointPos, rest.map(|angle| around(angle, 0.35)).to_vec()),
+            (StateField::JointVel, rest.map(|_| around(0.0, 0.2)).to_vec()),
             (StateField::GripperPos, vec![self.opening, -self.opening]),
             (StateField::GripperVel, vec![0.01, -0.01]),
         ]
@@ -120,21 +108,13 @@ impl Hand {
 
 /// Returns the privileged scene of the conformance check, with its box moved.
 fn privileged(hand: &Hand, index: usize) -> PrivilegedState {
-    let described = DescribeResponse {
-        privileged: true,
-        ..DescribeResponse::default()
-    };
-    let mut state = scene::observation(&described, 0)
-        .privileged
-        .unwrap_or_default();
+    let described = DescribeResponse { privileged: true, ..DescribeResponse::default() };
+    let mut state = scene::observation(&described, 0).privileged.unwrap_or_default();
     let mut random = Random(1000 + index as u64);
     let moved = [0.06 * random.number(), 0.06 * random.number(), 0.0];
     if let Some(object) = state.entities.first_mut() {
         for position in [&mut object.pos, &mut object.centre] {
-            position
-                .iter_mut()
-                .zip(moved)
-                .for_each(|(number, shift)| *number += shift);
+            position.iter_mut().zip(moved).for_each(|(number, shift)| *number += shift);
         }
     }
     state.grip_pos = hand.position.to_vec();
@@ -154,12 +134,8 @@ struct TableObject {
 fn objects(random: &mut Random, index: usize) -> Vec<TableObject> {
     // Only the first object is colourful, so that a policy that searches for colour finds exactly
     // one object.
-    let colours = [
-        [225.0, 35.0, 45.0],
-        [150.0, 110.0, 75.0],
-        [90.0, 120.0, 165.0],
-        [205.0, 205.0, 190.0],
-    ];
+    let colours =
+        [[225.0, 35.0, 45.0], [150.0, 110.0, 75.0], [90.0, 120.0, 165.0], [205.0, 205.0, 190.0]];
     let mut objects: Vec<TableObject> = colours
         .into_iter()
         .map(|colour| TableObject {
@@ -178,9 +154,7 @@ fn objects(random: &mut Random, index: usize) -> Vec<TableObject> {
 
 /// Renders a camera's frame: a lit table with grain and spots, and objects on it.
 fn frame(camera: &str, index: usize) -> Image {
-    let name = camera
-        .bytes()
-        .fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
+    let name = camera.bytes().fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
     let mut random = Random(name ^ index as u64);
     let objects = objects(&mut random, index);
     let light = [random.number(), random.number()].map(|number| 25.0 * number);
@@ -200,12 +174,7 @@ fn frame(camera: &str, index: usize) -> Image {
             rgb.extend(colour.map(|level| (level + lit).clamp(0.0, 255.0) as u8));
         }
     }
-    Image {
-        camera: camera.to_owned(),
-        width: SIDE as u32,
-        height: SIDE as u32,
-        rgb: rgb.into(),
-    }
+    Image { camera: camera.to_owned(), width: SIDE as u32, height: SIDE as u32, rgb: rgb.into() }
 }
 
 impl TableObject {

@@ -178,11 +178,7 @@ impl Variant {
                     return;
                 };
                 let mut numbers = numbers.into_iter();
-                for value in observation
-                    .state
-                    .iter_mut()
-                    .flat_map(|reading| &mut reading.values)
-                {
+                for value in observation.state.iter_mut().flat_map(|reading| &mut reading.values) {
                     *value = numbers.next().unwrap_or_default();
                 }
             }
@@ -213,13 +209,7 @@ fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant>
 
 impl Turn {
     /// All rotations and flips.
-    const ALL: [Self; 5] = [
-        Self::UpsideDown,
-        Self::Half,
-        Self::Mirrored,
-        Self::Left,
-        Self::Right,
-    ];
+    const ALL: [Self; 5] = [Self::UpsideDown, Self::Half, Self::Mirrored, Self::Left, Self::Right];
 
     fn apply(self, image: &mut Image) {
         let (width, height) = (image.width as usize, image.height as usize);
@@ -282,10 +272,7 @@ impl fmt::Display for Variant {
                 })
             }
             Self::Resized([width, height], filter) => {
-                write!(
-                    f,
-                    "frames scaled to {width} × {height} pixels and back ({filter})"
-                )
+                write!(f, "frames scaled to {width} × {height} pixels and back ({filter})")
             }
             Self::CamerasSwapped => f.write_str("the frames of the two cameras exchanged"),
             Self::ColoursReversed => f.write_str("frames in blue, green, red (BGR)"),

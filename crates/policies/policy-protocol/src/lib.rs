@@ -44,47 +44,28 @@ pub type WireAction = [f32; ACTION_WIDTH];
 /// within ±[`LARGEST_NUMBER`].
 pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], ActionFault> {
     if response.action_width as usize != ACTION_WIDTH {
-        return Err(ActionFault::Width {
-            width: response.action_width,
-        });
+        return Err(ActionFault::Width { width: response.action_width });
     }
     let (actions, rest) = response.actions.as_chunks::<ACTION_WIDTH>();
     if !rest.is_empty() {
-        return Err(ActionFault::Ragged {
-            numbers: response.actions.len(),
-        });
+        return Err(ActionFault::Ragged { numbers: response.actions.len() });
     }
     if actions.is_empty() {
         return Err(ActionFault::Empty);
     }
     if actions.len() > horizon as usize {
-        return Err(ActionFault::TooMany {
-            count: actions.len(),
-            horizon,
-        });
+        return Err(ActionFault::TooMany { count: actions.len(), horizon });
     }
     let is_number = |number: &f32| number.is_finite() && number.abs() <= LARGEST_NUMBER;
-    let Some(index) = response
-        .actions
-        .iter()
-        .position(|number| !is_number(number))
-    else {
+    let Some(index) = response.actions.iter().position(|number| !is_number(number)) else {
         return Ok(actions);
     };
     let (action, component) = (index / ACTION_WIDTH, index % ACTION_WIDTH);
     let value = response.actions[index];
     Err(if value.is_finite() {
-        ActionFault::TooLarge {
-            action,
-            component,
-            value,
-        }
+        ActionFault::TooLarge { action, component, value }
     } else {
-        ActionFault::NotFinite {
-            action,
-            component,
-            value,
-        }
+        ActionFault::NotFinite { action, component, value }
     })
 }
 
@@ -95,16 +76,9 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
 /// result, the horizon or the number of executed actions is out of range, a camera or reading does
 /// not exist or is requested twice, or there are too many or too large frames.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
-    let DescribeResponse {
-        protocol_version,
-        horizon,
-        execute,
-        ..
-    } = *described;
+    let DescribeResponse { protocol_version, horizon, execute, .. } = *described;
     if protocol_version != PROTOCOL_VERSION {
-        return Err(DescriptionFault::Version {
-            given: protocol_version,
-        });
+        return Err(DescriptionFault::Version { given: protocol_version });
     }
     if described.name.is_empty() {
         return Err(DescriptionFault::Nameless);
@@ -128,10 +102,7 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     }
     // A list of any length is checked fast: the loop ends at the first unknown or repeated reading.
     for (index, &field) in described.state.iter().enumerate() {
-        if matches!(
-            StateField::try_from(field),
-            Err(_) | Ok(StateField::Unspecified)
-        ) {
+        if matches!(StateField::try_from(field), Err(_) | Ok(StateField::Unspecified)) {
             return Err(DescriptionFault::StateField { field });
         }
         if described.state[..index].contains(&field) {
@@ -160,15 +131,9 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
 
 /// Checks that a camera exists and that its frame's size is allowed.
 fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
-    let CameraRequest {
-        name,
-        width,
-        height,
-    } = camera;
+    let CameraRequest { name, width, height } = camera;
     if !CAMERAS.contains(&name.as_str()) {
-        return Err(DescriptionFault::Camera {
-            name: name.chars().take(QUOTED_CHARS).collect(),
-        });
+        return Err(DescriptionFault::Camera { name: name.chars().take(QUOTED_CHARS).collect() });
     }
     let sides = 1..=MAX_FRAME_SIDE;
     if !sides.contains(width) || !sides.contains(height) {
@@ -196,21 +161,13 @@ pub enum ActionFault {
     #[error("it answered {count} actions, but its description declares at most {horizon}")]
     TooMany { count: usize, horizon: u32 },
     #[error("component {component} of action {action} is {value}")]
-    NotFinite {
-        action: usize,
-        component: usize,
-        value: f32,
-    },
+    NotFinite { action: usize, component: usize, value: f32 },
     /// A number exceeds [`LARGEST_NUMBER`].
     #[error(
         "component {component} of action {action} is {value:e}, and actions lie within -1..1: \
          check the un-normalisation"
     )]
-    TooLarge {
-        action: usize,
-        component: usize,
-        value: f32,
-    },
+    TooLarge { action: usize, component: usize, value: f32 },
 }
 
 /// Reason why a description is unusable. The message is a clause, in which "it" is the policy.
@@ -224,10 +181,7 @@ pub enum DescriptionFault {
     /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
-    #[error(
-        "its {field} has {bytes} bytes, and results hold at most {}",
-        proto::MAX_TEXT_BYTES
-    )]
+    #[error("its {field} has {bytes} bytes, and results hold at most {}", proto::MAX_TEXT_BYTES)]
     Text {
         field: &'static str,
         /// Length of the text, bytes.
@@ -246,11 +200,7 @@ pub enum DescriptionFault {
     #[error("it requests {count} frames per query, but at most {MAX_CAMERAS} are rendered")]
     Cameras { count: usize },
     #[error("it requests frames of {width}×{height} pixels from camera {camera:?} twice")]
-    RepeatedCamera {
-        camera: String,
-        width: u32,
-        height: u32,
-    },
+    RepeatedCamera { camera: String, width: u32, height: u32 },
     #[error("it requests frames of camera {name:?}, but a scene has {}", CAMERAS.join(" and "))]
     Camera { name: String },
     /// The side of a frame is 0 or exceeds [`MAX_FRAME_SIDE`].
@@ -258,11 +208,7 @@ pub enum DescriptionFault {
         "it requests frames of {width}×{height} pixels from camera {camera:?}, but sides are 1 to \
          {MAX_FRAME_SIDE}"
     )]
-    FrameSide {
-        camera: String,
-        width: u32,
-        height: u32,
-    },
+    FrameSide { camera: String, width: u32, height: u32 },
     #[error("it {problem}")]
     Settings {
         /// Clause about the setting and its problem; follows "it".
@@ -275,10 +221,7 @@ mod tests {
     use super::*;
 
     fn answer(actions: &[f32], action_width: u32) -> InferResponse {
-        InferResponse {
-            actions: actions.to_vec(),
-            action_width,
-        }
+        InferResponse { actions: actions.to_vec(), action_width }
     }
 
     #[test]
@@ -302,28 +245,14 @@ mod tests {
             (answer(&[0.0; 18], 6), ActionFault::Width { width: 6 }),
             (answer(&[], 7), ActionFault::Empty),
             (answer(&[0.0; 8], 7), ActionFault::Ragged { numbers: 8 }),
-            (
-                answer(&[0.0; 21], 7),
-                ActionFault::TooMany {
-                    count: 3,
-                    horizon: 2,
-                },
-            ),
+            (answer(&[0.0; 21], 7), ActionFault::TooMany { count: 3, horizon: 2 }),
             (
                 answer(&infinite, 7),
-                ActionFault::NotFinite {
-                    action: 1,
-                    component: 2,
-                    value: f32::INFINITY,
-                },
+                ActionFault::NotFinite { action: 1, component: 2, value: f32::INFINITY },
             ),
             (
                 answer(&[0.0, 0.0, -1e9, 0.0, 0.0, 0.0, 0.0], 7),
-                ActionFault::TooLarge {
-                    action: 0,
-                    component: 2,
-                    value: -1e9,
-                },
+                ActionFault::TooLarge { action: 0, component: 2, value: -1e9 },
             ),
         ];
         for (response, fault) in cases {
@@ -333,19 +262,14 @@ mod tests {
 
     #[test]
     fn every_invalid_description_is_refused_with_its_fault() {
-        let camera = |name: &str, width, height| CameraRequest {
-            name: name.to_owned(),
-            width,
-            height,
-        };
+        let camera =
+            |name: &str, width, height| CameraRequest { name: name.to_owned(), width, height };
         let valid = DescribeResponse {
             protocol_version: PROTOCOL_VERSION,
             name: "p".to_owned(),
             horizon: 8,
             execute: 8,
-            cameras: CAMERAS
-                .map(|name| camera(name, MAX_FRAME_SIDE, MAX_FRAME_SIDE))
-                .to_vec(),
+            cameras: CAMERAS.map(|name| camera(name, MAX_FRAME_SIDE, MAX_FRAME_SIDE)).to_vec(),
             ..DescribeResponse::default()
         };
         assert_eq!(description(&valid), Ok(()));
@@ -359,10 +283,7 @@ mod tests {
             &|description| description.protocol_version = 9,
             DescriptionFault::Version { given: 9 },
         );
-        check(
-            &|description| description.name.clear(),
-            DescriptionFault::Nameless,
-        );
+        check(&|description| description.name.clear(), DescriptionFault::Nameless);
         for horizon in [0, MAX_HORIZON + 1] {
             check(
                 &|description| description.horizon = horizon,
@@ -419,17 +340,11 @@ mod tests {
         let (long, bytes) = (|| "x".repeat(513), 513);
         check(
             &|description| description.checkpoint = long(),
-            DescriptionFault::Text {
-                field: "checkpoint",
-                bytes,
-            },
+            DescriptionFault::Text { field: "checkpoint", bytes },
         );
         check(
             &|description| description.batch_mode = long(),
-            DescriptionFault::Text {
-                field: "batch mode",
-                bytes,
-            },
+            DescriptionFault::Text { field: "batch mode", bytes },
         );
         check(
             &|description| description.settings = vec![proto::policy::Setting::default()],

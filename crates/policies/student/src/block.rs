@@ -47,11 +47,7 @@ impl Block {
         shape: Shape,
         text: usize,
     ) -> Result<Self, WeightsError> {
-        let Shape {
-            inputs,
-            outputs,
-            stride,
-        } = shape;
+        let Shape { inputs, outputs, stride } = shape;
         let part = |part: &str| format!("{name}.{part}");
         Ok(Self {
             stride,
@@ -84,10 +80,7 @@ impl Block {
         });
         self.norm1.film_relu(&mut work.hidden, film);
         zeros(output, size);
-        let hidden = Planes {
-            values: &work.hidden,
-            side,
-        };
+        let hidden = Planes { values: &work.hidden, side };
         columns::each_part(hidden, 1, &mut work.buffers, |part| {
             self.conv2.add(products, part.windows(), output);
         });

@@ -86,15 +86,8 @@ pub(crate) fn each_part(
     if stride > 1 {
         split(planes, stride, &mut buffers.phases);
     }
-    let phases = Phases {
-        values: if stride > 1 {
-            &buffers.phases
-        } else {
-            planes.values
-        },
-        side,
-        stride,
-    };
+    let phases =
+        Phases { values: if stride > 1 { &buffers.phases } else { planes.values }, side, stride };
     for rows in ranges(side, (PLACES / side).max(1)) {
         for channels in ranges(phases.channels(), CHANNELS) {
             gather(phases, channels.clone(), rows.clone(), &mut buffers.columns);
@@ -218,11 +211,7 @@ mod tests {
                     let x = (place % out * stride + offset % 3) as isize - 1;
                     let is_inside = (0..side).contains(&y) && (0..side).contains(&x);
                     let at = channel as isize * side * side + y * side + x;
-                    columns.push(if is_inside {
-                        planes.values[at as usize]
-                    } else {
-                        0.0
-                    });
+                    columns.push(if is_inside { planes.values[at as usize] } else { 0.0 });
                 }
             }
         }
@@ -232,20 +221,13 @@ mod tests {
     #[test]
     fn columns_hold_the_values_of_each_window() {
         let values: Vec<f32> = (1..=3 * 8 * 8).map(|value| value as f32).collect();
-        let planes = Planes {
-            values: &values,
-            side: 8,
-        };
+        let planes = Planes { values: &values, side: 8 };
         for stride in [1, 2] {
             let side = 8 / stride;
             let all_columns = expected(planes, 3, stride);
             let mut split_planes = Vec::new();
             split(planes, stride, &mut split_planes);
-            let phases = Phases {
-                values: &split_planes,
-                side,
-                stride,
-            };
+            let phases = Phases { values: &split_planes, side, stride };
             // Stale contents from an earlier use.
             let mut found = vec![9.0; 1000];
             gather(phases, 0..3, 0..side, &mut found);

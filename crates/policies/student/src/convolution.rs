@@ -44,10 +44,7 @@ impl Convolution {
         inputs: usize,
     ) -> Result<Self, WeightsError> {
         let weight = tensors.half(&format!("{name}.weight"), shape)?;
-        Ok(Self {
-            weight: transposed(&weight, shape[0], inputs),
-            outputs: shape[0],
-        })
+        Ok(Self { weight: transposed(&weight, shape[0], inputs), outputs: shape[0] })
     }
 
     pub(crate) fn outputs(&self) -> usize {
@@ -56,11 +53,7 @@ impl Convolution {
 
     /// Adds the contribution of `rows` to `planes`, which has a plane per output channel.
     pub(crate) fn add(&self, products: Products, rows: Rows<'_>, planes: &mut [f32]) {
-        let Rows {
-            columns,
-            input,
-            place,
-        } = rows;
+        let Rows { columns, input, place } = rows;
         let weight = &self.weight[input * self.outputs..];
         let weight = Matrix::new(weight, columns.rows(), self.outputs).transposed();
         let stride = planes.len() / self.outputs;

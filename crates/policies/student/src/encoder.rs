@@ -14,21 +14,9 @@ use crate::weights::Tensors;
 /// Channels of the stem, the first convolution.
 const STEM: usize = 32;
 const BLOCKS: [Shape; 3] = [
-    Shape {
-        inputs: STEM,
-        outputs: 48,
-        stride: 2,
-    },
-    Shape {
-        inputs: 48,
-        outputs: 96,
-        stride: 2,
-    },
-    Shape {
-        inputs: 96,
-        outputs: FEATURES,
-        stride: 1,
-    },
+    Shape { inputs: STEM, outputs: 48, stride: 2 },
+    Shape { inputs: 48, outputs: 96, stride: 2 },
+    Shape { inputs: 96, outputs: FEATURES, stride: 1 },
 ];
 /// Channels of the last block.
 const FEATURES: usize = 128;
@@ -83,12 +71,7 @@ impl Encoder {
             fine: match tensors.is_fine() {
                 true => {
                     let name = part("fine");
-                    Some(Convolution::read_1x1(
-                        tensors,
-                        &name,
-                        BLOCKS[0].outputs,
-                        POINTS,
-                    )?)
+                    Some(Convolution::read_1x1(tensors, &name, BLOCKS[0].outputs, POINTS)?)
                 }
                 false => None,
             },
@@ -111,17 +94,9 @@ impl Encoder {
         scratch: &mut Scratch,
         encoded: &mut [f32],
     ) {
-        let Scratch {
-            picture,
-            planes: [planes, next],
-            fine,
-            work,
-        } = scratch;
+        let Scratch { picture, planes: [planes, next], fine, work } = scratch;
         picture::planes(rgb, picture);
-        let picture = Planes {
-            values: picture,
-            side: picture::SIDE,
-        };
+        let picture = Planes { values: picture, side: picture::SIDE };
         let mut side = picture::SIDE / 2;
         zeros(planes, STEM * side * side);
         columns::each_part(picture, 2, &mut work.buffers, |part| {
@@ -130,10 +105,7 @@ impl Encoder {
         self.stem_norm.relu(planes);
         let blocks = self.blocks.iter().zip(films.0.iter().zip(BLOCKS));
         for (index, (block, (films, shape))) in blocks.enumerate() {
-            let input = Planes {
-                values: planes,
-                side,
-            };
+            let input = Planes { values: planes, side };
             let film = Film(&films[query * 2 * shape.outputs..][..2 * shape.outputs]);
             block.apply(products, input, film, work, next);
             std::mem::swap(planes, next);

@@ -28,29 +28,17 @@ pub enum WeightsError {
         "the weights file has no tensor {tensor}, which must be {expected:?} of {kind}: export \
          the whole network"
     )]
-    Missing {
-        tensor: String,
-        expected: Vec<usize>,
-        kind: &'static str,
-    },
+    Missing { tensor: String, expected: Vec<usize>, kind: &'static str },
     #[error(
         "tensor {tensor} of the weights file has the shape {found:?}; expected is {expected:?}: \
          give weights of this network"
     )]
-    Shape {
-        tensor: String,
-        found: Vec<usize>,
-        expected: Vec<usize>,
-    },
+    Shape { tensor: String, found: Vec<usize>, expected: Vec<usize> },
     #[error(
         "tensor {tensor} of the weights file is of type {found}; expected is {expected}: export it \
          as {expected}"
     )]
-    Type {
-        tensor: String,
-        found: String,
-        expected: &'static str,
-    },
+    Type { tensor: String, found: String, expected: &'static str },
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a finite \
          number is expected: training has diverged, export an earlier state"

@@ -10,11 +10,7 @@ const LANES: usize = 16;
 #[inline]
 pub(crate) fn sum(values: &[f32], term: impl Fn(f32) -> f32) -> f32 {
     let (rows, rest) = values.as_chunks::<LANES>();
-    assert!(
-        rest.is_empty(),
-        "{} values, not a multiple of {LANES}",
-        values.len()
-    );
+    assert!(rest.is_empty(), "{} values, not a multiple of {LANES}", values.len());
     let mut lanes = [0.0; LANES];
     for row in rows {
         for (lane, value) in lanes.iter_mut().zip(row) {

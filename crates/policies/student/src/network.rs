@@ -110,10 +110,7 @@ impl Network {
     /// Returns the same network with plain products, as on machines without fused
     /// multiply-adds. Its answers are the same, bit for bit.
     pub fn with_plain_products(self) -> Self {
-        Self {
-            products: Products::Plain,
-            ..self
-        }
+        Self { products: Products::Plain, ..self }
     }
 
     /// Returns a chunk of actions for each query. Queries do not affect each other. Runs on
@@ -196,10 +193,8 @@ impl Network {
         let (moves, _) = arms.as_chunks::<ARM>();
         let (arms, _) = moves.as_chunks::<ACTIONS>();
         let (logits, _) = logits.as_chunks::<ACTIONS>();
-        let output = |(arm, gripper_logits): (&_, &_)| Output {
-            arm: *arm,
-            gripper_logits: *gripper_logits,
-        };
+        let output =
+            |(arm, gripper_logits): (&_, &_)| Output { arm: *arm, gripper_logits: *gripper_logits };
         arms.iter().zip(logits).map(output).collect()
     }
 }

@@ -99,10 +99,7 @@ mod tests {
     }
 
     fn norm() -> GroupNorm {
-        GroupNorm {
-            weight: vec![2.0; 16],
-            bias: (0..16).map(|channel| channel as f32).collect(),
-        }
+        GroupNorm { weight: vec![2.0; 16], bias: (0..16).map(|channel| channel as f32).collect() }
     }
 
     fn assert_close(found: f32, expected: f32) {

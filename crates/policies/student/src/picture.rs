@@ -30,12 +30,7 @@ pub(crate) fn planes(rgb: &[u8], planes: &mut Vec<f32>) {
         let (lower, _) = rgb[lower * WIDTH..][..WIDTH].as_chunks::<6>();
         for (column, (upper, lower)) in upper.iter().zip(lower).enumerate() {
             let value = |channel: usize| {
-                let four = [
-                    upper[channel],
-                    upper[channel + 3],
-                    lower[channel],
-                    lower[channel + 3],
-                ];
+                let four = [upper[channel], upper[channel + 3], lower[channel], lower[channel + 3]];
                 let sum: u16 = four.into_iter().map(u16::from).sum();
                 VALUES[usize::from((sum + 2) / 4)]
             };

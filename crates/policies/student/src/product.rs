@@ -71,18 +71,8 @@ impl<'a> Matrix<'a> {
         let [row_stride, column_stride] = strides;
         assert!(rows > 0 && columns > 0, "an empty matrix: {size:?}");
         let last = (rows - 1) * row_stride + (columns - 1) * column_stride;
-        assert!(
-            last < values.len(),
-            "{size:?} with strides {strides:?} in {}",
-            values.len()
-        );
-        Self {
-            values,
-            rows,
-            columns,
-            row_stride,
-            column_stride,
-        }
+        assert!(last < values.len(), "{size:?} with strides {strides:?} in {}", values.len());
+        Self { values, rows, columns, row_stride, column_stride }
     }
 
     pub(crate) fn rows(&self) -> usize {
@@ -134,12 +124,7 @@ impl<'a> MatrixMut<'a> {
             "{size:?} with stride {row_stride} in {}",
             values.len()
         );
-        Self {
-            values,
-            rows,
-            columns,
-            row_stride,
-        }
+        Self { values, rows, columns, row_stride }
     }
 }
 
@@ -218,9 +203,8 @@ mod tests {
     fn by_definition(a: Matrix<'_>, b: Matrix<'_>, c: f32, row: usize, column: usize) -> f32 {
         let inner: Vec<usize> = (0..a.columns).collect();
         inner.chunks(256).fold(c, |element, run| {
-            let sum = run.iter().fold(0.0_f32, |sum, k| {
-                a.at(row, *k).mul_add(b.at(*k, column), sum)
-            });
+            let sum =
+                run.iter().fold(0.0_f32, |sum, k| a.at(row, *k).mul_add(b.at(*k, column), sum));
             element + sum
         })
     }
@@ -230,10 +214,7 @@ mod tests {
         let right = numbers(seed + 1, depth * columns);
         let bias = numbers(seed + 2, rows);
         // Replaces -0 by +0, as the network does for its biases.
-        let start: Vec<f32> = bias
-            .iter()
-            .flat_map(|bias| vec![bias + 0.0; columns])
-            .collect();
+        let start: Vec<f32> = bias.iter().flat_map(|bias| vec![bias + 0.0; columns]).collect();
         let a = if transposed {
             Matrix::new(&left, depth, rows).transposed()
         } else {
@@ -249,11 +230,7 @@ mod tests {
             .map(|index| by_definition(a, b, start[index], index / columns, index % columns))
             .collect();
         let size = [rows, depth, columns];
-        assert_eq!(
-            compute(Products::Plain),
-            bits(&expected),
-            "plainly, {size:?}"
-        );
+        assert_eq!(compute(Products::Plain), bits(&expected), "plainly, {size:?}");
         let found = compute(Products::of_this_machine());
         assert_eq!(found, bits(&expected), "on this machine, {size:?}");
     }
@@ -261,9 +238,8 @@ mod tests {
     #[test]
     fn products_are_sums_of_fused_steps_in_the_documented_order() {
         // The network's depths, and depths on both sides of the end of a run.
-        for (index, depth) in [1, 27, 96, 128, 255, 256, 257, 288, 432, 512, 832, 1152]
-            .into_iter()
-            .enumerate()
+        for (index, depth) in
+            [1, 27, 96, 128, 255, 256, 257, 288, 432, 512, 832, 1152].into_iter().enumerate()
         {
             check(48, depth, 40, index as u64, true);
             check(3, depth, 384, 100 + index as u64, false);

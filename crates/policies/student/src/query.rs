@@ -96,11 +96,7 @@ impl Output {
             for (slot, value) in action.iter_mut().zip(self.arm[k]) {
                 *slot = value.clamp(-1.0, 1.0);
             }
-            action[ARM] = if self.gripper_logits[k] > 0.0 {
-                1.0
-            } else {
-                -1.0
-            };
+            action[ARM] = if self.gripper_logits[k] > 0.0 { 1.0 } else { -1.0 };
             action
         })
     }

@@ -37,9 +37,8 @@ fn words(instruction: &str) -> impl Iterator<Item = String> {
 
 /// Returns the 32-bit FNV-1a hash modulo the number of rows.
 fn bucket(bytes: impl Iterator<Item = u8>) -> usize {
-    let hash = bytes.fold(0x811c_9dc5_u32, |hash, byte| {
-        (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)
-    });
+    let hash = bytes
+        .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
     hash as usize % BUCKETS
 }
 
@@ -50,9 +49,7 @@ mod tests {
     #[test]
     fn words_are_runs_of_ascii_letters_and_digits() {
         let found: Vec<_> = words("Put the chef's Moka-Pot\ton 2 PLATES, é\u{212a}!").collect();
-        let expected = [
-            "put", "the", "chef", "s", "moka", "pot", "on", "2", "plates",
-        ];
+        let expected = ["put", "the", "chef", "s", "moka", "pot", "on", "2", "plates"];
         assert_eq!(found, expected);
         assert_eq!(words(" -- ").count(), 0);
     }
@@ -60,11 +57,8 @@ mod tests {
     /// Published values of FNV-1a.
     #[test]
     fn buckets_are_fnv_1a() {
-        let published: [(&str, u32); 3] = [
-            ("", 0x811c_9dc5),
-            ("a", 0xe40c_292c),
-            ("foobar", 0xbf9c_f968),
-        ];
+        let published: [(&str, u32); 3] =
+            [("", 0x811c_9dc5), ("a", 0xe40c_292c), ("foobar", 0xbf9c_f968)];
         for (text, hash) in published {
             assert_eq!(bucket(text.bytes()), hash as usize % BUCKETS, "{text:?}");
         }
@@ -74,12 +68,8 @@ mod tests {
     fn words_and_pairs_are_added_as_often_as_they_occur() {
         let row = |text: &str| bucket(text.bytes());
         let mut table = vec![0.0; BUCKETS * WIDTH];
-        for (text, value) in [
-            ("the", 1.0),
-            ("pot", 10.0),
-            ("the pot", 100.0),
-            ("pot the", 1000.0),
-        ] {
+        for (text, value) in [("the", 1.0), ("pot", 10.0), ("the pot", 100.0), ("pot the", 1000.0)]
+        {
             table[row(text) * WIDTH..][..WIDTH].fill(value);
         }
         assert_eq!(embed(&table, "the pot")[0], 111.0);

@@ -35,10 +35,7 @@ impl<'a> Tensors<'a> {
             Some(COARSE) => false,
             Some(FINE) => true,
             _ => {
-                return Err(WeightsError::Format {
-                    found,
-                    expected: [COARSE, FINE],
-                });
+                return Err(WeightsError::Format { found, expected: [COARSE, FINE] });
             }
         };
         let name = entry("name").filter(|name| !name.is_empty());

@@ -18,12 +18,7 @@ fn owned_queries() -> Vec<OwnedQuery> {
 fn digest(outputs: &[Output]) -> String {
     let mut hash = Sha256::new();
     for output in outputs {
-        for number in output
-            .arm
-            .as_flattened()
-            .iter()
-            .chain(&output.gripper_logits)
-        {
+        for number in output.arm.as_flattened().iter().chain(&output.gripper_logits) {
             hash.update(number.to_bits().to_le_bytes());
         }
     }
@@ -42,9 +37,7 @@ fn golden_answers_have_the_same_bits_on_every_machine() {
     let outputs = network().outputs(&queries).expect("answers");
     assert_eq!(digest(&outputs), GOLDEN);
     let has_distinct_values = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
-    assert!(has_distinct_values(
-        outputs.iter().map(|output| output.arm[3][2]).collect()
-    ));
+    assert!(has_distinct_values(outputs.iter().map(|output| output.arm[3][2]).collect()));
 }
 
 /// Represents machines without fused multiply-adds.
@@ -80,19 +73,9 @@ fn answers_in_a_batch_equal_single_answers_bit_for_bit() {
 #[test]
 fn threads_share_a_network() {
     let (network, owned_queries) = (network(), owned_queries());
-    let expected = digest(
-        &network
-            .outputs(&[owned_queries[0].query()])
-            .expect("an answer"),
-    );
+    let expected = digest(&network.outputs(&[owned_queries[0].query()]).expect("an answer"));
     std::thread::scope(|scope| {
-        let query = || {
-            digest(
-                &network
-                    .outputs(&[owned_queries[0].query()])
-                    .expect("an answer"),
-            )
-        };
+        let query = || digest(&network.outputs(&[owned_queries[0].query()]).expect("an answer"));
         let threads = [scope.spawn(query), scope.spawn(query)];
         for thread in threads {
             assert_eq!(thread.join().expect("a digest"), expected);

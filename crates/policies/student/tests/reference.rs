@@ -52,12 +52,7 @@ fn check(folder: &Path, path: &Path) {
 
     let arms = rows::<48>(&file, "arm", count);
     let logits = rows::<8>(&file, "gripper_logits", count);
-    for (index, output) in network
-        .outputs(&queries)
-        .expect("answers")
-        .iter()
-        .enumerate()
-    {
+    for (index, output) in network.outputs(&queries).expect("answers").iter().enumerate() {
         // The exported arm components are clamped, as in actions.
         let arm = output.arm.as_flattened().iter();
         let arm = arm.map(|value| value.clamp(-1.0, 1.0));
@@ -70,10 +65,7 @@ fn check(folder: &Path, path: &Path) {
 fn assert_close(found: impl Iterator<Item = f32>, expected: &[f32], label: &str) {
     for (place, (found, expected)) in found.zip(expected).enumerate() {
         let deviation = (found - expected).abs() / expected.abs().max(1.0);
-        assert!(
-            deviation <= TOLERANCE,
-            "{label} {place}: {found}, not {expected}"
-        );
+        assert!(deviation <= TOLERANCE, "{label} {place}: {found}, not {expected}");
     }
 }
 
@@ -87,13 +79,7 @@ fn data<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, count: usize) -> &
 /// Returns pictures with row 0 at the bottom, as in the protocol.
 fn pictures(file: &SafeTensors<'_>, name: &str, count: usize) -> Vec<Vec<u8>> {
     let pictures = data(file, name, Dtype::U8, count).chunks(PICTURE_BYTES);
-    let flip = |picture: &[u8]| {
-        picture
-            .rchunks(PICTURE_SIDE * 3)
-            .flatten()
-            .copied()
-            .collect()
-    };
+    let flip = |picture: &[u8]| picture.rchunks(PICTURE_SIDE * 3).flatten().copied().collect();
     pictures.map(flip).collect()
 }
 

@@ -97,10 +97,7 @@ fn numbers_that_are_not_finite_or_not_positive_are_named() {
         let tensor = weights.tensors.get_mut("state_mean").expect("a tensor");
         tensor.bytes[..4].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
     });
-    assert!(
-        refusal.to_string().contains("holds -inf at place 0"),
-        "{refusal}"
-    );
+    assert!(refusal.to_string().contains("holds -inf at place 0"), "{refusal}");
     let refusal = error_after(|weights| {
         let tensor = weights.tensors.get_mut("state_std").expect("a tensor");
         tensor.bytes[52..].copy_from_slice(&0.0_f32.to_le_bytes());
@@ -133,10 +130,7 @@ fn another_format_is_named() {
          \"rollout-student/1\" or \"rollout-student/2\": give weights that were exported for it"
     );
     let refusal = error_after(|weights| weights.metadata.clear());
-    assert!(
-        refusal.to_string().contains("gives nothing as its format"),
-        "{refusal}"
-    );
+    assert!(refusal.to_string().contains("gives nothing as its format"), "{refusal}");
     let refusal = error_after(|weights| {
         weights.metadata.remove("name");
     });

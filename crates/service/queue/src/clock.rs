@@ -66,13 +66,8 @@ impl SystemClock {
         reason = "the one place where the machine's clocks are read"
     )]
     pub fn start() -> SystemClock {
-        let since_epoch = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default();
-        SystemClock {
-            started: UnixMillis(millis(since_epoch)),
-            running: Instant::now(),
-        }
+        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        SystemClock { started: UnixMillis(millis(since_epoch)), running: Instant::now() }
     }
 }
 

@@ -66,9 +66,7 @@ pub struct NewJob {
 
 impl NewJob {
     pub fn is_placebo(&self) -> bool {
-        self.rollout_id
-            .parse::<RolloutId>()
-            .is_ok_and(|id| id.is_placebo())
+        self.rollout_id.parse::<RolloutId>().is_ok_and(|id| id.is_placebo())
     }
 
     /// Creates the job of a manifest row.
@@ -122,10 +120,8 @@ impl NewCampaign {
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
         let mut rows = libero_family::expand(spec)?;
-        let stoppable_configurations = spec
-            .stop
-            .as_ref()
-            .map(|stop| order_randomly(&mut rows, stop));
+        let stoppable_configurations =
+            spec.stop.as_ref().map(|stop| order_randomly(&mut rows, stop));
         let budgets = rows.iter().map(|row| u64::from(row.max_steps));
         let step_budget = budgets.sum::<u64>() * u64::from(spec.replicates);
         let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
@@ -227,8 +223,5 @@ pub fn differing_fields(first: &str, second: &str) -> String {
 }
 
 fn digest(text: &str) -> String {
-    Sha256::digest(text.as_bytes())
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -104,9 +104,7 @@ impl CampaignName {
         if fits && !name.starts_with('.') && name.chars().all(allowed) {
             Ok(CampaignName(name.to_owned()))
         } else {
-            Err(NameError::Campaign {
-                name: shortened(name, MAX_CAMPAIGN_NAME_BYTES).to_owned(),
-            })
+            Err(NameError::Campaign { name: shortened(name, MAX_CAMPAIGN_NAME_BYTES).to_owned() })
         }
     }
 
@@ -125,9 +123,7 @@ impl WorkerId {
         if fits && id.chars().all(|c| c.is_ascii_graphic()) {
             Ok(WorkerId(id.to_owned()))
         } else {
-            Err(NameError::Worker {
-                id: shortened(id, MAX_WORKER_ID_BYTES).to_owned(),
-            })
+            Err(NameError::Worker { id: shortened(id, MAX_WORKER_ID_BYTES).to_owned() })
         }
     }
 }
@@ -155,9 +151,7 @@ impl fmt::Display for JobName {
 /// Returns the longest prefix of `text` that fits in `max_bytes` and ends on a character boundary.
 /// Limits text from clients before it is stored or shown.
 pub fn shortened(text: &str, max_bytes: usize) -> &str {
-    let end = (0..=max_bytes.min(text.len()))
-        .rev()
-        .find(|&end| text.is_char_boundary(end));
+    let end = (0..=max_bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end));
     &text[..end.unwrap_or(0)]
 }
 

@@ -285,24 +285,15 @@ pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
         false => path.to_owned(),
     };
     if !file.is_file() {
-        return Err(CheckError::Missing {
-            path: path.to_owned(),
-        });
+        return Err(CheckError::Missing { path: path.to_owned() });
     }
-    let in_file = |source| CheckError::Read {
-        path: file.clone(),
-        source,
-    };
+    let in_file = |source| CheckError::Read { path: file.clone(), source };
     let mut connection = open(&file).await.map_err(in_file)?;
     let known = store::newest_known_schema();
     let found = store::schema_version(&mut connection).await;
     let found = found.map_err(in_file)?.unwrap_or(0);
     if found != known {
-        return Err(CheckError::OtherSchema {
-            path: file,
-            found,
-            known,
-        });
+        return Err(CheckError::OtherSchema { path: file, found, known });
     }
     let violations = violations(&mut connection).await.map_err(in_file)?;
     connection.close().await.map_err(in_file)?;

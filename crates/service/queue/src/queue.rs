@@ -100,10 +100,7 @@ impl Queue {
         let mut tasks = Tasks::default();
         let removal = batches::run(shared.clone(), interrupted);
         tasks.spawn("the deletion of incomplete campaigns", removal);
-        tasks.spawn(
-            "the database's writer",
-            writer::run(shared.clone(), received),
-        );
+        tasks.spawn("the database's writer", writer::run(shared.clone(), received));
         tasks.spawn("the checkpointer", checkpoint_log(shared.clone()));
         tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));
         tasks.spawn("the early stop", stop::run(shared.clone()));
@@ -195,10 +192,8 @@ impl Queue {
         worker: &WorkerId,
         progress: &[(AttemptId, u32)],
     ) -> Result<Vec<AttemptId>, QueueError> {
-        let (pending, answer) = Pending::new(Heartbeat {
-            worker: worker.clone(),
-            progress: progress.to_vec(),
-        });
+        let (pending, answer) =
+            Pending::new(Heartbeat { worker: worker.clone(), progress: progress.to_vec() });
         self.submit(Operation::Heartbeat(pending), answer).await
     }
 
@@ -249,12 +244,8 @@ impl Queue {
         error: &str,
         answered: Option<u32>,
     ) -> Result<ReleaseReply, QueueError> {
-        let (pending, answer) = Pending::new(Release {
-            attempt,
-            reason,
-            error: error.to_owned(),
-            answered,
-        });
+        let (pending, answer) =
+            Pending::new(Release { attempt, reason, error: error.to_owned(), answered });
         let reply = self.submit(Operation::Release(pending), answer).await?;
         if reply.verdict != ReleaseVerdict::Stale {
             let reason = reason.as_str();

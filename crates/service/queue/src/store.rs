@@ -87,19 +87,10 @@ pub enum OpenError {
         "open database {}: its schema is version {found} and this program ({program}) supports versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
         path.display()
     )]
-    NewerSchema {
-        path: PathBuf,
-        found: i64,
-        known: i64,
-        program: &'static str,
-    },
+    NewerSchema { path: PathBuf, found: i64, known: i64, program: &'static str },
     /// The database was not written by a coordinator, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
-    Migrate {
-        path: PathBuf,
-        known: i64,
-        source: MigrateError,
-    },
+    Migrate { path: PathBuf, known: i64, source: MigrateError },
     #[error(
         "open database {}: check that it is a SQLite file on a local disk, or restore it from a \
          backup",
@@ -134,10 +125,7 @@ impl StoreError {
         let Self::Statement { source, .. } = self else {
             return false;
         };
-        matches!(
-            **source,
-            sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. }
-        )
+        matches!(**source, sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. })
     }
 
     /// Returns the error and its cause, for the log.
@@ -165,10 +153,7 @@ pub(crate) trait Doing<T> {
 
 impl<T> Doing<T> for Result<T, sqlx::Error> {
     fn doing(self, doing: &'static str) -> Result<T, StoreError> {
-        self.map_err(|source| StoreError::Statement {
-            doing,
-            source: Arc::new(source),
-        })
+        self.map_err(|source| StoreError::Statement { doing, source: Arc::new(source) })
     }
 }
 
@@ -178,10 +163,7 @@ impl<T> Doing<T> for Result<T, sqlx::Error> {
 /// counter can fall below zero while a connection is released, and then the task loops for ever
 /// and the runtime never ends.
 fn pool_options(connections: u32) -> SqlitePoolOptions {
-    SqlitePoolOptions::new()
-        .max_connections(connections)
-        .max_lifetime(None)
-        .idle_timeout(None)
+    SqlitePoolOptions::new().max_connections(connections).max_lifetime(None).idle_timeout(None)
 }
 
 /// Returns the error for a stored value that cannot be decoded.
@@ -220,10 +202,7 @@ impl Store {
     /// # Errors
     /// See [`OpenError`]. A database of a newer schema is left untouched.
     pub async fn open(folder: &Path) -> Result<Store, OpenError> {
-        let in_folder = |source| OpenError::Folder {
-            folder: folder.to_owned(),
-            source,
-        };
+        let in_folder = |source| OpenError::Folder { folder: folder.to_owned(), source };
         let path = folder.join(DATABASE_FILE);
         if path.exists() {
             refuse_newer_schema(&path).await?;
@@ -240,10 +219,7 @@ impl Store {
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
             .busy_timeout(BUSY_TIMEOUT);
-        let database = |source| OpenError::Database {
-            path: path.clone(),
-            source,
-        };
+        let database = |source| OpenError::Database { path: path.clone(), source };
         let writer = pool_options(1)
             // SQLite rolls back by itself when the disk is full, but the connection would still
             // count its transaction as open.
@@ -260,14 +236,11 @@ impl Store {
             .await
             .map_err(database)?;
         divide_third_migration(&writer).await.map_err(database)?;
-        MIGRATIONS
-            .run(&writer)
-            .await
-            .map_err(|source| OpenError::Migrate {
-                path: path.clone(),
-                known: newest_known_schema(),
-                source,
-            })?;
+        MIGRATIONS.run(&writer).await.map_err(|source| OpenError::Migrate {
+            path: path.clone(),
+            known: newest_known_schema(),
+            source,
+        })?;
         let readers = pool_options(READERS)
             .connect_with(options.create_if_missing(false))
             .await
@@ -286,10 +259,7 @@ impl Store {
     #[cfg(test)]
     pub(crate) async fn set_lock_timeout(&self, timeout: Duration) {
         let pragma = format!("PRAGMA busy_timeout = {}", timeout.as_millis());
-        sqlx::raw_sql(sqlx::AssertSqlSafe(pragma))
-            .execute(&self.writer)
-            .await
-            .expect("a pragma");
+        sqlx::raw_sql(sqlx::AssertSqlSafe(pragma)).execute(&self.writer).await.expect("a pragma");
     }
 
     pub fn folder(&self) -> &Path {
@@ -343,11 +313,7 @@ impl Store {
 
     /// Rebuilds the database file without free pages, so that equal rows give equal bytes.
     pub(crate) async fn compact(&self) -> Result<(), StoreError> {
-        sqlx::query("VACUUM")
-            .execute(&self.writer)
-            .await
-            .doing("compact the database")
-            .map(drop)
+        sqlx::query("VACUUM").execute(&self.writer).await.doing("compact the database").map(drop)
     }
 
     /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder.
@@ -378,11 +344,7 @@ const UNDIVIDED_THIRD: [u8; 48] = *b"\
 /// Marks both migrations as applied in a database to which the undivided migration was applied.
 async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
     let has_migrations = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
-    if sqlx::query_scalar::<_, i64>(has_migrations)
-        .fetch_one(writer)
-        .await?
-        == 0
-    {
+    if sqlx::query_scalar::<_, i64>(has_migrations).fetch_one(writer).await? == 0 {
         return Ok(());
     }
     let [third, fourth] = [3, 4].map(|version| {
@@ -413,11 +375,7 @@ async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> 
 
 /// Returns the newest schema version that this program supports.
 pub fn newest_known_schema() -> i64 {
-    MIGRATIONS
-        .iter()
-        .map(|migration| migration.version)
-        .max()
-        .unwrap_or(0)
+    MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }
 
 impl Tx<'_> {
@@ -456,10 +414,7 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 }
 
 fn lock_folder(folder: &Path) -> Result<File, OpenError> {
-    let in_folder = |source| OpenError::Folder {
-        folder: folder.to_owned(),
-        source,
-    };
+    let in_folder = |source| OpenError::Folder { folder: folder.to_owned(), source };
     let lock = File::options()
         .create(true)
         .truncate(false)
@@ -469,9 +424,7 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
         .map_err(in_folder)?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(OpenError::InUse {
-            folder: folder.to_owned(),
-        }),
+        Err(TryLockError::WouldBlock) => Err(OpenError::InUse { folder: folder.to_owned() }),
         Err(TryLockError::Error(source)) => Err(in_folder(source)),
     }
 }
@@ -501,14 +454,9 @@ fn make_private(database: &Path) -> io::Result<()> {
 
 /// Refuses an existing database whose schema is newer than this program's, without writing to it.
 async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
-    let database = |source| OpenError::Database {
-        path: path.to_owned(),
-        source,
-    };
+    let database = |source| OpenError::Database { path: path.to_owned(), source };
     let options = SqliteConnectOptions::new().filename(path).read_only(true);
-    let mut connection = SqliteConnection::connect_with(&options)
-        .await
-        .map_err(database)?;
+    let mut connection = SqliteConnection::connect_with(&options).await.map_err(database)?;
     let found = schema_version(&mut connection).await.map_err(database)?;
     connection.close().await.map_err(database)?;
     let known = newest_known_schema();
@@ -534,9 +482,7 @@ pub(crate) async fn schema_version(
     if !has_versions {
         return Ok(None);
     }
-    sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations")
-        .fetch_one(connection)
-        .await
+    sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations").fetch_one(connection).await
 }
 
 /// Creates the temporary table `known_schema` with this program's schema in the open database.
@@ -547,9 +493,7 @@ pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(),
         .await
         .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
     let objects: Vec<(String, String, Option<String>)> =
-        sqlx::query_as("SELECT type, name, sql FROM sqlite_schema")
-            .fetch_all(&mut fresh)
-            .await?;
+        sqlx::query_as("SELECT type, name, sql FROM sqlite_schema").fetch_all(&mut fresh).await?;
     sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")
         .execute(&mut *connection)
         .await?;

@@ -20,10 +20,8 @@ pub struct Backoff {
 
 impl Waits {
     /// Back-off of one second up to a minute, for calls between machines.
-    pub const USUAL: Waits = Waits {
-        first: Duration::from_secs(1),
-        longest: Duration::from_secs(60),
-    };
+    pub const USUAL: Waits =
+        Waits { first: Duration::from_secs(1), longest: Duration::from_secs(60) };
 
     /// Returns the back-off after the `failures`-th failure in a row. `random` is uniform over
     /// `u32` and shortens the back-off by up to half, so that clients that failed together do not
@@ -39,11 +37,7 @@ impl Waits {
 impl Backoff {
     /// Starts without failures; the jitter is seeded with `seed`.
     pub fn new(waits: Waits, seed: u64) -> Self {
-        Self {
-            waits,
-            failures: 0,
-            random: seed,
-        }
+        Self { waits, failures: 0, random: seed }
     }
 
     pub fn failures(&self) -> u32 {

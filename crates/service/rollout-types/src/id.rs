@@ -45,9 +45,7 @@ impl FromStr for AttemptId {
         if text.len() != 32 || !text.bytes().all(is_digit) {
             return Err(AttemptIdError);
         }
-        u128::from_str_radix(text, 16)
-            .map(AttemptId)
-            .map_err(|_| AttemptIdError)
+        u128::from_str_radix(text, 16).map(AttemptId).map_err(|_| AttemptIdError)
     }
 }
 
@@ -75,18 +73,8 @@ mod tests {
         let text = id.to_string();
         assert_eq!(text, "000102030405060708090a0b0c0d0eff");
         assert_eq!(text.parse(), Ok(id));
-        for invalid in [
-            "",
-            "0",
-            &text[1..],
-            &text.to_uppercase(),
-            &format!("+{}", &text[1..]),
-        ] {
-            assert_eq!(
-                invalid.parse::<AttemptId>(),
-                Err(AttemptIdError),
-                "{invalid}"
-            );
+        for invalid in ["", "0", &text[1..], &text.to_uppercase(), &format!("+{}", &text[1..])] {
+            assert_eq!(invalid.parse::<AttemptId>(), Err(AttemptIdError), "{invalid}");
         }
     }
 }

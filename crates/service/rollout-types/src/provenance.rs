@@ -116,28 +116,21 @@ impl Provenance {
     /// Formats the policy's settings, such as `execute 8, horizon 50`; empty if there are none.
     pub fn policy_settings_in_words(&self) -> String {
         let settings = self.policy_settings.iter();
-        let settings: Vec<String> = settings
-            .map(|(name, value)| format!("{name} {value}"))
-            .collect();
+        let settings: Vec<String> =
+            settings.map(|(name, value)| format!("{name} {value}")).collect();
         settings.join(", ")
     }
 
     /// Returns the text of the execution model: what the robot does while a response is pending.
     pub fn execution(&self) -> &str {
-        self.policy_settings
-            .get(EXECUTION)
-            .map_or(WAIT, String::as_str)
+        self.policy_settings.get(EXECUTION).map_or(WAIT, String::as_str)
     }
 
     /// Returns the asset pack that the policy reports to have been trained on, if it differs from
     /// the one that the policy was measured on.
     pub fn other_training_pack(&self) -> Option<&str> {
         let taught_on = self.policy_settings.get(TAUGHT_ON)?.as_str();
-        let Pin {
-            asset_pack,
-            asset_pack_digest,
-            ..
-        } = &self.pin;
+        let Pin { asset_pack, asset_pack_digest, .. } = &self.pin;
         (taught_on != asset_pack && taught_on != asset_pack_digest).then_some(taught_on)
     }
 

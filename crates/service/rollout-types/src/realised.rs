@@ -38,10 +38,7 @@ pub enum RealisedAxis {
 
 impl Realised {
     pub fn add(&mut self, axis: Axis, parameters: Vec<f64>, elements: Vec<f64>) {
-        let values = RealisedAxis::Values {
-            parameters,
-            elements,
-        };
+        let values = RealisedAxis::Values { parameters, elements };
         self.0.insert(axis, values);
     }
 
@@ -62,14 +59,8 @@ impl RealisedAxis {
     /// place of that value.
     pub fn difference(&self, other: &RealisedAxis) -> Option<String> {
         let (
-            RealisedAxis::Values {
-                parameters,
-                elements,
-            },
-            RealisedAxis::Values {
-                parameters: other_parameters,
-                elements: other_elements,
-            },
+            RealisedAxis::Values { parameters, elements },
+            RealisedAxis::Values { parameters: other_parameters, elements: other_elements },
         ) = (self, other)
         else {
             return None;
@@ -82,16 +73,11 @@ impl RealisedAxis {
 fn differing(name: &str, values: &[f64], other_values: &[f64]) -> Option<String> {
     if values.len() != other_values.len() {
         let (count, other_count) = (values.len(), other_values.len());
-        return Some(format!(
-            "the number of {name}s is {count} here and {other_count}"
-        ));
+        return Some(format!("the number of {name}s is {count} here and {other_count}"));
     }
     // NaN differs from every value.
     let agree = |(a, b): (&f64, &f64)| (a - b).abs() <= TOLERANCE || a == b;
-    let place = values
-        .iter()
-        .zip(other_values)
-        .position(|pair| !agree(pair))?;
+    let place = values.iter().zip(other_values).position(|pair| !agree(pair))?;
     let (value, other_value) = (values[place], other_values[place]);
     Some(format!("{name} {place} is {value} here and {other_value}"))
 }
@@ -101,10 +87,7 @@ mod tests {
     use super::*;
 
     fn values(elements: &[f64]) -> RealisedAxis {
-        RealisedAxis::Values {
-            parameters: vec![0.25],
-            elements: elements.to_vec(),
-        }
+        RealisedAxis::Values { parameters: vec![0.25], elements: elements.to_vec() }
     }
 
     #[test]
@@ -116,10 +99,7 @@ mod tests {
                 assert_eq!(values(&[7.0, at]).difference(&near), None, "{at}");
                 let far = values(&[7.0, at + direction * 1e-6]);
                 let difference = values(&[7.0, at]).difference(&far);
-                assert!(
-                    difference.is_some_and(|words| words.contains("value 1")),
-                    "{at}"
-                );
+                assert!(difference.is_some_and(|words| words.contains("value 1")), "{at}");
             }
         }
     }
@@ -127,10 +107,7 @@ mod tests {
     #[test]
     fn lists_of_different_length_and_nan_differ() {
         let difference = values(&[1.0]).difference(&values(&[1.0, 2.0]));
-        assert_eq!(
-            difference.as_deref(),
-            Some("the number of realised values is 1 here and 2")
-        );
+        assert_eq!(difference.as_deref(), Some("the number of realised values is 1 here and 2"));
         let nan = values(&[f64::NAN]);
         assert!(nan.difference(&nan).is_some());
     }

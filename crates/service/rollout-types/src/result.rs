@@ -51,11 +51,7 @@ impl GoalProgress {
     /// Returns true if the numbers agree with one another, and with the rollout's
     /// outcome.
     pub fn agrees_with(&self, success: bool) -> bool {
-        let Self {
-            predicates,
-            at_end,
-            at_most,
-        } = *self;
+        let Self { predicates, at_end, at_most } = *self;
         predicates > 0
             && at_end <= at_most
             && at_most <= predicates
@@ -101,14 +97,8 @@ impl Motion {
     pub fn pack(path: &[[i16; 3]], actions: &[[f32; 7]]) -> Motion {
         let (path, actions) = (path.as_flattened(), actions.as_flattened());
         Motion {
-            path: path
-                .iter()
-                .flat_map(|number| number.to_le_bytes())
-                .collect(),
-            actions: actions
-                .iter()
-                .flat_map(|number| number.to_le_bytes())
-                .collect(),
+            path: path.iter().flat_map(|number| number.to_le_bytes()).collect(),
+            actions: actions.iter().flat_map(|number| number.to_le_bytes()).collect(),
         }
     }
 
@@ -150,20 +140,12 @@ mod tests {
 
     #[test]
     fn a_packed_motion_round_trips() {
-        let (path, actions) = (
-            [[1, -2, 3], [i16::MIN, 0, i16::MAX]],
-            [[0.1, -1.0, 0.0, 1.0, 0.5, 0.25, -0.3]],
-        );
+        let (path, actions) =
+            ([[1, -2, 3], [i16::MIN, 0, i16::MAX]], [[0.1, -1.0, 0.0, 1.0, 0.5, 0.25, -0.3]]);
         let motion = Motion::pack(&path, &actions);
-        assert_eq!(
-            (motion.path(), motion.actions()),
-            (path.to_vec(), actions.to_vec())
-        );
+        assert_eq!((motion.path(), motion.actions()), (path.to_vec(), actions.to_vec()));
         assert!(motion.is_whole());
-        let truncated = Motion {
-            path: motion.path[1..].to_vec(),
-            ..motion
-        };
+        let truncated = Motion { path: motion.path[1..].to_vec(), ..motion };
         assert!(!truncated.is_whole());
     }
 }

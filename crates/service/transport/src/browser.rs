@@ -41,10 +41,7 @@ impl SessionCookie {
     /// `__Host-` makes browsers reject a cookie set by another host or over plain HTTP.
     pub(crate) fn new(suffix: &str, is_encrypted: bool) -> SessionCookie {
         let prefix = if is_encrypted { "__Host-" } else { "" };
-        SessionCookie {
-            name: format!("{prefix}rollout_session_{suffix}"),
-            is_encrypted,
-        }
+        SessionCookie { name: format!("{prefix}rollout_session_{suffix}"), is_encrypted }
     }
 
     /// Returns the `Set-Cookie` value that stores a session id for `secs` seconds. The cookie is
@@ -68,9 +65,7 @@ impl SessionCookie {
 /// Returns true if a request's content type is gRPC's: `application/grpc`, alone or with a suffix
 /// or parameters. `application/grpc-web`, which pages can send, does not count.
 pub(crate) fn is_grpc(headers: &HeaderMap) -> bool {
-    let kind = headers
-        .get(header::CONTENT_TYPE)
-        .map(|kind| kind.as_bytes());
+    let kind = headers.get(header::CONTENT_TYPE).map(|kind| kind.as_bytes());
     let rest = kind.and_then(|kind| kind.strip_prefix(b"application/grpc"));
     rest.is_some_and(|rest| matches!(rest.first(), None | Some(b'+' | b';' | b' ')))
 }
@@ -84,9 +79,7 @@ pub(crate) fn check_call<B>(request: &Request<B>) -> Result<(), Status> {
         ));
     }
     if request.version() != Version::HTTP_2 {
-        return Err(Status::invalid_argument(
-            "accept a call over HTTP/1: gRPC is HTTP/2",
-        ));
+        return Err(Status::invalid_argument("accept a call over HTTP/1: gRPC is HTTP/2"));
     }
     match is_grpc(headers) && request.method() == Method::POST {
         true => Ok(()),
@@ -121,10 +114,7 @@ pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Resu
 fn host<B>(request: &Request<B>) -> &str {
     let named = request.headers().get(header::HOST);
     let named = named.and_then(|host| host.to_str().ok());
-    let authority = request
-        .uri()
-        .authority()
-        .map(|authority| authority.as_str());
+    let authority = request.uri().authority().map(|authority| authority.as_str());
     named.or(authority).unwrap_or_default()
 }
 
@@ -183,10 +173,7 @@ pub(crate) fn refusal<B>(
         && reads_pages
         && request.method() == Method::GET
     {
-        let next = request
-            .uri()
-            .path_and_query()
-            .map_or("/", |next| next.as_str());
+        let next = request.uri().path_and_query().map_or("/", |next| next.as_str());
         let target = match next.len() {
             ..=MAX_NEXT_BYTES => format!("{log_in}?next={}", escaped(next)),
             _ => log_in.to_owned(),
@@ -242,9 +229,7 @@ mod tests {
     use crate::gate::{NO_TOKEN, OTHER_USER, UNKNOWN_TOKEN};
 
     fn request(version: Version, headers: &[(HeaderName, &str)]) -> Request<()> {
-        let mut request = Request::builder()
-            .version(version)
-            .uri("/campaigns/a?b=c&d");
+        let mut request = Request::builder().version(version).uri("/campaigns/a?b=c&d");
         for (name, value) in headers {
             request = request.header(name, *value);
         }
@@ -279,21 +264,10 @@ mod tests {
             assert!(check_page(&request, true).is_ok(), "{host}");
             check_page(&request, false).is_err()
         };
-        for private in [
-            "127.0.0.1:7411",
-            "localhost",
-            "[::1]:7411",
-            "10.0.0.7",
-            "keeper:7411",
-        ] {
+        for private in ["127.0.0.1:7411", "localhost", "[::1]:7411", "10.0.0.7", "keeper:7411"] {
             assert!(!refused(private), "{private}");
         }
-        for public in [
-            "evil.example:7411",
-            "127.0.0.1.evil.example",
-            "",
-            "keeper.lab",
-        ] {
+        for public in ["evil.example:7411", "127.0.0.1.evil.example", "", "keeper.lab"] {
             assert!(refused(public), "{public}");
         }
     }
@@ -305,13 +279,7 @@ mod tests {
             check_page(&request(Version::HTTP_11, &headers), true).is_ok()
         };
         assert!(is_own("http://keeper:7411") && is_own("https://keeper:7411"));
-        for foreign in [
-            "http://keeper:8888",
-            "http://keeper",
-            "null",
-            "",
-            "keeper:7411",
-        ] {
+        for foreign in ["http://keeper:8888", "http://keeper", "null", "", "keeper:7411"] {
             assert!(!is_own(foreign), "{foreign}");
         }
     }

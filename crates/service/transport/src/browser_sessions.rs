@@ -130,9 +130,7 @@ mod tests {
         let start = Instant::now();
         let first = sessions.begin(start).expect("randomness");
         let later = start + Duration::from_secs(1);
-        let others: Vec<String> = (0..MAX_SESSIONS)
-            .filter_map(|_| sessions.begin(later))
-            .collect();
+        let others: Vec<String> = (0..MAX_SESSIONS).filter_map(|_| sessions.begin(later)).collect();
         assert_eq!(sessions.ends.len(), MAX_SESSIONS);
         assert!(!sessions.is_open(&first, later));
         assert!(others.iter().all(|id| sessions.is_open(id, later)));

@@ -34,12 +34,7 @@ const HTTP_PORT: u16 = 80;
 pub struct ClientArguments {
     /// File with this client's token, as `ROLE TOKEN` [or that line in
     /// ROLLOUT_TOKENS]
-    #[arg(
-        long,
-        value_name = "FILE",
-        env = "ROLLOUT_TOKEN_FILE",
-        hide_short_help = true
-    )]
+    #[arg(long, value_name = "FILE", env = "ROLLOUT_TOKEN_FILE", hide_short_help = true)]
     pub token_file: Option<PathBuf>,
     /// Certificate authority of the servers, PEM, for https:// addresses
     #[arg(long, value_name = "FILE", env = "ROLLOUT_CA", hide_short_help = true)]
@@ -139,14 +134,8 @@ impl Access {
         let token = match tokens {
             Some(tokens) => {
                 let token = tokens.for_role(roles).cloned();
-                Some(token.ok_or_else(|| {
-                    AccessError::NoToken {
-                        roles: roles
-                            .iter()
-                            .map(|role| role.name())
-                            .collect::<Vec<_>>()
-                            .join(" or "),
-                    }
+                Some(token.ok_or_else(|| AccessError::NoToken {
+                    roles: roles.iter().map(|role| role.name()).collect::<Vec<_>>().join(" or "),
                 })?)
             }
             None => None,
@@ -277,9 +266,7 @@ impl Access {
 impl Interceptor for Bearer {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
         if let Some(value) = &self.value {
-            request
-                .metadata_mut()
-                .insert("authorization", value.clone());
+            request.metadata_mut().insert("authorization", value.clone());
         }
         Ok(request)
     }
@@ -290,9 +277,7 @@ fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     let pem = read_pem(path)?;
     match roots(&pem) {
         Some(roots) if !roots.is_empty() => Ok(pem),
-        _ => Err(AccessError::Authority {
-            path: path.to_owned(),
-        }),
+        _ => Err(AccessError::Authority { path: path.to_owned() }),
     }
 }
 
@@ -328,10 +313,8 @@ mod tests {
     use super::*;
 
     fn sends_token(url: &str) -> bool {
-        let access = Access {
-            token: Some(Token::parse("0123456789abcdef").expect("a token")),
-            ca: None,
-        };
+        let access =
+            Access { token: Some(Token::parse("0123456789abcdef").expect("a token")), ca: None };
         access.token_for(&url.parse().expect(url)).is_some()
     }
 
@@ -346,12 +329,7 @@ mod tests {
         ] {
             assert!(sends_token(url), "{url}");
         }
-        for url in [
-            "http://h:1",
-            "ws://h:1",
-            "http://10.0.0.7:1",
-            "http://localhost.evil:1",
-        ] {
+        for url in ["http://h:1", "ws://h:1", "http://10.0.0.7:1", "http://localhost.evil:1"] {
             assert!(!sends_token(url), "{url}");
         }
     }
@@ -375,10 +353,8 @@ print('got', len(listener.accept()[0].recv(1000)), flush=True)
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await;
         let listener = listener.expect("a free port");
         let port = listener.local_addr().expect("an address").port();
-        let access = Access {
-            token: Some(Token::parse("0123456789abcdef").expect("a token")),
-            ca: None,
-        };
+        let access =
+            Access { token: Some(Token::parse("0123456789abcdef").expect("a token")), ca: None };
         let url = format!("http://127.0.0.1:{port}");
         let endpoint = Endpoint::from_shared(url.clone()).expect("a URL");
         let connection = access.connect_lazy(endpoint).expect("a connection");
@@ -408,10 +384,7 @@ print('got', len(listener.accept()[0].recv(1000)), flush=True)
         let mut line = || output.next().expect("a line").expect("UTF-8");
         assert_eq!(line(), "listening");
         let refused = call().await;
-        assert!(
-            refused.contains("another user of this machine"),
-            "{refused}"
-        );
+        assert!(refused.contains("another user of this machine"), "{refused}");
         assert_eq!(line(), "got 0");
         assert!(foreign_server.wait().expect("it ends").success());
     }

@@ -21,9 +21,7 @@ impl EndpointError {
 /// # Errors
 /// If the URL is malformed, or has another scheme, no host, a path, or a query.
 pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
-    let error = || EndpointError {
-        given: url.to_owned(),
-    };
+    let error = || EndpointError { given: url.to_owned() };
     let (scheme, authority) = match url.split_once("://") {
         Some(("http" | "grpc", authority)) => ("http", authority),
         Some(("https" | "grpcs", authority)) => ("https", authority),
@@ -33,9 +31,7 @@ pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     let endpoint = Endpoint::from_shared(format!("{scheme}://{authority}")).map_err(|_| error())?;
     let has_host = endpoint.uri().host().is_some_and(|host| !host.is_empty());
     let has_no_path = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
-    (has_host && has_no_path)
-        .then_some(endpoint)
-        .ok_or_else(error)
+    (has_host && has_no_path).then_some(endpoint).ok_or_else(error)
 }
 
 #[cfg(test)]
@@ -53,10 +49,7 @@ mod tests {
         ] {
             let endpoint = parse_endpoint(url).expect(url);
             assert_eq!(
-                endpoint
-                    .uri()
-                    .authority()
-                    .map(|authority| authority.as_str()),
+                endpoint.uri().authority().map(|authority| authority.as_str()),
                 Some("gpu-3:7100")
             );
         }
@@ -64,14 +57,7 @@ mod tests {
 
     #[test]
     fn an_invalid_server_url_is_refused_with_an_example() {
-        for url in [
-            "",
-            "localhost:7000",
-            "ftp://host",
-            "http://",
-            "http://a b",
-            "http://h/path",
-        ] {
+        for url in ["", "localhost:7000", "ftp://host", "http://", "http://a b", "http://h/path"] {
             let error = parse_endpoint(url).expect_err(url).to_string();
             assert!(error.contains("http://HOST:PORT"), "{error}");
         }

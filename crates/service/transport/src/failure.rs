@@ -103,10 +103,7 @@ mod tests {
     #[test]
     fn a_status_without_a_message_is_named_by_its_code() {
         let silent = Status::unimplemented("");
-        assert_eq!(
-            chain(&silent),
-            "gRPC status Unimplemented, without a reason"
-        );
+        assert_eq!(chain(&silent), "gRPC status Unimplemented, without a reason");
     }
 
     #[test]
@@ -121,13 +118,9 @@ mod tests {
 
     #[test]
     fn a_refusal_is_not_retried() {
-        assert!(!may_succeed_later(&Status::failed_precondition(
-            "another version"
-        )));
+        assert!(!may_succeed_later(&Status::failed_precondition("another version")));
         assert!(!may_succeed_later(&Status::not_found("no such job")));
-        assert!(may_succeed_later(&Status::unavailable(
-            "connection refused"
-        )));
+        assert!(may_succeed_later(&Status::unavailable("connection refused")));
         assert!(may_succeed_later(&Status::internal("disk full")));
         assert!(may_succeed_later(&Status::deadline_exceeded("no answer")));
     }

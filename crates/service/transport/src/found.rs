@@ -171,10 +171,7 @@ impl ProbeResult {
 
     /// Classifies a web server whose answer begins with this line.
     pub(crate) fn web_line(answer: String) -> ProbeResult {
-        let status = answer
-            .split_whitespace()
-            .nth(1)
-            .and_then(|word| word.parse().ok());
+        let status = answer.split_whitespace().nth(1).and_then(|word| word.parse().ok());
         ProbeResult::Web {
             is_backend_down: status.is_some_and(|code| BACKEND_DOWN.contains(&code)),
             answer,
@@ -194,9 +191,7 @@ impl ProbeResult {
             | ProbeResult::OtherKind(_)
             | ProbeResult::OtherGrpc
             | ProbeResult::LacksCall => true,
-            ProbeResult::Web {
-                is_backend_down, ..
-            } => !is_backend_down,
+            ProbeResult::Web { is_backend_down, .. } => !is_backend_down,
             ProbeResult::UnknownHost
             | ProbeResult::Nothing
             | ProbeResult::NoAnswer
@@ -236,13 +231,7 @@ struct Finding<'a>(&'a ConnectError);
 
 impl fmt::Display for Finding<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ConnectError {
-            expected,
-            host,
-            found,
-            settings,
-            has_authority,
-        } = self.0;
+        let ConnectError { expected, host, found, settings, has_authority } = self.0;
         match found {
             ProbeResult::UnknownHost => write!(f, "no address is known for the name `{host}`"),
             ProbeResult::Nothing => f.write_str("nothing listens there"),
@@ -272,15 +261,12 @@ impl fmt::Display for Finding<'_> {
             }
             ProbeResult::Certificate(CertificateFault::OtherName { names }) => {
                 match names.is_empty() {
-                    true => write!(
-                        f,
-                        "its certificate names no host, so it is not valid for `{host}`"
-                    ),
-                    false => write!(
-                        f,
-                        "its certificate is for {}, not for `{host}`",
-                        names.join(", ")
-                    ),
+                    true => {
+                        write!(f, "its certificate names no host, so it is not valid for `{host}`")
+                    }
+                    false => {
+                        write!(f, "its certificate is for {}, not for `{host}`", names.join(", "))
+                    }
                 }
             }
             ProbeResult::Certificate(CertificateFault::Authority) => f.write_str(
@@ -290,22 +276,15 @@ impl fmt::Display for Finding<'_> {
                 write!(f, "its certificate cannot be used ({message})")
             }
             ProbeResult::OtherTls(message) => write!(f, "TLS with it fails ({message})"),
-            ProbeResult::Web {
-                answer,
-                is_backend_down: true,
-            } => write!(
-                f,
-                "a proxy there cannot reach the server behind it ({answer})"
-            ),
+            ProbeResult::Web { answer, is_backend_down: true } => {
+                write!(f, "a proxy there cannot reach the server behind it ({answer})")
+            }
             ProbeResult::Web { answer, .. } => {
                 write!(f, "a web server of another kind is there ({answer})")
             }
             ProbeResult::Ssh => f.write_str("an SSH server is there"),
             ProbeResult::Other { answer } => {
-                write!(
-                    f,
-                    "a server of another kind is there, whose answer begins with {answer:?}"
-                )
+                write!(f, "a server of another kind is there, whose answer begins with {answer:?}")
             }
             ProbeResult::Mute => {
                 f.write_str("the server there closes the connection or sends nothing")
@@ -313,11 +292,9 @@ impl fmt::Display for Finding<'_> {
             ProbeResult::OtherKind(kind) => {
                 write!(f, "{} is there, not {}", kind.article(), expected.article())
             }
-            ProbeResult::OtherGrpc => write!(
-                f,
-                "a gRPC server is there, and it is not {}",
-                expected.article()
-            ),
+            ProbeResult::OtherGrpc => {
+                write!(f, "a gRPC server is there, and it is not {}", expected.article())
+            }
             ProbeResult::LacksCall => {
                 write!(f, "{} there does not have this call", expected.definite())
             }
@@ -332,19 +309,12 @@ impl fmt::Display for Remedy<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let trouble = self.0;
         let expected = trouble.expected;
-        let Settings {
-            address,
-            authority,
-            clear,
-            encrypted,
-        } = trouble.settings;
+        let Settings { address, authority, clear, encrypted } = trouble.settings;
         match &trouble.found {
             ProbeResult::UnknownHost => write!(f, "correct the host's name in {address}"),
-            ProbeResult::Nothing => write!(
-                f,
-                "{}, or name another in {address}",
-                expected.start_instruction()
-            ),
+            ProbeResult::Nothing => {
+                write!(f, "{}, or name another in {address}", expected.start_instruction())
+            }
             ProbeResult::NoAnswer => write!(
                 f,
                 "check that the machine is running and that no firewall blocks the connection, or \
@@ -375,10 +345,9 @@ impl fmt::Display for Remedy<'_> {
                 "write {clear} in place of {encrypted} in {address}, or start the server with \
                  --tls-cert and --tls-key"
             ),
-            ProbeResult::Certificate(CertificateFault::Untrusted) => write!(
-                f,
-                "set {authority} to the certificate of the authority that signed it"
-            ),
+            ProbeResult::Certificate(CertificateFault::Untrusted) => {
+                write!(f, "set {authority} to the certificate of the authority that signed it")
+            }
             ProbeResult::Certificate(CertificateFault::Expired { .. }) => {
                 f.write_str("start the server with a new one in --tls-cert")
             }
@@ -398,24 +367,19 @@ impl fmt::Display for Remedy<'_> {
             ProbeResult::OtherTls(_) => {
                 f.write_str("let the server use TLS 1.2 or 1.3, and HTTP/2")
             }
-            ProbeResult::Web {
-                is_backend_down: true,
-                ..
-            } => f.write_str(expected.start_instruction()),
+            ProbeResult::Web { is_backend_down: true, .. } => {
+                f.write_str(expected.start_instruction())
+            }
             ProbeResult::Web { .. }
             | ProbeResult::Ssh
             | ProbeResult::Other { .. }
             | ProbeResult::OtherKind(_)
-            | ProbeResult::OtherGrpc => write!(
-                f,
-                "name the address of {} in {address}",
-                expected.definite()
-            ),
-            ProbeResult::Mute => write!(
-                f,
-                "check that {address} names the port of {}",
-                expected.definite()
-            ),
+            | ProbeResult::OtherGrpc => {
+                write!(f, "name the address of {} in {address}", expected.definite())
+            }
+            ProbeResult::Mute => {
+                write!(f, "check that {address} names the port of {}", expected.definite())
+            }
             ProbeResult::LacksCall => f.write_str(match expected {
                 ServerKind::Coordinator => "use the same version of both programs",
                 ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => {

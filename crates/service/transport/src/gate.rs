@@ -104,10 +104,7 @@ impl<S> Layer<S> for Gate {
     type Service = Gated<S>;
 
     fn layer(&self, inner: S) -> Gated<S> {
-        Gated {
-            inner,
-            shared: Arc::clone(&self.shared),
-        }
+        Gated { inner, shared: Arc::clone(&self.shared) }
     }
 }
 
@@ -193,11 +190,7 @@ impl Shared {
             Some(role) if roles.contains(&role) => Ok(()),
             Some(role) => Err(Status::permission_denied(format!(
                 "answer a {role}: this path requires the token of {}",
-                roles
-                    .iter()
-                    .map(|role| role.name())
-                    .collect::<Vec<_>>()
-                    .join(" or ")
+                roles.iter().map(|role| role.name()).collect::<Vec<_>>().join(" or ")
             ))),
         }
     }

@@ -77,10 +77,7 @@ impl Limits {
         let total = descriptors.saturating_sub(RESERVED_DESCRIPTORS);
         let total = usize::try_from(total).unwrap_or(usize::MAX);
         let total = total.max(MIN_CONNECTIONS);
-        Limits {
-            total,
-            of_one_address: (total / 4 * 3).max(1),
-        }
+        Limits { total, of_one_address: (total / 4 * 3).max(1) }
     }
 }
 
@@ -107,9 +104,7 @@ struct Slot {
 impl OpenConnections {
     fn lock(&self) -> MutexGuard<'_, HashMap<u64, Entry>> {
         // No thread panics while it holds this lock.
-        self.connections
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        self.connections.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
@@ -122,28 +117,19 @@ impl OpenConnections {
     ) -> Option<(Slot, Arc<Notify>)> {
         let mut connections = self.lock();
         let is_same_address = |entry: &Entry| entry.address == address;
-        let count = connections
-            .values()
-            .filter(|entry| is_same_address(entry))
-            .count();
+        let count = connections.values().filter(|entry| is_same_address(entry)).count();
         let is_full = count >= self.limits.of_one_address;
         if is_full || connections.len() >= self.limits.total {
             let silent = connections
                 .iter()
                 .filter(|(_, entry)| entry.evict.is_some() && (!is_full || is_same_address(entry)));
             let oldest = silent.map(|(number, _)| *number).min()?;
-            if let Some(Entry {
-                evict: Some(evict), ..
-            }) = connections.remove(&oldest)
-            {
+            if let Some(Entry { evict: Some(evict), .. }) = connections.remove(&oldest) {
                 evict.notify_one();
             }
         }
         let evict = Arc::new(Notify::new());
-        let entry = Entry {
-            address,
-            evict: Some(evict.clone()),
-        };
+        let entry = Entry { address, evict: Some(evict.clone()) };
         connections.insert(number, entry);
         let open = self.clone();
         Some((Slot { open, number }, evict))
@@ -309,10 +295,7 @@ impl Incoming {
         let connections = Mutex::default();
         Incoming {
             listener,
-            open: Arc::new(OpenConnections {
-                limits,
-                connections,
-            }),
+            open: Arc::new(OpenConnections { limits, connections }),
             idle: IDLE_TIMEOUT,
             accepted: 0,
             pause: FIRST_PAUSE,
@@ -358,10 +341,7 @@ impl Incoming {
             let is_recent = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
             if !self.logged.is_some_and(is_recent) {
                 self.logged = Some(Instant::now());
-                let Limits {
-                    total,
-                    of_one_address,
-                } = self.open.limits;
+                let Limits { total, of_one_address } = self.open.limits;
                 tracing::warn!(
                     "a connection of {address} was refused: at most {total} are accepted, and \
                      {of_one_address} from one address; if all are needed, allow this process \
@@ -402,10 +382,7 @@ mod tests {
 
     fn open(total: usize, of_one_address: usize) -> Arc<OpenConnections> {
         Arc::new(OpenConnections {
-            limits: Limits {
-                total,
-                of_one_address,
-            },
+            limits: Limits { total, of_one_address },
             connections: Mutex::default(),
         })
     }
@@ -422,9 +399,7 @@ mod tests {
         let open = open(3, 3);
         let silent = [1, 2].map(|number| open.take_slot(number, address(1)).expect("a slot"));
         let active = active(&open, 3, address(1)).expect("a slot");
-        let next = open
-            .take_slot(4, address(2))
-            .expect("the slot of the first");
+        let next = open.take_slot(4, address(2)).expect("the slot of the first");
         let mut numbers: Vec<u64> = open.lock().keys().copied().collect();
         numbers.sort_unstable();
         assert_eq!(numbers, [2, 3, 4]);
@@ -436,18 +411,11 @@ mod tests {
     fn active_connections_of_one_address_leave_the_others_their_share() {
         let open = open(4, 3);
         let silent = open.take_slot(1, address(2)).expect("a slot");
-        let taken: Vec<Slot> = (2..=4)
-            .filter_map(|number| active(&open, number, address(1)))
-            .collect();
+        let taken: Vec<Slot> =
+            (2..=4).filter_map(|number| active(&open, number, address(1))).collect();
         assert_eq!(taken.len(), 3);
-        assert!(
-            open.take_slot(5, address(1)).is_none(),
-            "the address has used its share"
-        );
-        assert!(
-            open.lock().contains_key(&1),
-            "the silent connection of another address stays"
-        );
+        assert!(open.take_slot(5, address(1)).is_none(), "the address has used its share");
+        assert!(open.lock().contains_key(&1), "the silent connection of another address stays");
         // Another address evicts the silent connection.
         assert!(open.take_slot(6, address(3)).is_some());
         assert!(!open.lock().contains_key(&1));
@@ -474,9 +442,7 @@ mod tests {
     async fn time_until_closed(connection: &mut Watched) -> Duration {
         let begun = Instant::now();
         let read = timeout(4 * GREETING_TIMEOUT, connection.read_u8()).await;
-        let error = read
-            .expect("the read ends")
-            .expect_err("the connection is closed");
+        let error = read.expect("the read ends").expect_err("the connection is closed");
         assert_eq!(error.kind(), io::ErrorKind::TimedOut, "{error}");
         begun.elapsed()
     }
@@ -518,10 +484,7 @@ mod tests {
         caller.write_all(&bytes).expect("sent");
         connection.read_exact(&mut bytes).await.expect("received");
         let closed = time_until_closed(&mut connection).await;
-        assert!(
-            closed < GREETING_TIMEOUT + Duration::from_secs(5),
-            "{closed:?}"
-        );
+        assert!(closed < GREETING_TIMEOUT + Duration::from_secs(5), "{closed:?}");
     }
 
     /// Name of a test that lowers the limits of its process.
@@ -535,10 +498,7 @@ mod tests {
         let output = child.output().expect("it runs");
         let output_text = [output.stdout, output.stderr].concat();
         let output_text = String::from_utf8_lossy(&output_text);
-        assert!(
-            output.status.success() && output_text.contains("1 passed"),
-            "{output_text}"
-        );
+        assert!(output.status.success() && output_text.contains("1 passed"), "{output_text}");
     }
 
     #[tokio::test]
@@ -563,10 +523,7 @@ mod tests {
         assert!(files.len() < 128, "the limit is not in force");
         let begun = Instant::now();
         let early = timeout(Duration::from_millis(400), accepted(&mut incoming)).await;
-        assert!(
-            early.is_err(),
-            "accepted a connection without a free descriptor"
-        );
+        assert!(early.is_err(), "accepted a connection without a free descriptor");
         // Accepting pauses six times, for 10, 20, … 320 ms, instead of retrying at once.
         assert!(incoming.pause > 8 * FIRST_PAUSE, "{:?}", incoming.pause);
         assert!(incoming.pause <= LONGEST_PAUSE, "{:?}", incoming.pause);
@@ -579,20 +536,8 @@ mod tests {
     #[test]
     fn limits_reserve_descriptors_for_other_files() {
         let limits = Limits::of_descriptors(1_024);
-        assert_eq!(
-            limits,
-            Limits {
-                total: 928,
-                of_one_address: 696
-            }
-        );
+        assert_eq!(limits, Limits { total: 928, of_one_address: 696 });
         let few = Limits::of_descriptors(1);
-        assert_eq!(
-            few,
-            Limits {
-                total: 8,
-                of_one_address: 6
-            }
-        );
+        assert_eq!(few, Limits { total: 8, of_one_address: 6 });
     }
 }

@@ -37,12 +37,7 @@ impl Peer {
     /// Creates the peer at an endpoint, where a server of `kind` is expected. `settings` are
     /// the client's options that remedies name.
     pub fn new(endpoint: Endpoint, access: &Access, kind: ServerKind, settings: Settings) -> Peer {
-        Peer {
-            endpoint,
-            access: access.clone(),
-            kind,
-            settings,
-        }
+        Peer { endpoint, access: access.clone(), kind, settings }
     }
 
     /// Diagnoses a failed call; `None` if the server itself answered with the failure. May probe
@@ -87,9 +82,7 @@ impl Peer {
         let is_encrypted = Access::is_encrypted(uri);
         let target = ProbeTarget {
             host: host(uri),
-            port: uri
-                .port_u16()
-                .unwrap_or(if is_encrypted { 443 } else { 80 }),
+            port: uri.port_u16().unwrap_or(if is_encrypted { 443 } else { 80 }),
             is_encrypted,
         };
         let protocols: &[&[u8]] = match self.kind {
@@ -115,9 +108,7 @@ impl Peer {
         let Some(channel) = self.access.channel(self.http_endpoint()).await else {
             return ProbeResult::Broken;
         };
-        let others = ServerKind::OF_GRPC
-            .into_iter()
-            .filter(|kind| *kind != self.kind);
+        let others = ServerKind::OF_GRPC.into_iter().filter(|kind| *kind != self.kind);
         let mut finding = ProbeResult::OtherGrpc;
         for kind in [self.kind].into_iter().chain(others) {
             let Some(path) = kind.call() else { continue };
@@ -141,10 +132,8 @@ impl Peer {
             .body(Body::new(EMPTY_MESSAGE.to_owned()))
             .map_err(|_| ProbeResult::Broken)?;
         let headers = request.headers_mut();
-        for (name, value) in [
-            (header::CONTENT_TYPE, "application/grpc"),
-            (header::TE, "trailers"),
-        ] {
+        for (name, value) in [(header::CONTENT_TYPE, "application/grpc"), (header::TE, "trailers")]
+        {
             headers.insert(name, header::HeaderValue::from_static(value));
         }
         // Without a token, a protected server refuses every path alike.
@@ -153,10 +142,7 @@ impl Peer {
         }
         let is_ready = poll_fn(|context| channel.poll_ready(context)).await;
         is_ready.map_err(|_| ProbeResult::Broken)?;
-        let answer = channel
-            .call(request)
-            .await
-            .map_err(|_| ProbeResult::Broken)?;
+        let answer = channel.call(request).await.map_err(|_| ProbeResult::Broken)?;
         let content = answer.headers().get(header::CONTENT_TYPE);
         if !content.is_some_and(|header| header.as_bytes().starts_with(b"application/grpc")) {
             return Err(ProbeResult::web(answer.status().as_u16()));
@@ -168,11 +154,7 @@ impl Peer {
     /// Returns the endpoint of the server for gRPC calls of the probe, with its timeouts.
     fn http_endpoint(&self) -> Endpoint {
         let uri = self.endpoint.uri();
-        let scheme = if Access::is_encrypted(uri) {
-            "https"
-        } else {
-            "http"
-        };
+        let scheme = if Access::is_encrypted(uri) { "https" } else { "http" };
         let authority = uri.authority().map_or("", |authority| authority.as_str());
         Endpoint::from_shared(format!("{scheme}://{authority}"))
             .unwrap_or_else(|_| self.endpoint.clone())
@@ -189,10 +171,7 @@ fn connection_finding(status: &Status) -> Option<ProbeResult> {
         if let Some(untrusted) = error.downcast_ref::<Untrusted>() {
             return Some(ProbeResult::from(*untrusted));
         }
-        if let Some(found) = error
-            .downcast_ref::<io::Error>()
-            .and_then(probe::connect_finding)
-        {
+        if let Some(found) = error.downcast_ref::<io::Error>().and_then(probe::connect_finding) {
             return Some(found);
         }
         cause = error.source();

@@ -243,10 +243,7 @@ fn classify(bytes: &[u8]) -> Reply {
 fn first_line(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(bytes);
     let line = text.lines().next().unwrap_or_default();
-    line.chars()
-        .take(QUOTED_CHARS)
-        .filter(|c| !c.is_control())
-        .collect()
+    line.chars().take(QUOTED_CHARS).filter(|c| !c.is_control()).collect()
 }
 
 fn http_version(reply: Reply) -> Result<HttpVersion, ProbeResult> {
@@ -287,11 +284,7 @@ mod tests {
             .unwrap()
             .with_root_certificates(RootCertStore::empty())
             .with_no_client_auth();
-        let target = ProbeTarget {
-            host: "127.0.0.1",
-            port,
-            is_encrypted: false,
-        };
+        let target = ProbeTarget { host: "127.0.0.1", port, is_encrypted: false };
         let tls = TlsConnector::from(Arc::new(tls));
         tokio::join!(identify(target, &tls), server).0
     }
@@ -316,10 +309,7 @@ mod tests {
         let line = "HTTP/1.1 400 Bad Request";
         let answer = format!("{line}\r\nServer: x\r\n\r\n");
         check(answer.as_bytes(), Reply::Http1(line.to_owned()));
-        check(
-            b"220 mail ESMTP\r\n",
-            Reply::Other("220 mail ESMTP".to_owned()),
-        );
+        check(b"220 mail ESMTP\r\n", Reply::Other("220 mail ESMTP".to_owned()));
     }
 
     #[test]

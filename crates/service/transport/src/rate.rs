@@ -39,24 +39,19 @@ impl Rates {
     /// Counts a request; returns false if the connection is over its limit.
     pub(crate) fn admit(&mut self, caller: SocketAddr, now: Instant) -> bool {
         if self.buckets.len() >= MAX_BUCKETS && !self.buckets.contains_key(&caller) {
-            self.buckets
-                .retain(|_, bucket| bucket.filled(now) < BURST_REQUESTS);
+            self.buckets.retain(|_, bucket| bucket.filled(now) < BURST_REQUESTS);
             if self.buckets.len() >= MAX_BUCKETS {
                 return false;
             }
         }
-        let bucket = self.buckets.entry(caller).or_insert(Bucket {
-            remaining: BURST_REQUESTS,
-            updated: now,
-        });
+        let bucket = self
+            .buckets
+            .entry(caller)
+            .or_insert(Bucket { remaining: BURST_REQUESTS, updated: now });
         let remaining = bucket.filled(now);
         let is_admitted = remaining >= 1.0;
         *bucket = Bucket {
-            remaining: if is_admitted {
-                remaining - 1.0
-            } else {
-                remaining
-            },
+            remaining: if is_admitted { remaining - 1.0 } else { remaining },
             updated: now,
         };
         is_admitted
@@ -81,10 +76,7 @@ mod tests {
         let burst = BURST_REQUESTS as usize;
         assert!((0..burst).all(|_| rates.admit(caller(1), start)));
         assert!(!rates.admit(caller(1), start));
-        assert!(
-            rates.admit(caller(2), start),
-            "other connections are not limited"
-        );
+        assert!(rates.admit(caller(2), start), "other connections are not limited");
         let later = start + Duration::from_millis(100);
         let admitted = (0..burst).filter(|_| rates.admit(caller(1), later)).count();
         assert_eq!(admitted, 1_000);

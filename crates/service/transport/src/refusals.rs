@@ -22,8 +22,7 @@ pub(crate) struct Refusals {
 impl Refusals {
     /// Returns true if this refusal must be logged now.
     pub(crate) fn must_log(&mut self, caller: IpAddr, code: Code, now: Instant) -> bool {
-        self.logged
-            .retain(|_, at| now.saturating_duration_since(*at) < LOG_AGAIN_AFTER);
+        self.logged.retain(|_, at| now.saturating_duration_since(*at) < LOG_AGAIN_AFTER);
         let key = (caller, code);
         if self.logged.contains_key(&key) || self.logged.len() >= MAX_REMEMBERED_REFUSALS {
             return false;

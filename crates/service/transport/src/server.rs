@@ -168,9 +168,7 @@ impl Security {
     /// the system provides no randomness.
     pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
-        roles
-            .contains(&role)
-            .then(|| self.browser_sessions.log_in())?
+        roles.contains(&role).then(|| self.browser_sessions.log_in())?
     }
 
     /// Logs out the browser that sent a request. Returns the value of `Set-Cookie`.
@@ -215,9 +213,7 @@ impl Security {
             .http2_max_header_list_size(MAX_HEADER_BYTES)
             .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION);
         if let Some(identity) = &self.identity {
-            let tls = ServerTlsConfig::new()
-                .identity(identity.clone())
-                .timeout(HANDSHAKE_TIMEOUT);
+            let tls = ServerTlsConfig::new().identity(identity.clone()).timeout(HANDSHAKE_TIMEOUT);
             server = server.tls_config(tls).map_err(|_| SecurityError::Tls)?;
         }
         Ok(server.layer(gate))
@@ -237,17 +233,10 @@ pub(crate) fn tokens(file: Option<&Path>) -> Result<Option<Tokens>, TokenError> 
 
 /// Reads a private key. Fails if other users can access the file.
 fn read_key(path: &Path) -> Result<Vec<u8>, SecurityError> {
-    let unreadable = |source| SecurityError::Pem {
-        path: path.to_owned(),
-        source,
-    };
+    let unreadable = |source| SecurityError::Pem { path: path.to_owned(), source };
     let mut file = File::open(path).map_err(unreadable)?;
     if let Some((mode, chmod)) = exposed(&file).map_err(unreadable)? {
-        return Err(SecurityError::Exposed {
-            path: path.to_owned(),
-            mode,
-            chmod,
-        });
+        return Err(SecurityError::Exposed { path: path.to_owned(), mode, chmod });
     }
     let mut key = Vec::new();
     file.read_to_end(&mut key).map_err(unreadable)?;
@@ -255,10 +244,7 @@ fn read_key(path: &Path) -> Result<Vec<u8>, SecurityError> {
 }
 
 pub(crate) fn read_pem(path: &Path) -> Result<Vec<u8>, SecurityError> {
-    std::fs::read(path).map_err(|source| SecurityError::Pem {
-        path: path.to_owned(),
-        source,
-    })
+    std::fs::read(path).map_err(|source| SecurityError::Pem { path: path.to_owned(), source })
 }
 
 #[cfg(test)]
@@ -266,10 +252,7 @@ mod tests {
     use super::*;
 
     fn arguments(insecure: bool) -> ServerArguments {
-        ServerArguments {
-            insecure,
-            ..ServerArguments::default()
-        }
+        ServerArguments { insecure, ..ServerArguments::default() }
     }
 
     #[test]
@@ -278,12 +261,7 @@ mod tests {
             let address = address.parse().expect(address);
             arguments(insecure).security(address).is_err()
         };
-        for loopback in [
-            "127.0.0.1:1",
-            "127.9.9.9:0",
-            "[::1]:1",
-            "[::ffff:127.0.0.1]:1",
-        ] {
+        for loopback in ["127.0.0.1:1", "127.9.9.9:0", "[::1]:1", "[::ffff:127.0.0.1]:1"] {
             assert!(!refused(loopback, false), "{loopback}");
         }
         for open in ["0.0.0.0:1", "[::]:1", "10.0.0.7:1", "[::ffff:10.0.0.7]:1"] {

@@ -57,10 +57,7 @@ impl FromStr for Role {
     type Err = ();
 
     fn from_str(text: &str) -> Result<Role, ()> {
-        Role::ALL
-            .into_iter()
-            .find(|role| role.name() == text)
-            .ok_or(())
+        Role::ALL.into_iter().find(|role| role.name() == text).ok_or(())
     }
 }
 
@@ -154,31 +151,19 @@ pub enum TokenError {
 impl Tokens {
     /// Reads a token file. Fails if other users can access the file.
     pub fn read(path: &Path) -> Result<Tokens, TokenError> {
-        let read_error = |source| TokenError::Read {
-            path: path.to_owned(),
-            source,
-        };
+        let read_error = |source| TokenError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
         let file = File::open(path).map_err(read_error)?;
         if let Some((mode, chmod)) = exposed(&file).map_err(read_error)? {
-            return Err(TokenError::Exposed {
-                path: path.to_owned(),
-                mode,
-                chmod,
-            });
+            return Err(TokenError::Exposed { path: path.to_owned(), mode, chmod });
         }
         let mut bounded = file.take(MAX_TOKEN_FILE_BYTES + 1);
         bounded.read_to_end(&mut bytes).map_err(read_error)?;
         if bytes.len() as u64 > MAX_TOKEN_FILE_BYTES {
-            return Err(TokenError::TooLarge {
-                path: path.to_owned(),
-            });
+            return Err(TokenError::TooLarge { path: path.to_owned() });
         }
         let text = String::from_utf8(bytes).map_err(|_| {
-            read_error(io::Error::new(
-                io::ErrorKind::InvalidData,
-                "it is not UTF-8",
-            ))
+            read_error(io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8"))
         })?;
         Tokens::parse(&text, &format!("token file {}", path.display()))
     }
@@ -207,10 +192,7 @@ impl Tokens {
             return Err(TokenError::Empty { place });
         }
         let digests = tokens.iter().map(|(_, token)| digest(token.secret()));
-        Ok(Tokens {
-            digests: digests.collect(),
-            tokens,
-        })
+        Ok(Tokens { digests: digests.collect(), tokens })
     }
 
     /// Returns the role of the token `given`; `None` if it is unknown. The time taken does not

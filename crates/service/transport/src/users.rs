@@ -35,10 +35,7 @@ pub struct Caller {
 
 impl Caller {
     pub(crate) fn new(connection: TcpConnectInfo) -> Self {
-        Self {
-            connection,
-            user: Arc::default(),
-        }
+        Self { connection, user: Arc::default() }
     }
 
     pub(crate) fn address(&self) -> Option<SocketAddr> {
@@ -171,12 +168,7 @@ fn row(line: &str) -> Option<Row> {
     let (local, remote, state) = (text()?, text()?, text()?);
     let user = fields.nth(3)?.parse().ok()?;
     // A socket that its process has closed has inode 0 and is listed as root's.
-    (fields.nth(1)? != "0").then_some(Row {
-        local,
-        remote,
-        state,
-        user,
-    })
+    (fields.nth(1)? != "0").then_some(Row { local, remote, state, user })
 }
 
 /// Returns true if a field of the table is this address: words of four bytes in the machine's byte
@@ -208,11 +200,9 @@ mod tests {
 
     #[test]
     fn the_kernel_reports_the_user_of_an_open_connection_and_none_once_it_is_closed() {
-        for (listen, connect) in [
-            ("127.0.0.1:0", "127.0.0.1"),
-            ("[::1]:0", "[::1]"),
-            ("[::]:0", "127.0.0.1"),
-        ] {
+        for (listen, connect) in
+            [("127.0.0.1:0", "127.0.0.1"), ("[::1]:0", "[::1]"), ("[::]:0", "127.0.0.1")]
+        {
             // The machine may have no IPv6.
             let Ok(listener) = TcpListener::bind(listen) else {
                 continue;
@@ -226,12 +216,8 @@ mod tests {
             assert_eq!(user, Some(geteuid().as_raw()), "{listen}");
             let unconnected = SocketAddr::new(peer.ip(), peer.port() ^ 1);
             assert_eq!(user_of(unconnected, local).expect("a table"), None);
-            let trusted = check_rows(
-                &rows(peer, local).expect("a table"),
-                peer,
-                local,
-                geteuid().as_raw(),
-            );
+            let trusted =
+                check_rows(&rows(peer, local).expect("a table"), peer, local, geteuid().as_raw());
             assert_eq!(trusted, Ok(()), "{listen}");
             drop(client);
             assert_eq!(user_of(peer, local).expect("a table"), None, "{listen}");
@@ -269,13 +255,9 @@ mod tests {
 
     #[test]
     fn system_users_are_distinguished_from_people() {
-        for (user, expected) in [
-            (0, true),
-            (999, true),
-            (1_000, false),
-            (61_184, true),
-            (65_534, false),
-        ] {
+        for (user, expected) in
+            [(0, true), (999, true), (1_000, false), (61_184, true), (65_534, false)]
+        {
             assert_eq!(is_system_user(user), expected, "{user}");
         }
     }

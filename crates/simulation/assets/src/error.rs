@@ -89,12 +89,7 @@ pub enum AssetsError {
          ROLLOUT_INDEX_URL to another package index, or ROLLOUT_WHEELS to a folder with LIBERO's \
          wheels"
     )]
-    Altered {
-        file: String,
-        url: String,
-        problem: String,
-        tries: u32,
-    },
+    Altered { file: String, url: String, problem: String, tries: u32 },
 }
 
 pub(crate) fn write_error(path: &Path, source: io::Error) -> AssetsError {

@@ -62,10 +62,7 @@ impl Fetch<'_> {
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
         if self.files_to_fetch(wanted)?.0.is_empty() {
             let present = wanted.len();
-            return Ok(Fetched {
-                present,
-                ..Fetched::default()
-            });
+            return Ok(Fetched { present, ..Fetched::default() });
         }
         let incoming = self.into.folder().join(INCOMING);
         fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
@@ -76,10 +73,7 @@ impl Fetch<'_> {
             files: 0,
             of_files: to_fetch.len(),
             bytes: 0,
-            of_bytes: to_fetch
-                .iter()
-                .map(|file| self.origin.transfer_bytes(file))
-                .sum(),
+            of_bytes: to_fetch.iter().map(|file| self.origin.transfer_bytes(file)).sum(),
         };
         self.send_report(Report::Arriving(progress))?;
         for group in self.origin.group_by_parcel(&to_fetch) {
@@ -123,11 +117,8 @@ impl Fetch<'_> {
     /// would append to the same partially received files.
     fn lock(&mut self) -> Result<File, AssetsError> {
         let path = self.into.folder().join(LOCK);
-        let file = File::options()
-            .create(true)
-            .append(true)
-            .custom_flags(receive::no_links())
-            .open(&path);
+        let file =
+            File::options().create(true).append(true).custom_flags(receive::no_links()).open(&path);
         let file = file.map_err(|source| write_error(&path, source))?;
         loop {
             match file.try_lock() {
@@ -217,11 +208,7 @@ impl Tries {
         let wait = self.0.next_wait();
         let tries = self.0.failures();
         if tries == receive::MAX_TRIES {
-            return Err(AssetsError::Unreachable {
-                url,
-                problem,
-                tries,
-            });
+            return Err(AssetsError::Unreachable { url, problem, tries });
         }
         Ok(wait)
     }

@@ -146,11 +146,7 @@ impl Client {
             .http_status_as_error(false)
             .tls_config(tls.build())
             .build();
-        Ok(Self {
-            agent: config.into(),
-            deadlines,
-            remedy,
-        })
+        Ok(Self { agent: config.into(), deadlines, remedy })
     }
 
     /// Requests a byte range. The server may send the whole file instead; the status code tells.
@@ -191,10 +187,9 @@ impl Client {
             request = request.header("Authorization", authorization);
         }
         let url = || address.as_str().to_owned();
-        let response = request.call().map_err(|error| RequestError::Transient {
-            url: url(),
-            problem: describe(&error),
-        })?;
+        let response = request
+            .call()
+            .map_err(|error| RequestError::Transient { url: url(), problem: describe(&error) })?;
         match response.status().as_u16() {
             200 | 206 | 416 => Ok(response),
             status @ (408 | 429 | 500..) => Err(RequestError::Transient {
@@ -220,12 +215,10 @@ impl Client {
         let kind = kind.and_then(|kind| kind.to_str().ok());
         let kind = kind.unwrap_or_default().to_ascii_lowercase();
         let body = response.body_mut().with_config().limit(MAX_TEXT_BYTES);
-        let text = body
-            .read_to_string()
-            .map_err(|error| RequestError::Transient {
-                url: address.as_str().to_owned(),
-                problem: describe(&error),
-            })?;
+        let text = body.read_to_string().map_err(|error| RequestError::Transient {
+            url: address.as_str().to_owned(),
+            problem: describe(&error),
+        })?;
         Ok((text, kind))
     }
 }

@@ -9,12 +9,8 @@ use crate::table::Wheel;
 /// The Python package index.
 pub const INDEX: &str = "https://pypi.org/simple";
 /// Environment variables with the URL of a package index: of this project, pip and uv.
-const VARIABLES: [&str; 4] = [
-    "ROLLOUT_INDEX_URL",
-    "PIP_INDEX_URL",
-    "UV_DEFAULT_INDEX",
-    "UV_INDEX_URL",
-];
+const VARIABLES: [&str; 4] =
+    ["ROLLOUT_INDEX_URL", "PIP_INDEX_URL", "UV_DEFAULT_INDEX", "UV_INDEX_URL"];
 /// JSON is preferred; mirrors often have only HTML.
 const ACCEPT: &str = "application/vnd.pypi.simple.v1+json, \
                       application/vnd.pypi.simple.v1+html;q=0.2, text/html;q=0.1";

@@ -158,11 +158,7 @@ impl Origin {
                 Location::File(path) => path.display().to_string(),
             },
             location,
-            bytes: if is_of_wheel {
-                wheel.bytes
-            } else {
-                group[0].bytes
-            },
+            bytes: if is_of_wheel { wheel.bytes } else { group[0].bytes },
             members: members.collect(),
         })
     }
@@ -231,16 +227,10 @@ fn open_file(path: &PathBuf, range: Range<u64>) -> Result<Stream, RequestError> 
     let file = open().map_err(|source: std::io::Error| {
         RequestError::Permanent(match source.kind() {
             std::io::ErrorKind::NotFound => AssetsError::NoWheel { path: path.clone() },
-            _ => AssetsError::Read {
-                path: path.clone(),
-                source,
-            },
+            _ => AssetsError::Read { path: path.clone(), source },
         })
     })?;
-    Ok(Stream {
-        position: range.start,
-        reader: Box::new(file),
-    })
+    Ok(Stream { position: range.start, reader: Box::new(file) })
 }
 
 fn address(what: &'static str, url: &str) -> Result<Address, AssetsError> {

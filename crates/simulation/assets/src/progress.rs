@@ -57,10 +57,7 @@ impl Progress {
             0..60 => format!("{remaining_secs} s"),
             _ => format!("{} min {} s", remaining_secs / 60, remaining_secs % 60),
         };
-        Some(format!(
-            "{}/s, {remaining} left",
-            size_in_words(rate as u64)
-        ))
+        Some(format!("{}/s, {remaining} left", size_in_words(rate as u64)))
     }
 }
 
@@ -92,12 +89,7 @@ pub struct Bar {
 
 impl Default for Bar {
     fn default() -> Self {
-        Self {
-            is_terminal: io::stderr().is_terminal(),
-            last: None,
-            first: None,
-            width: 0,
-        }
+        Self { is_terminal: io::stderr().is_terminal(), last: None, first: None, width: 0 }
     }
 }
 
@@ -164,30 +156,14 @@ mod tests {
 
     #[test]
     fn line_has_amount_rate_and_remaining_time() {
-        let half = Progress {
-            files: 3,
-            of_files: 8,
-            bytes: 1_500_000,
-            of_bytes: 3_000_000,
-        };
-        assert_eq!(
-            half.line(),
-            "[############............]  50 %  1.5 MB of 3.0 MB, 3 of 8 files"
-        );
-        let first = Progress {
-            bytes: 500_000,
-            ..half
-        };
+        let half = Progress { files: 3, of_files: 8, bytes: 1_500_000, of_bytes: 3_000_000 };
+        assert_eq!(half.line(), "[############............]  50 %  1.5 MB of 3.0 MB, 3 of 8 files");
+        let first = Progress { bytes: 500_000, ..half };
         let pace = |secs| half.pace(first, Duration::from_secs(secs));
         assert_eq!(pace(2).as_deref(), Some("500.0 kB/s, 3 s left"));
         assert_eq!(pace(100).as_deref(), Some("10.0 kB/s, 2 min 30 s left"));
         assert_eq!(pace(0), None);
-        let nothing = Progress {
-            files: 0,
-            of_files: 0,
-            bytes: 0,
-            of_bytes: 0,
-        };
+        let nothing = Progress { files: 0, of_files: 0, bytes: 0, of_bytes: 0 };
         assert_eq!(nothing.percent(), 100);
     }
 }

@@ -99,13 +99,7 @@ impl Table {
         let mut wheels = Vec::new();
         for row in rows(text.wheels) {
             let [project, version, file, bytes, sha256] = row?;
-            wheels.push(Wheel {
-                project,
-                version,
-                file,
-                bytes: bytes.parse().ok()?,
-                sha256,
-            });
+            wheels.push(Wheel { project, version, file, bytes: bytes.parse().ok()?, sha256 });
         }
         let mut files = Vec::new();
         for row in rows(text.files) {

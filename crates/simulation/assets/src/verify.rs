@@ -68,11 +68,7 @@ struct Stamp {
 impl VerifiedFolder {
     /// Describes the folder of a pack with files of `table`, without reading the folder.
     pub fn new(table: &'static Table, folder: &Path) -> Self {
-        Self {
-            table,
-            folder: folder.to_owned(),
-            verified: Mutex::default(),
-        }
+        Self { table, folder: folder.to_owned(), verified: Mutex::default() }
     }
 
     pub fn table(&self) -> &'static Table {

@@ -144,10 +144,7 @@ impl Backdrop {
     /// elsewhere.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
-        for row in window
-            .into_iter()
-            .flat_map(|window| window.rows(visible.stride))
-        {
+        for row in window.into_iter().flat_map(|window| window.rows(visible.stride)) {
             let samples = row.start * SAMPLES..row.end * SAMPLES;
             visible.depths[samples.clone()].copy_from_slice(&self.depths[samples.clone()]);
             visible.ids[samples.clone()].copy_from_slice(&self.ids[samples]);
@@ -164,37 +161,19 @@ impl Backdrop {
 /// Returns the bits of a camera for comparison; zeros of different sign are unequal.
 fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
     let vectors = [camera.pos, camera.forward, camera.up];
-    let numbers = [
-        camera.center,
-        camera.half_width,
-        camera.bottom,
-        camera.top,
-        camera.near,
-        camera.far,
-    ];
-    (
-        vectors.map(|vector| vector.map(f32::to_bits)),
-        numbers.map(f32::to_bits),
-        camera.orthographic,
-    )
+    let numbers =
+        [camera.center, camera.half_width, camera.bottom, camera.top, camera.near, camera.far];
+    (vectors.map(|vector| vector.map(f32::to_bits)), numbers.map(f32::to_bits), camera.orthographic)
 }
 
 /// Returns the bits of a light for comparison.
 fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
-    let vectors = [
-        light.pos,
-        light.dir,
-        light.ambient,
-        light.diffuse,
-        light.specular,
-    ];
+    let vectors = [light.pos, light.dir, light.ambient, light.diffuse, light.specular];
     let spot = match light.kind {
         LightKind::Directional => None,
-        LightKind::Spot {
-            cutoff,
-            exponent,
-            attenuation: [a, b, c],
-        } => Some([cutoff, exponent, a, b, c].map(f32::to_bits)),
+        LightKind::Spot { cutoff, exponent, attenuation: [a, b, c] } => {
+            Some([cutoff, exponent, a, b, c].map(f32::to_bits))
+        }
     };
     (vectors.map(|vector| vector.map(f32::to_bits)), spot)
 }

@@ -34,12 +34,8 @@ impl Candidates {
         drawing: &Drawing<'_>,
         is_beyond: bool,
     ) -> Self {
-        let mut found = Self {
-            count: 0,
-            triangles: [0; ROOM],
-            corners: [[0; ROOM]; 3],
-            needs_clipping: 0,
-        };
+        let mut found =
+            Self { count: 0, triangles: [0; ROOM], corners: [[0; ROOM]; 3], needs_clipping: 0 };
         let order = winding_order(instance.counter_clockwise);
         let first = cluster.first_triangle as usize;
         let count = cluster.triangles as usize;
@@ -73,14 +69,10 @@ impl Candidates {
             // Columns and rows of samples are a quarter of a pixel (64 subpixel units) apart, and
             // the first is at 32 units. Each row of a pixel contains one sample, and so does each
             // column.
-            let (column0, column1) = (
-                ((x0 + splat(31)) >> 6i32).max(left),
-                ((x1 - splat(32)) >> 6i32).min(right),
-            );
-            let (row0, row1) = (
-                ((y0 + splat(31)) >> 6i32).max(low),
-                ((y1 - splat(32)) >> 6i32).min(high),
-            );
+            let (column0, column1) =
+                (((x0 + splat(31)) >> 6i32).max(left), ((x1 - splat(32)) >> 6i32).min(right));
+            let (row0, row1) =
+                (((y0 + splat(31)) >> 6i32).max(low), ((y1 - splat(32)) >> 6i32).min(high));
             let mut selected = column0.le(column1) & row0.le(row1);
             let three = splat(3);
             let column_of_row = sample_column(row0);

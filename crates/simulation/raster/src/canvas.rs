@@ -94,9 +94,7 @@ impl Canvas {
         scene: &Scene,
         size: [usize; 2],
     ) -> Result<Vec<u8>, DrawError> {
-        self.frame(model, largest_levels, scene, size, |frame| {
-            frame.rgb.clone()
-        })
+        self.frame(model, largest_levels, scene, size, |frame| frame.rgb.clone())
     }
 
     /// Draws a frame. Returns the depths at each pixel's first sample: 0 at the near plane, 1 at
@@ -130,16 +128,10 @@ impl Canvas {
     ) -> Result<T, DrawError> {
         check(model, scene, width, height)?;
         for (index, texture) in model.textures.iter().enumerate() {
-            let (given, needed) = (
-                largest_levels.get(index).map_or(0, |bytes| bytes.len()),
-                texture.bytes(),
-            );
+            let (given, needed) =
+                (largest_levels.get(index).map_or(0, |bytes| bytes.len()), texture.bytes());
             if given != needed {
-                return Err(DrawError::Texels {
-                    texture: index,
-                    given,
-                    needed,
-                });
+                return Err(DrawError::Texels { texture: index, given, needed });
             }
         }
         let view = View::new(&scene.camera, width, height);
@@ -154,18 +146,10 @@ impl Canvas {
         let casting = scene.casting_lights();
         let shadowless = lights.iter().zip(&casting).filter(|(_, casts)| !**casts);
         let shadowless: Vec<EyeLight> = shadowless.map(|(light, _)| *light).collect();
-        let opaque = Pass {
-            light: Lighting {
-                lights: &shadowless,
-                ..pass.light
-            },
-            ..pass
-        };
+        let opaque = Pass { light: Lighting { lights: &shadowless, ..pass.light }, ..pass };
         SCRATCH.with_borrow_mut(|scratch| {
             let mut frame = scratch.take(self.last_frame);
-            let Scratch {
-                reflection, work, ..
-            } = scratch;
+            let Scratch { reflection, work, .. } = scratch;
             let is_last = frame.number == self.last_frame;
             let before = frame.dirty.take().filter(|_| is_last);
             let start = self.backdrop.compare(scene, [width, height]);
@@ -215,9 +199,7 @@ impl Frame {
             }
         };
         let sky = |picture: &mut Picture| {
-            let sky = scene
-                .sky
-                .and_then(|sky| instance::sky(sky, pass.view, pass.model));
+            let sky = scene.sky.and_then(|sky| instance::sky(sky, pass.view, pass.model));
             picture.instances.extend(sky);
         };
         match start {
@@ -260,10 +242,7 @@ impl Frame {
             let changed = mirror::add(picture, reflection, pass, scene, geoms, work);
             self.dirty = Window::union(self.dirty, changed);
         }
-        let translucent: Vec<Geom> = translucent
-            .iter()
-            .map(|index| scene.geoms[*index])
-            .collect();
+        let translucent: Vec<Geom> = translucent.iter().map(|index| scene.geoms[*index]).collect();
         let changed = glass::add(picture, pass, &translucent, work);
         self.dirty = Window::union(self.dirty, changed);
     }
@@ -312,11 +291,7 @@ pub(crate) fn check(
     let camera = &scene.camera;
     let require = |is_valid: bool, what, value, needed| match is_valid {
         true => Ok(()),
-        false => Err(DrawError::Camera {
-            what,
-            value,
-            needed,
-        }),
+        false => Err(DrawError::Camera { what, value, needed }),
     };
     let (near, far) = (camera.near, camera.far);
     let needed = "it must be finite, positive and nearer than the far plane";
@@ -340,22 +315,12 @@ pub(crate) fn check(
         .chain(camera.forward)
         .chain(camera.up);
     for value in finite {
-        require(
-            value.is_finite(),
-            "pose or width",
-            value,
-            "it must be finite",
-        )?;
+        require(value.is_finite(), "pose or width", value, "it must be finite")?;
     }
     for (at, geom) in scene.geoms.iter().enumerate() {
         let exists = |what, index: usize, count: usize| match index < count {
             true => Ok(()),
-            false => Err(DrawError::Missing {
-                geom: at,
-                what,
-                index,
-                count,
-            }),
+            false => Err(DrawError::Missing { geom: at, what, index, count }),
         };
         match geom.shape {
             Shape::Mesh(index) => exists("mesh", index, model.meshes.len())?,
@@ -372,10 +337,9 @@ pub(crate) fn check(
         return Err(DrawError::Shadows { size });
     }
     match scene.sky {
-        Some(index) if index >= model.textures.len() => Err(DrawError::MissingSky {
-            index,
-            count: model.textures.len(),
-        }),
+        Some(index) if index >= model.textures.len() => {
+            Err(DrawError::MissingSky { index, count: model.textures.len() })
+        }
         _ => Ok(()),
     }
 }

@@ -90,13 +90,7 @@ impl Lookups {
             lookups[*at as usize] = lookup;
             *at += 1;
         }
-        Self {
-            size: size as i32,
-            cells,
-            lookups,
-            starts,
-            sums,
-        }
+        Self { size: size as i32, cells, lookups, starts, sums }
     }
 
     /// Returns true for each fragment that the light reaches: the fragment has a lookup that no
@@ -137,10 +131,7 @@ impl Lookups {
         let ends = |axis: usize| {
             let [a, b, c] = snapped.map(|corner| corner[axis]);
             let texel = SUBPIXELS.ilog2();
-            [
-                (a.min(b).min(c) + SUBPIXELS - 1) >> texel,
-                a.max(b).max(c) >> texel,
-            ]
+            [(a.min(b).min(c) + SUBPIXELS - 1) >> texel, a.max(b).max(c) >> texel]
         };
         let [x, y] = [ends(0), ends(1)];
         let Some([columns, rows]) = self.cells_with_lookups([x[0], y[0]], [x[1], y[1]]) else {
@@ -269,10 +260,7 @@ impl Depths {
 /// Darkens the lookups behind any geom, as seen by the light.
 pub(crate) fn cast(scene: &Scene, light: &View, model: &Model, lookups: &mut Lookups) {
     let half = lookups.size as f32 * 0.5;
-    let viewport = Viewport {
-        scale: [half - BORDER; 2],
-        middle: [half; 2],
-    };
+    let viewport = Viewport { scale: [half - BORDER; 2], middle: [half; 2] };
     let mut instances = Vec::new();
     for (index, geom) in scene.geoms.iter().enumerate() {
         instance::add(index, geom, light, model, &mut instances);
@@ -309,11 +297,8 @@ fn cast_cluster(
             let [x, y, z] = &positions.places;
             lookups.darken(at.map(|at| [x[at], y[at], z[at]]));
         } else if beyond[0] & beyond[1] & beyond[2] == 0 {
-            let clipping = Clipping {
-                beyond: beyond[0] | beyond[1] | beyond[2],
-                plane: None,
-                viewport,
-            };
+            let clipping =
+                Clipping { beyond: beyond[0] | beyond[1] | beyond[2], plane: None, viewport };
             let corners = ids.map(|id| mesh.position(cluster, id));
             let polygon = clip::clip(instance, corners, [(); 3], &clipping);
             for piece in polygon.pieces() {
@@ -367,9 +352,7 @@ impl Positions {
         let mut low = [I::splat(i32::MAX); 2];
         let mut high = [I::splat(i32::MIN); 2];
         for at in (0..count).step_by(LANES) {
-            let row = instance
-                .to_clip
-                .rows(all.map(|values| F::load(&values[at..at + LANES])));
+            let row = instance.to_clip.rows(all.map(|values| F::load(&values[at..at + LANES])));
             let in_clip = [row(0), row(1), row(2), row(3)];
             let beyond = sides_beyond(in_clip);
             any |= beyond;

@@ -50,10 +50,7 @@ impl Viewport {
     /// Returns the viewport of a whole picture.
     pub(crate) fn whole(size: [usize; 2]) -> Self {
         let half = size.map(|side| side as f32 * 0.5);
-        Self {
-            scale: half,
-            middle: half,
-        }
+        Self { scale: half, middle: half }
     }
 }
 
@@ -136,11 +133,7 @@ pub(crate) fn clip<V: Values>(
     let [polygon, output] = &mut polygons;
     let (mut polygon, mut output) = (polygon, output);
     for ((to, pos), values) in polygon.iter_mut().zip(corners).zip(values) {
-        *to = Corner {
-            pos: to_clip_space(instance, pos),
-            values,
-            is_original: true,
-        };
+        *to = Corner { pos: to_clip_space(instance, pos), values, is_original: true };
     }
     let mut count = 3;
     for side in (0..SIDES).filter(|side| clipping.beyond & (1 << side) != 0) {
@@ -154,10 +147,7 @@ pub(crate) fn clip<V: Values>(
     for (to, corner) in finished.iter_mut().zip(&polygon[..count]) {
         *to = to_window(corner, &clipping.viewport);
     }
-    Polygon {
-        corners: finished,
-        count,
-    }
+    Polygon { corners: finished, count }
 }
 
 fn to_clip_space(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {

@@ -72,10 +72,7 @@ fn blocks(x: [i32; 2], y: [i32; 2]) -> impl Iterator<Item = ([i32; 2], [i64; 2])
 #[inline(never)]
 fn fill_large(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>) -> bool {
     let (x, y, _) = area;
-    let corners = setup
-        .corners
-        .each_ref()
-        .map(|corner| corner.map(|axis| i64::from(axis[lane])));
+    let corners = setup.corners.each_ref().map(|corner| corner.map(|axis| i64::from(axis[lane])));
     let [a, b, c] = corners;
     if (a[0] - b[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (a[1] - b[1]) <= 0 {
         return false;
@@ -151,10 +148,8 @@ fn fill_parts<const INSIDE: bool>(
     while bits != 0 {
         let part = bits.trailing_zeros();
         bits &= bits - 1;
-        let (left, low) = (
-            block[0] + (part & 1) as i32 * PART[0],
-            block[1] + (part >> 1) as i32 * PART[1],
-        );
+        let (left, low) =
+            (block[0] + (part & 1) as i32 * PART[0], block[1] + (part >> 1) as i32 * PART[1]);
         let part_x = [left.max(x[0]), (left + PART[0] - 1).min(x[1])];
         let part_y = [low.max(y[0]), (low + PART[1] - 1).min(y[1])];
         if part_x[0] > part_x[1] || part_y[0] > part_y[1] {
@@ -179,9 +174,7 @@ fn fill_parts<const INSIDE: bool>(
     if touched {
         // Every part that the triangle may cover counts as two writes.
         let parts = reached.bits().count_ones() as u8;
-        drawing
-            .visible
-            .mark_written([block[0]; 2], [block[1]; 2], 2 * parts);
+        drawing.visible.mark_written([block[0]; 2], [block[1]; 2], 2 * parts);
     }
     touched
 }
@@ -275,26 +268,11 @@ fn fill_block<const INSIDE: bool>(
     let per_row = [0, 1, 2].map(|edge| splat(setup.along_y[edge][lane]) << ROW_SHIFT);
     let pixels = real(1.0 / POINTS_PER_PIXEL as f32);
     let (off_x, off_y) = (lane_x.float() * pixels, lane_y.float() * pixels);
-    let (depth, depth_x, depth_y) = (
-        real(setup.depth[lane]),
-        real(setup.depth_x[lane]),
-        real(setup.depth_y[lane]),
-    );
+    let (depth, depth_x, depth_y) =
+        (real(setup.depth[lane]), real(setup.depth_x[lane]), real(setup.depth_y[lane]));
     let first_x = x[0] & !1;
-    let Visible {
-        stride,
-        depths,
-        ids,
-        records,
-        clipped,
-        ..
-    } = &mut *drawing.visible;
-    let ranks = Ranks {
-        model: drawing.model,
-        instances: drawing.instances,
-        records,
-        clipped,
-    };
+    let Visible { stride, depths, ids, records, clipped, .. } = &mut *drawing.visible;
+    let ranks = Ranks { model: drawing.model, instances: drawing.instances, records, clipped };
     let first_sample_x = real(first_x as f32) + off_x;
     let mut touched = false;
     for pixel_y in y[0]..y[1] + 1 {
@@ -305,10 +283,8 @@ fn fill_block<const INSIDE: bool>(
         let depths = &mut depths[row..row + pairs * LANES];
         let ids = &mut ids[row..row + pairs * LANES];
         let mut sample_x = first_sample_x;
-        for (pair, (depths, ids)) in depths
-            .chunks_exact_mut(LANES)
-            .zip(ids.chunks_exact_mut(LANES))
-            .enumerate()
+        for (pair, (depths, ids)) in
+            depths.chunks_exact_mut(LANES).zip(ids.chunks_exact_mut(LANES)).enumerate()
         {
             let inside = (edge[0] | edge[1] | edge[2]).ge(splat(0));
             edge = [0, 1, 2].map(|at| edge[at] + per_pair[at]);

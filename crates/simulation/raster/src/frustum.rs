@@ -23,10 +23,8 @@ impl Frustum {
         let sum = |a: [f32; 4], b: [f32; 4], sign: f32| -> [f32; 4] {
             std::array::from_fn(|at| a[at] + sign * b[at])
         };
-        let (half_width, half_height) = (
-            drawing.visible.width as f32 * 0.5,
-            drawing.visible.height as f32 * 0.5,
-        );
+        let (half_width, half_height) =
+            (drawing.visible.width as f32 * 0.5, drawing.visible.height as f32 * 0.5);
         let scaled = |row: [f32; 4], by: f32| row.map(|value| value * by);
         let side = |row: [f32; 4], at: i32, half: f32, sign: f32| {
             let place = (at as f32 - half) / half;

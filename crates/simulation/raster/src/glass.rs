@@ -146,14 +146,8 @@ fn paint(
     work: &mut Workspace,
     max_layers: usize,
 ) -> Option<Painted> {
-    let Picture {
-        instances, visible, ..
-    } = picture;
-    let before = (
-        instances.len(),
-        visible.records.len(),
-        visible.clipped.len(),
-    );
+    let Picture { instances, visible, .. } = picture;
+    let before = (instances.len(), visible.records.len(), visible.clipped.len());
     instance::add(0, geom, pass.view, pass.model, instances);
     let mut layers: Vec<Layer> = Vec::new();
     for index in before.0..instances.len() {
@@ -167,10 +161,7 @@ fn paint(
                 positions: &mut work.positions,
                 visible,
                 touched: BoundingWindow::EMPTY,
-                layers: Some(Layers {
-                    list: &mut layers,
-                    max: max_layers,
-                }),
+                layers: Some(Layers { list: &mut layers, max: max_layers }),
             },
         );
     }
@@ -214,16 +205,11 @@ fn colour(
     order.sort_unstable();
     let mut painted = vec![(Fragment::default(), 0); order.len()];
     let mut positions = order.into_iter();
-    shade::colour(
-        pass.model,
-        pass.largest_levels,
-        lists,
-        |fragment, colour| {
-            if let Some((_, position)) = positions.next() {
-                painted[position] = (*fragment, colour);
-            }
-        },
-    );
+    shade::colour(pass.model, pass.largest_levels, lists, |fragment, colour| {
+        if let Some((_, position)) = positions.next() {
+            painted[position] = (*fragment, colour);
+        }
+    });
     painted
 }
 

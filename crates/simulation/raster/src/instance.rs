@@ -178,10 +178,7 @@ pub(crate) fn add(
     model: &Model,
     into: &mut Vec<Instance>,
 ) {
-    let placed = view
-        .world_to_eye
-        .translated(geom.pos)
-        .times(&Matrix::rotation(&geom.mat));
+    let placed = view.world_to_eye.translated(geom.pos).times(&Matrix::rotation(&geom.mat));
     let [x, y, z] = geom.size;
     let shows_back = is_plane(geom) && is_behind(view.head, geom);
     let mut parts = 0;
@@ -220,9 +217,7 @@ pub(crate) fn add(
             let middle = placed.scaled(geom.size);
             add(MeshRef::OpenCylinder, middle);
             let above =
-                middle
-                    .scaled([1.0, 1.0, radius / z])
-                    .translated([0.0, 0.0, (z - radius) / radius]);
+                middle.scaled([1.0, 1.0, radius / z]).translated([0.0, 0.0, (z - radius) / radius]);
             add(MeshRef::UpperHalf, above);
             let below = above.translated([0.0, 0.0, 2.0 * (radius - z) / radius]);
             add(MeshRef::LowerHalf, below);
@@ -271,10 +266,7 @@ impl Instance {
         };
         let middle = to_eye.point(bounds.center);
         let columns = [0, 4, 8].map(|at| [to_eye.0[at], to_eye.0[at + 1], to_eye.0[at + 2]]);
-        let widest = columns
-            .map(|column| dot(column, column))
-            .into_iter()
-            .fold(0.0, f32::max);
+        let widest = columns.map(|column| dot(column, column)).into_iter().fold(0.0, f32::max);
         Some(Self {
             mesh,
             geom,
@@ -324,10 +316,7 @@ fn mapping(geom: &Geom, used: &TextureUse, model: &Model) -> Mapping {
                     *scale *= size;
                 }
             }
-            Mapping::Flat([
-                (0.5 * f64::from(scale[0])) as f32,
-                (-0.5 * f64::from(scale[1])) as f32,
-            ])
+            Mapping::Flat([(0.5 * f64::from(scale[0])) as f32, (-0.5 * f64::from(scale[1])) as f32])
         }
         TextureKind::Cube => Mapping::Cube(if used.uniform { geom.size } else { [1.0; 3] }),
     }

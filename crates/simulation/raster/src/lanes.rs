@@ -50,9 +50,7 @@ impl Mask {
 
     #[inline(always)]
     pub(crate) fn from_bits(bits: u32) -> Self {
-        Self(I::new(std::array::from_fn(|lane| {
-            -i32::from(bits & (1 << lane) != 0)
-        })))
+        Self(I::new(std::array::from_fn(|lane| -i32::from(bits & (1 << lane) != 0))))
     }
 }
 
@@ -116,19 +114,13 @@ impl Floats for F {
     #[inline(always)]
     fn fused(self, by: Self, plus: Self) -> Self {
         if cfg!(any(
-            all(
-                target_arch = "x86_64",
-                target_feature = "avx",
-                target_feature = "fma"
-            ),
+            all(target_arch = "x86_64", target_feature = "avx", target_feature = "fma"),
             target_arch = "aarch64"
         )) {
             return self.mul_add(by, plus);
         }
         let (a, b, c) = (self.as_array(), by.as_array(), plus.as_array());
-        Self::new(std::array::from_fn(|lane| {
-            a[lane].mul_add(b[lane], c[lane])
-        }))
+        Self::new(std::array::from_fn(|lane| a[lane].mul_add(b[lane], c[lane])))
     }
 
     #[inline(always)]

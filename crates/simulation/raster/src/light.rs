@@ -58,11 +58,7 @@ impl<'a> Lighting<'a> {
 
     /// Returns the light of a pass that adds one light to a picture.
     pub(crate) fn added_by(light: &'a EyeLight) -> Self {
-        Self {
-            lights: std::slice::from_ref(light),
-            everywhere: 0.0,
-            has_emission: false,
-        }
+        Self { lights: std::slice::from_ref(light), everywhere: 0.0, has_emission: false }
     }
 }
 
@@ -89,18 +85,10 @@ impl EyeLight {
                 let towards = light.dir.map(|part| -part);
                 (unit(view.world_to_eye.direction(towards)), None, None)
             }
-            LightKind::Spot {
-                cutoff,
-                exponent,
-                attenuation,
-            } => {
+            LightKind::Spot { cutoff, exponent, attenuation } => {
                 let axis = unit(unit(view.world_to_eye.direction(light.dir)));
                 let radians = f64::from(cutoff) * std::f64::consts::PI / 180.0;
-                let cone = Cone {
-                    axis,
-                    cosine: libm::cosf(radians as f32).max(0.0),
-                    exponent,
-                };
+                let cone = Cone { axis, cosine: libm::cosf(radians as f32).max(0.0), exponent };
                 (
                     view.world_to_eye.point(light.pos),
                     (cutoff != 180.0).then_some(cone),
@@ -136,9 +124,7 @@ pub(crate) struct Shading<'a> {
 
 impl<'a> Shading<'a> {
     pub(crate) fn new(instance: &Instance, lighting: Lighting<'a>) -> Self {
-        let Lighting {
-            lights, everywhere, ..
-        } = lighting;
+        let Lighting { lights, everywhere, .. } = lighting;
         let [r, g, b, _] = instance.rgba;
         let colour = [r, g, b];
         let emission = match lighting.has_emission {
@@ -160,18 +146,14 @@ impl<'a> Shading<'a> {
         let adds_only_ambient = |light: &EyeLight, products: &[Vec3; 3]| {
             let is_finite = products.as_flattened().iter().all(|part| part.is_finite());
             let is_dimmed_finitely = light.attenuation.is_none()
-                && light
-                    .cone
-                    .is_none_or(|cone| cone.exponent >= 0.0 && cone.exponent.is_finite());
+                && light.cone.is_none_or(|cone| cone.exponent >= 0.0 && cone.exponent.is_finite());
             is_finite && is_dimmed_finitely && (light.cone.is_none() || products[0] == [0.0; 3])
         };
         Self {
             lights,
             base: colour.map(|part| everywhere * part + emission * part),
             adds_only_ambient: std::array::from_fn(|at| {
-                lights
-                    .get(at)
-                    .is_some_and(|light| adds_only_ambient(light, &products[at]))
+                lights.get(at).is_some_and(|light| adds_only_ambient(light, &products[at]))
             }),
             products,
             shininess: instance.shininess,
@@ -238,10 +220,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         // that holds the dot product `facing`.
         let (base, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = normalize8(subtract8(to_light, towards_pos));
-            (
-                dot8(normal, half),
-                splat(shading.shininess.min(MAX_SHININESS)),
-            )
+            (dot8(normal, half), splat(shading.shininess.min(MAX_SHININESS)))
         } else {
             (facing, facing)
         };
@@ -292,22 +271,10 @@ fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F>
 
 /// Mesa's approximation of the binary logarithm: coefficients of a polynomial in
 /// the square of (m − 1) / (m + 1), from the constant up.
-const LOG2: [f32; 5] = [
-    2.885_39,
-    0.961_791_6,
-    0.577_440_3,
-    0.403_343_86,
-    0.406_718_05,
-];
+const LOG2: [f32; 5] = [2.885_39, 0.961_791_6, 0.577_440_3, 0.403_343_86, 0.406_718_05];
 /// Coefficients of Mesa's polynomial for the power of two of a fraction.
-const EXP2: [f32; 6] = [
-    1.0,
-    0.693_153_1,
-    0.240_153_61,
-    0.055_826_318,
-    0.008_989_34,
-    0.001_877_576_7,
-];
+const EXP2: [f32; 6] =
+    [1.0, 0.693_153_1, 0.240_153_61, 0.055_826_318, 0.008_989_34, 0.001_877_576_7];
 
 /// Returns `base` to the power of `exponent` for a non-negative base; zero for a base of zero,
 /// whatever the exponent.
@@ -328,9 +295,7 @@ fn power(base: F, exponent: F) -> F {
     let polynomial = odd.fused(z, even);
     let base_exponent: F = base_exponent.float();
     let logarithm = y.fused(polynomial, base_exponent);
-    let x = (logarithm * exponent)
-        .min(splat(128.0))
-        .max(splat(-126.999_99));
+    let x = (logarithm * exponent).min(splat(128.0)).max(splat(-126.999_99));
     let floor = x.floor();
     let fraction = x - floor;
     let floor: I = floor.truncate_to_int();

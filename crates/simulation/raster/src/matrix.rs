@@ -214,9 +214,7 @@ impl Matrix {
 }
 
 fn reversed_depth() -> Matrix {
-    Matrix::IDENTITY
-        .translated([0.0, 0.0, 0.5])
-        .scaled([1.0, 1.0, -0.5])
+    Matrix::IDENTITY.translated([0.0, 0.0, 0.5]).scaled([1.0, 1.0, -0.5])
 }
 
 /// Returns the inverse by cofactors, row by row.
@@ -262,11 +260,7 @@ pub(crate) fn dot(a: Vec3, b: Vec3) -> f32 {
 }
 
 pub(crate) fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 pub(crate) fn minus(a: Vec3, b: Vec3) -> Vec3 {
@@ -294,10 +288,7 @@ mod tests {
         let inverse = matrix.inverse_of_linear_part().expect("an inverse");
         let transformed = matrix.direction([1.0, 2.0, 3.0]);
         let back: Vec3 = std::array::from_fn(|row| {
-            dot(
-                [inverse[3 * row], inverse[3 * row + 1], inverse[3 * row + 2]],
-                transformed,
-            )
+            dot([inverse[3 * row], inverse[3 * row + 1], inverse[3 * row + 2]], transformed)
         });
         assert_eq!(back, [1.0, 2.0, 3.0]);
         let flat = matrix.scaled([1.0, 0.0, 1.0]);

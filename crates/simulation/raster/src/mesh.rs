@@ -123,9 +123,7 @@ impl MeshBuilder {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
         let is_visible = |corners: &[Corner; 3]| {
             let [a, b, c] = corners.each_ref().map(bits);
-            let is_finite = corners
-                .iter()
-                .all(|corner| corner.pos.iter().all(|x| x.is_finite()));
+            let is_finite = corners.iter().all(|corner| corner.pos.iter().all(|x| x.is_finite()));
             is_finite && a != b && b != c && c != a
         };
         let all = self.triangles.iter().enumerate();
@@ -173,12 +171,7 @@ impl Piece {
         for (axis, value) in key.iter_mut().take(3).enumerate() {
             *value = (pos[0][axis] + pos[1][axis] + pos[2][axis]) / 3.0;
         }
-        Self {
-            order,
-            pos,
-            facing,
-            key,
-        }
+        Self { order, pos, facing, key }
     }
 }
 
@@ -222,12 +215,10 @@ impl Mesh {
             for (at, corner) in triangles[piece.order as usize].iter().enumerate() {
                 let next = positions.len() as u8;
                 let bits = corner.bits();
-                let position = *positions
-                    .entry([bits[0], bits[1], bits[2]])
-                    .or_insert_with(|| {
-                        self.push_position(corner.pos);
-                        next
-                    });
+                let position = *positions.entry([bits[0], bits[1], bits[2]]).or_insert_with(|| {
+                    self.push_position(corner.pos);
+                    next
+                });
                 self.position_ids[at].push(position);
                 let next = vertices.len() as u8;
                 let vertex = *vertices.entry(bits).or_insert_with(|| {
@@ -270,17 +261,7 @@ impl Mesh {
     /// Serialises the mesh for [`Mesh::from_bytes`] with the same [`SOURCES`](crate::SOURCES) on
     /// the same kind of machine.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let Self {
-            clusters,
-            xs,
-            ys,
-            zs,
-            vertices,
-            position_ids,
-            corners,
-            order,
-            bounds,
-        } = self;
+        let Self { clusters, xs, ys, zs, vertices, position_ids, corners, order, bounds } = self;
         let counts = [clusters.len(), xs.len(), vertices.len(), order.len()];
         let counts = counts.map(|count| count as u32);
         let mut bytes = bytemuck::cast_slice(&counts).to_vec();
@@ -320,16 +301,8 @@ impl Mesh {
             zs: blob.take(positions)?,
             vertices: blob.take(vertices)?,
             order: blob.take(triangles)?,
-            position_ids: [
-                blob.take(triangles)?,
-                blob.take(triangles)?,
-                blob.take(triangles)?,
-            ],
-            corners: [
-                blob.take(triangles)?,
-                blob.take(triangles)?,
-                blob.take(triangles)?,
-            ],
+            position_ids: [blob.take(triangles)?, blob.take(triangles)?, blob.take(triangles)?],
+            corners: [blob.take(triangles)?, blob.take(triangles)?, blob.take(triangles)?],
             bounds,
         };
         let is_within_arrays = |cluster: &Cluster| {
@@ -343,10 +316,7 @@ impl Mesh {
 
     /// Returns the number of triangles.
     pub fn triangles(&self) -> usize {
-        let counts = self
-            .clusters
-            .iter()
-            .map(|cluster| cluster.triangles as usize);
+        let counts = self.clusters.iter().map(|cluster| cluster.triangles as usize);
         counts.sum()
     }
 
@@ -365,10 +335,7 @@ impl Sphere {
 
     fn from_words(words: [u32; 4]) -> Self {
         let [x, y, z, radius] = words.map(f32::from_bits);
-        Self {
-            center: [x, y, z],
-            radius,
-        }
+        Self { center: [x, y, z], radius }
     }
 }
 
@@ -422,10 +389,7 @@ fn bounding_sphere(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
             dot(offset, offset)
         })
         .fold(0.0, f32::max);
-    Sphere {
-        center,
-        radius: furthest.sqrt() * 1.0001,
-    }
+    Sphere { center, radius: furthest.sqrt() * 1.0001 }
 }
 
 /// Returns the mean normal of triangles and the sine of the largest angle from it; a zero axis if
@@ -444,10 +408,7 @@ fn normal_cone(pieces: &[Piece]) -> (Vec3, f32) {
         return NO_CONE;
     }
     let axis = sum.map(|part| part / length);
-    let cosine = pieces
-        .iter()
-        .map(|piece| dot(piece.facing, axis))
-        .fold(1.0, f32::min);
+    let cosine = pieces.iter().map(|piece| dot(piece.facing, axis)).fold(1.0, f32::min);
     if cosine <= 0.05 {
         return NO_CONE;
     }
@@ -459,11 +420,7 @@ mod tests {
     use super::*;
 
     fn corner(x: f32, y: f32, z: f32) -> Corner {
-        Corner {
-            pos: [x, y, z],
-            normal: [0.0, 0.0, 1.0],
-            st: [0.0; 2],
-        }
+        Corner { pos: [x, y, z], normal: [0.0, 0.0, 1.0], st: [0.0; 2] }
     }
 
     #[test]
@@ -472,11 +429,7 @@ mod tests {
         for index in 0..1000u32 {
             let x = (index % 31) as f32;
             let y = (index / 31) as f32;
-            builder.triangle([
-                corner(x, y, 0.0),
-                corner(x + 1.0, y, 0.0),
-                corner(x, y + 1.0, 0.0),
-            ]);
+            builder.triangle([corner(x, y, 0.0), corner(x + 1.0, y, 0.0), corner(x, y + 1.0, 0.0)]);
         }
         let expected = builder.triangles.clone();
         let mesh = builder.build();
@@ -505,10 +458,7 @@ mod tests {
         let mut builder = MeshBuilder::default();
         for index in 0..200 {
             let x = index as f32;
-            let lifted = Corner {
-                st: [x, -x],
-                ..corner(x, 0.5 * x, -0.0)
-            };
+            let lifted = Corner { st: [x, -x], ..corner(x, 0.5 * x, -0.0) };
             builder.triangle([lifted, corner(x, x, 1.0), corner(x, -x, 2.0)]);
         }
         let bytes = builder.build().to_bytes();
@@ -535,11 +485,7 @@ mod tests {
     #[test]
     fn invisible_triangles_are_left_out() {
         let mut builder = MeshBuilder::default();
-        builder.triangle([
-            corner(0.0, 0.0, 0.0),
-            corner(0.0, 0.0, 0.0),
-            corner(1.0, 0.0, 0.0),
-        ]);
+        builder.triangle([corner(0.0, 0.0, 0.0), corner(0.0, 0.0, 0.0), corner(1.0, 0.0, 0.0)]);
         builder.triangle([
             corner(f32::NAN, 0.0, 0.0),
             corner(0.0, 1.0, 0.0),
@@ -552,11 +498,7 @@ mod tests {
     #[test]
     fn a_cluster_faces_away_only_from_an_eye_behind_it() {
         let mut builder = MeshBuilder::default();
-        builder.triangle([
-            corner(0.0, 0.0, 0.0),
-            corner(1.0, 0.0, 0.0),
-            corner(0.0, 1.0, 0.0),
-        ]);
+        builder.triangle([corner(0.0, 0.0, 0.0), corner(1.0, 0.0, 0.0), corner(0.0, 1.0, 0.0)]);
         let mesh = builder.build();
         let cluster = &mesh.clusters[0];
         assert!(cluster.faces_away_from([0.3, 0.3, -9.0]));

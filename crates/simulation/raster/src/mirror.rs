@@ -22,10 +22,7 @@ pub(crate) fn find(scene: &Scene, view: &View, translucent: &[usize]) -> Option<
         can_mirror(geom) && geom.reflectance > 0.0 && !translucent.contains(index)
     })?;
     let (pos, _) = plane(&scene.geoms[found]);
-    let face = Geom {
-        pos,
-        ..scene.geoms[found]
-    };
+    let face = Geom { pos, ..scene.geoms[found] };
     (scene.reflections && !is_behind(view.head, &face)).then_some(found)
 }
 
@@ -61,24 +58,13 @@ pub(crate) fn add(
         }
         geom
     };
-    let mirrored = Pass {
-        view: &view,
-        light: Lighting::all(&lights),
-        window: face.window,
-        ..pass
-    };
+    let mirrored = Pass { view: &view, light: Lighting::all(&lights), window: face.window, ..pass };
     let size = [picture.visible.width, picture.visible.height];
     reflection.clear(size, face.window);
     for index in
         (0..scene.geoms.len()).filter(|index| *index != mirror && !translucent.contains(index))
     {
-        instance::add(
-            index,
-            &dimmed(index),
-            &view,
-            pass.model,
-            &mut reflection.instances,
-        );
+        instance::add(index, &dimmed(index), &view, pass.model, &mut reflection.instances);
     }
     reflection.rasterise(mirrored, 0, work);
     reflection.paint(mirrored, 0, work);
@@ -106,9 +92,7 @@ impl Face {
         let instances = picture.instances.iter();
         let bounds = instances
             .filter(|instance| instance.geom == mirror)
-            .fold(None, |bounds, instance| {
-                Window::union(bounds, instance.window)
-            })?;
+            .fold(None, |bounds, instance| Window::union(bounds, instance.window))?;
         let ranks = Ranks {
             model,
             instances: &picture.instances,

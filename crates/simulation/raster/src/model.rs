@@ -25,19 +25,11 @@ impl Model {
     /// # Errors
     /// If a number of pieces in `quality` is out of range.
     pub fn new(quality: Quality) -> Result<Self, ModelError> {
-        let Quality {
-            slices,
-            stacks,
-            quads,
-        } = quality;
+        let Quality { slices, stacks, quads } = quality;
         let is_in_range =
             (3..=512).contains(&slices) && (4..=512).contains(&stacks) && (1..=64).contains(&quads);
         if !is_in_range {
-            return Err(ModelError::Quality {
-                slices,
-                stacks,
-                quads,
-            });
+            return Err(ModelError::Quality { slices, stacks, quads });
         }
         Ok(Self {
             meshes: Vec::new(),

@@ -71,8 +71,7 @@ impl Picture {
         work.order.clear();
         work.order.extend(first..self.instances.len());
         let distance = |at: &usize| self.instances[*at].distance;
-        work.order
-            .sort_unstable_by(|a, b| distance(a).total_cmp(&distance(b)));
+        work.order.sort_unstable_by(|a, b| distance(a).total_cmp(&distance(b)));
         for index in &work.order {
             let mut drawing = Drawing {
                 model: pass.model,
@@ -102,17 +101,12 @@ impl Picture {
         let content = Content::Colours(pass.light);
         shade::compute_surfaces(pass.model, visible, &self.instances, content, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
-        shade::colour(
-            pass.model,
-            pass.largest_levels,
-            lists,
-            |fragment, colour| {
-                let pixel = &mut samples[fragment.y() * stride + fragment.x()];
-                let masks = SAMPLE_MASKS[fragment.samples()];
-                for (value, mask) in pixel.iter_mut().zip(masks) {
-                    *value = *value & !mask | colour & mask;
-                }
-            },
-        );
+        shade::colour(pass.model, pass.largest_levels, lists, |fragment, colour| {
+            let pixel = &mut samples[fragment.y() * stride + fragment.x()];
+            let masks = SAMPLE_MASKS[fragment.samples()];
+            for (value, mask) in pixel.iter_mut().zip(masks) {
+                *value = *value & !mask | colour & mask;
+            }
+        });
     }
 }

@@ -57,18 +57,10 @@ pub(crate) fn transform(
         let subpixels = F::splat(SUBPIXELS as f32);
         let snapped = [wx, wy].map(|at| {
             let at: I = (at * subpixels).round_to_int();
-            at.max(I::splat(-MAX_COORDINATE))
-                .min(I::splat(MAX_COORDINATE))
+            at.max(I::splat(-MAX_COORDINATE)).min(I::splat(MAX_COORDINATE))
         });
         let exact = [wx, wy, wz];
-        to.store(
-            at,
-            &EightPositions {
-                exact,
-                snapped,
-                beyond,
-            },
-        );
+        to.store(at, &EightPositions { exact, snapped, beyond });
         for axis in 0..2 {
             low[axis] = low[axis].min(snapped[axis]);
             high[axis] = high[axis].max(snapped[axis]);

@@ -37,9 +37,7 @@ pub(crate) struct EightTriangles([[F; LANES]; 3]);
 
 impl Default for Positions {
     fn default() -> Self {
-        Self {
-            rows: [[0.0; LANES]; CAPACITY],
-        }
+        Self { rows: [[0.0; LANES]; CAPACITY] }
     }
 }
 

@@ -49,10 +49,8 @@ fn draw_cluster(
     drawing: &mut Drawing<'_>,
 ) {
     let instance = &drawing.instances[index];
-    let ClusterExtent {
-        is_beyond,
-        is_outside,
-    } = transform(instance, mesh, cluster, is_inside, drawing);
+    let ClusterExtent { is_beyond, is_outside } =
+        transform(instance, mesh, cluster, is_inside, drawing);
     if is_outside {
         return;
     }
@@ -68,16 +66,10 @@ fn draw_cluster(
             rows.copy_from_slice(&corners[first..first + LANES]);
         }
         setup.eight(drawing, &rows);
-        for (lane, &triangle) in candidates.triangles[first..first + count]
-            .iter()
-            .enumerate()
-        {
+        for (lane, &triangle) in candidates.triangles[first..first + count].iter().enumerate() {
             let triangle = cluster.first_triangle + u32::from(triangle);
-            let record = Record {
-                instance: index as u32,
-                triangle,
-                vertices: cluster.first_vertex,
-            };
+            let record =
+                Record { instance: index as u32, triangle, vertices: cluster.first_vertex };
             fill(lane, &setup, record, drawing);
         }
     }
@@ -99,11 +91,8 @@ fn clip_triangles(
         let triangle = cluster.first_triangle as usize + triangles.trailing_zeros() as usize;
         triangles &= triangles - 1;
         let ids = mesh.position_ids.each_ref().map(|ids| ids[triangle]);
-        let clipping = Clipping {
-            beyond: drawing.positions.any_beyond(ids),
-            plane: drawing.plane,
-            viewport,
-        };
+        let clipping =
+            Clipping { beyond: drawing.positions.any_beyond(ids), plane: drawing.plane, viewport };
         let corners = ids.map(|id| mesh.position(cluster, id));
         let polygon = clip::clip(instance, corners, [(); 3], &clipping);
         for (piece, corners) in polygon.pieces().enumerate() {

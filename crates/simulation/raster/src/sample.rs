@@ -49,11 +49,7 @@ pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2])
     if levels.is_single {
         return first;
     }
-    mix_colours(
-        first,
-        sample_cube_level(texels, &levels.second, &face),
-        levels.share,
-    )
+    mix_colours(first, sample_cube_level(texels, &levels.second, &face), levels.share)
 }
 
 /// Returns the larger of the squared lengths of two differences, in texels of the largest level.
@@ -193,10 +189,7 @@ fn fetch_neighbours<W>(
     let is_beside = x1.equals(x + one).all();
     let [a, b] = fetch_two(texels, row0, [x, x1], is_beside);
     let [c, d] = fetch_two(texels, row1, [x, x1], is_beside);
-    Neighbours {
-        texels: [a, b, c, d],
-        shares: [share_x, share_y],
-    }
+    Neighbours { texels: [a, b, c, d], shares: [share_x, share_y] }
 }
 
 #[inline(always)]
@@ -206,10 +199,8 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
         let base = &texels.texture.levels[0];
         let x = texel_in_256ths(s, sizes.width, base.width.is_power_of_two());
         let y = texel_in_256ths(t, sizes.height, base.height.is_power_of_two());
-        let Neighbours {
-            texels: [a, b, c, d],
-            shares: [u, v],
-        } = fetch_neighbours(texels, &sizes, x, y);
+        let Neighbours { texels: [a, b, c, d], shares: [u, v] } =
+            fetch_neighbours(texels, &sizes, x, y);
         let (u, v) = (Share::new(u), Share::new(v));
         let top = Bytes::new(a).blended(&Bytes::new(b), u);
         top.blended(&Bytes::new(c).blended(&Bytes::new(d), u), v)
@@ -221,13 +212,7 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     }
     let Bytes([even, odd]) = colour;
     let (even, odd): (I, I) = (cast(even), cast(odd));
-    [
-        even & I::splat(255),
-        odd & I::splat(255),
-        even >> 16i32,
-        odd >> 16i32,
-    ]
-    .map(|part| {
+    [even & I::splat(255), odd & I::splat(255), even >> 16i32, odd >> 16i32].map(|part| {
         let part: F = part.float();
         part * F::splat(OVER_255)
     })
@@ -390,10 +375,7 @@ impl Face {
         let changes = changes.map(|change| {
             let along = choose(change[0], change[1], change[2]) * over_major;
             let [ds, dt] = on_face(change);
-            [
-                (ds - along * s) * half_over_major,
-                (dt - along * t) * half_over_major,
-            ]
+            [(ds - along * s) * half_over_major, (dt - along * t) * half_over_major]
         });
         let int = |value: i32| I::splat(value);
         let axis = is_z.select_ints(int(4), widest_is_x.select_ints(int(0), int(2)));
@@ -489,13 +471,7 @@ fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let mut weights = [left * upper, u * upper, left * v, u * v];
     let missing = texels.iter().position(Option::is_none).unwrap_or(0);
     let spread = weights[missing] * (1.0 / 3.0);
-    weights = std::array::from_fn(|at| {
-        if at == missing {
-            0.0
-        } else {
-            weights[at] + spread
-        }
-    });
+    weights = std::array::from_fn(|at| if at == missing { 0.0 } else { weights[at] + spread });
     std::array::from_fn(|channel| {
         let parts: [f32; 4] = std::array::from_fn(|at| {
             weights[at] * texels[at].map_or(0.0, |texel: [f32; CHANNELS]| texel[channel])
@@ -507,9 +483,7 @@ fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
 fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CHANNELS] {
     let inside = |index: i32| (index.max(0) as usize).min(level.width - 1);
     let at = level.start + face as usize * level.image + inside(y) * level.width + inside(x);
-    cube.at(at)
-        .to_le_bytes()
-        .map(|part| f32::from(part) * OVER_255)
+    cube.at(at).to_le_bytes().map(|part| f32::from(part) * OVER_255)
 }
 
 /// Returns the face, column and row of the texel that lies beyond an edge of `face`, where `x` or

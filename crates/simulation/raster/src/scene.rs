@@ -162,8 +162,6 @@ impl Scene {
     pub(crate) fn casting_lights(&self) -> Vec<bool> {
         let lights = self.lights.iter().take(MAX_LIGHTS);
         let has_shadows = self.shadows.is_some();
-        lights
-            .map(|light| has_shadows && light.casts_shadow)
-            .collect()
+        lights.map(|light| has_shadows && light.casts_shadow).collect()
     }
 }

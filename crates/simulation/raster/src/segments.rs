@@ -27,9 +27,7 @@ pub fn segments(
     let mut view = View::new(&scene.camera, width, height);
     // Shifts the picture so that each pixel's first sample lies at the pixel's centre.
     let [x, y] = FIRST_SAMPLE.map(|place| place - 0.5);
-    view.projection = view
-        .projection
-        .shifted([2.0 * x / width as f32, 2.0 * y / height as f32]);
+    view.projection = view.projection.shifted([2.0 * x / width as f32, 2.0 * y / height as f32]);
     let pass = Pass {
         model,
         largest_levels: &[],

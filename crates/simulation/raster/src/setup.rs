@@ -78,10 +78,8 @@ impl Setup {
             let from = ((least + splat(31)) >> 8i32).max(splat(window[0]));
             [from, ((most - splat(32)) >> 8i32).min(splat(window[1]))]
         };
-        let (pixels_x, pixels_y) = (
-            pixels(extent_x, drawing.window.x),
-            pixels(extent_y, drawing.window.y),
-        );
+        let (pixels_x, pixels_y) =
+            (pixels(extent_x, drawing.window.x), pixels(extent_y, drawing.window.y));
         let (origin_x, origin_y) = ((pixels_x[0] & splat(!1)) << 8i32, pixels_y[0] << 8i32);
         for edge in 0..3 {
             let next = (edge + 1) % 3;
@@ -193,14 +191,7 @@ impl Slopes {
     /// Broadcasts the coefficients of each triangle to all lanes.
     #[inline(always)]
     pub(crate) fn each(&self) -> [Self; LANES] {
-        let Self {
-            x,
-            y,
-            dx01,
-            dy01,
-            dx20,
-            dy20,
-        } = self;
+        let Self { x, y, dx01, dy01, dx20, dy20 } = self;
         std::array::from_fn(|lane| {
             let broadcast = |all: &F| F::splat(all.as_array()[lane]);
             Self {

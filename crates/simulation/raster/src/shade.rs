@@ -30,22 +30,14 @@ pub(crate) const MAX_SIDE: usize = 4096;
 /// Number of bits of a column or row number, which is below [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
-const _: () = assert!(
-    MAX_SIDE.is_power_of_two(),
-    "column and row numbers fit in their bits"
-);
-const _: () = assert!(
-    2 * SIDE_BITS + SAMPLES as u32 <= u32::BITS,
-    "column, row and samples fit in 32 bits"
-);
+const _: () = assert!(MAX_SIDE.is_power_of_two(), "column and row numbers fit in their bits");
+const _: () =
+    assert!(2 * SIDE_BITS + SAMPLES as u32 <= u32::BITS, "column, row and samples fit in 32 bits");
 
 impl Fragment {
     #[inline(always)]
     pub(crate) fn new(x: u32, y: u32, samples: u32, surface: u32) -> Self {
-        Self {
-            place: x | y << SIDE_BITS | samples << (2 * SIDE_BITS),
-            surface,
-        }
+        Self { place: x | y << SIDE_BITS | samples << (2 * SIDE_BITS), surface }
     }
 
     #[inline(always)]
@@ -239,15 +231,7 @@ pub(crate) fn compute_surfaces(
     lists: &mut Lists,
 ) {
     let size = [visible.width as f32, visible.height as f32];
-    let Lists {
-        surfaces,
-        places,
-        first,
-        list_of,
-        requests,
-        vertices,
-        ..
-    } = lists;
+    let Lists { surfaces, places, first, list_of, requests, vertices, .. } = lists;
     let into = match content {
         Content::Colours(_) => surfaces,
         Content::Places(_) => places,
@@ -256,10 +240,7 @@ pub(crate) fn compute_surfaces(
     if into.len() < list_of.len() {
         into.resize(list_of.len(), Surface::default());
     }
-    let mut shading = ShadingCache {
-        content,
-        last: None,
-    };
+    let mut shading = ShadingCache { content, last: None };
     let records = visible.records[*first..].iter().zip(&*list_of).zip(0u32..);
     let mut needed = records
         .filter(|((_, list), _)| **list != NOTHING)
@@ -275,17 +256,11 @@ pub(crate) fn compute_surfaces(
             continue;
         }
         requests.clear();
-        requests.push(SurfaceRequest {
-            triangle: record.triangle,
-            surface,
-        });
+        requests.push(SurfaceRequest { triangle: record.triangle, surface });
         let is_in_same_cluster =
             |next: &Record| (next.instance, next.vertices) == (record.instance, record.vertices);
         while let Some((next, surface)) = needed.next_if(|(next, _)| is_in_same_cluster(next)) {
-            requests.push(SurfaceRequest {
-                triangle: next.triangle,
-                surface,
-            });
+            requests.push(SurfaceRequest { triangle: next.triangle, surface });
         }
         let cluster = (record.vertices, requests.as_slice());
         surface::compute_cluster(instance, mesh, interpolated, size, cluster, vertices, into);
@@ -343,9 +318,8 @@ pub(crate) fn visit_places(lists: &Lists, mut visit: impl FnMut(&Fragment, [f32;
     for part in lists.fragments.iter().flat_map(|list| list.chunks(LANES)) {
         let mut eight = [part[0]; LANES];
         eight[..part.len()].copy_from_slice(part);
-        let surfaces: [&Surface; LANES] = eight
-            .each_ref()
-            .map(|fragment| &lists.places[fragment.surface()]);
+        let surfaces: [&Surface; LANES] =
+            eight.each_ref().map(|fragment| &lists.places[fragment.surface()]);
         let planes = Planes::gather(&surfaces);
         let (x, y) = pixels(&eight);
         let (px, py) = (centre(x), centre(y));
@@ -363,11 +337,7 @@ pub(crate) fn visit_places(lists: &Lists, mut visit: impl FnMut(&Fragment, [f32;
 /// Returns the columns and rows of eight fragments.
 #[inline(always)]
 fn pixels(fragments: &[Fragment; LANES]) -> (I, I) {
-    let places = I::new(
-        fragments
-            .each_ref()
-            .map(|fragment| fragment.place.cast_signed()),
-    );
+    let places = I::new(fragments.each_ref().map(|fragment| fragment.place.cast_signed()));
     let side = I::splat(SIDE_MASK.cast_signed());
     (places & side, (places >> SIDE_BITS.cast_signed()) & side)
 }
@@ -402,10 +372,7 @@ impl Planes {
             F::transpose(surfaces.map(|surface| F::new(part(surface))))
         };
         let at_corner = columns(|surface| surface.at_corner);
-        let (per_x, per_y) = (
-            columns(|surface| surface.per_x),
-            columns(|surface| surface.per_y),
-        );
+        let (per_x, per_y) = (columns(|surface| surface.per_x), columns(|surface| surface.per_y));
         std::array::from_fn(|at| Self {
             at_corner: at_corner[at],
             per_x: per_x[at],
@@ -427,9 +394,8 @@ fn colour_eight(
     fragments: &[Fragment; LANES],
 ) -> [u32; LANES] {
     let splat = |value: f32| F::splat(value);
-    let eight: [&Surface; LANES] = fragments
-        .each_ref()
-        .map(|fragment| &surfaces[fragment.surface as usize]);
+    let eight: [&Surface; LANES] =
+        fragments.each_ref().map(|fragment| &surfaces[fragment.surface as usize]);
     let all = Planes::gather(&eight);
     let planes = |at: usize| all[at];
     let one = splat(1.0);
@@ -447,9 +413,7 @@ fn colour_eight(
             let share = over_w.at(px, py);
             let w = one / share;
             let over_fourth = one / (share * w);
-            Place {
-                at: along.map(|plane| plane.at(px, py) * w * over_fourth),
-            }
+            Place { at: along.map(|plane| plane.at(px, py) * w * over_fourth) }
         };
         let place = at(px, py);
         let texel = match texture.texture.kind {

@@ -49,37 +49,22 @@ fn add(
     let Some(window) = picture.visible.touched else {
         return;
     };
-    let Picture {
-        instances,
-        visible,
-        samples,
-    } = picture;
+    let Picture { instances, visible, samples } = picture;
     let lists = &mut work.lists;
     lists.clear(0, visible.records.len(), pass.model.textures.len());
     shade::list_fragments(visible, instances, window, lists);
     let content = Content::Colours(Lighting::added_by(light));
     shade::compute_surfaces(pass.model, visible, instances, content, lists);
     let receiver = Receiver::new(pass.view, view);
-    shade::compute_surfaces(
-        pass.model,
-        visible,
-        instances,
-        Content::Places(&receiver),
-        lists,
-    );
+    shade::compute_surfaces(pass.model, visible, instances, Content::Places(&receiver), lists);
     // Fragments that the light cannot change are not looked up.
     let mut colours = Vec::new();
-    shade::colour(
-        pass.model,
-        pass.largest_levels,
-        lists,
-        |fragment, colour| {
-            let record = &visible.records[fragment.surface()];
-            let is_lit = instances[record.instance as usize].is_lit;
-            let changes = is_lit && colour >> 24 >= LEAST_OPACITY && colour & 0xff_ffff != 0;
-            colours.push(changes.then_some(colour));
-        },
-    );
+    shade::colour(pass.model, pass.largest_levels, lists, |fragment, colour| {
+        let record = &visible.records[fragment.surface()];
+        let is_lit = instances[record.instance as usize].is_lit;
+        let changes = is_lit && colour >> 24 >= LEAST_OPACITY && colour & 0xff_ffff != 0;
+        colours.push(changes.then_some(colour));
+    });
     let mut places = Vec::with_capacity(colours.len());
     shade::visit_places(lists, |_, place| {
         places.push(colours[places.len()].map(|_| place));

@@ -65,11 +65,7 @@ impl Shapes {
 }
 
 fn corner(pos: Vec3, normal: Vec3) -> Corner {
-    Corner {
-        pos,
-        normal,
-        st: [0.0; 2],
-    }
+    Corner { pos, normal, st: [0.0; 2] }
 }
 
 fn rectangle(builder: &mut MeshBuilder, quads: usize) {
@@ -94,45 +90,21 @@ fn cuboid(builder: &mut MeshBuilder, quads: usize) {
             let mut face = |normal: Vec3, corners: [Vec3; 4]| {
                 builder.quad(corners.map(|pos| corner(pos, normal)));
             };
-            face(
-                [0.0, 0.0, 1.0],
-                [[x0, y0, 1.0], [x1, y0, 1.0], [x1, y1, 1.0], [x0, y1, 1.0]],
-            );
+            face([0.0, 0.0, 1.0], [[x0, y0, 1.0], [x1, y0, 1.0], [x1, y1, 1.0], [x0, y1, 1.0]]);
             face(
                 [0.0, 0.0, -1.0],
-                [
-                    [x0, y1, -1.0],
-                    [x1, y1, -1.0],
-                    [x1, y0, -1.0],
-                    [x0, y0, -1.0],
-                ],
+                [[x0, y1, -1.0], [x1, y1, -1.0], [x1, y0, -1.0], [x0, y0, -1.0]],
             );
-            face(
-                [1.0, 0.0, 0.0],
-                [[1.0, x0, y0], [1.0, x1, y0], [1.0, x1, y1], [1.0, x0, y1]],
-            );
+            face([1.0, 0.0, 0.0], [[1.0, x0, y0], [1.0, x1, y0], [1.0, x1, y1], [1.0, x0, y1]]);
             face(
                 [-1.0, 0.0, 0.0],
-                [
-                    [-1.0, x0, y1],
-                    [-1.0, x1, y1],
-                    [-1.0, x1, y0],
-                    [-1.0, x0, y0],
-                ],
+                [[-1.0, x0, y1], [-1.0, x1, y1], [-1.0, x1, y0], [-1.0, x0, y0]],
             );
             face(
                 [0.0, -1.0, 0.0],
-                [
-                    [x0, -1.0, y0],
-                    [x1, -1.0, y0],
-                    [x1, -1.0, y1],
-                    [x0, -1.0, y1],
-                ],
+                [[x0, -1.0, y0], [x1, -1.0, y0], [x1, -1.0, y1], [x0, -1.0, y1]],
             );
-            face(
-                [0.0, 1.0, 0.0],
-                [[x0, 1.0, y1], [x1, 1.0, y1], [x1, 1.0, y0], [x0, 1.0, y0]],
-            );
+            face([0.0, 1.0, 0.0], [[x0, 1.0, y1], [x1, 1.0, y1], [x1, 1.0, y0], [x0, 1.0, y0]]);
         }
     }
 }
@@ -170,11 +142,7 @@ fn dome(
     for slice in 0..slices {
         let (a, b) = (azimuth(slice, slices), azimuth(slice + 1, slices));
         let low = elevation(rings - 1);
-        let corners = wound(vec![
-            on_sphere(a, low, raised),
-            on_sphere(b, low, raised),
-            tip,
-        ]);
+        let corners = wound(vec![on_sphere(a, low, raised), on_sphere(b, low, raised), tip]);
         builder.triangle([corners[0], corners[1], corners[2]]);
     }
     for ring in 0..rings - 1 {
@@ -212,11 +180,7 @@ fn half_sphere(builder: &mut MeshBuilder, side: i32, slices: usize, stacks: usiz
 fn disk(builder: &mut MeshBuilder, side: i32, slices: usize, stacks: usize) {
     let z = side as f32;
     let at = |azimuth: f32, radius: f32| {
-        let pos = [
-            libm::cosf(azimuth) * radius,
-            libm::sinf(azimuth) * radius,
-            z,
-        ];
+        let pos = [libm::cosf(azimuth) * radius, libm::sinf(azimuth) * radius, z];
         corner(pos, [0.0, 0.0, z])
     };
     let wound = |mut corners: Vec<Corner>| {
@@ -279,11 +243,7 @@ pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec
                 0 => -half,
                 _ => -half + pad + (cell - 1) as f64 * step * 2.0,
             };
-            let width = if cell == 0 || cell == cells - 1 {
-                pad
-            } else {
-                step * 2.0
-            };
+            let width = if cell == 0 || cell == cells - 1 { pad } else { step * 2.0 };
             lines[cell] = left;
             lines.push(left.max(left + width));
         }
@@ -292,9 +252,7 @@ pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec
     let step = period.unwrap_or(2.1 * far / (MAX_LINES - 2) as f64);
     let cell = (2.1 * far + 2.0 * step) / MAX_LINES as f64;
     let middle = (MAX_LINES / 2) as f64;
-    (0..=MAX_LINES)
-        .map(|line| cell * line as f64 - cell * middle)
-        .collect()
+    (0..=MAX_LINES).map(|line| cell * line as f64 - cell * middle).collect()
 }
 
 /// Creates a plane of rectangles between grid lines.
@@ -303,12 +261,7 @@ pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
     let at = |x: f64, y: f64| corner([x as f32, y as f32, 0.0], [0.0, 0.0, 1.0]);
     for x in xs.windows(2) {
         for y in ys.windows(2) {
-            builder.quad([
-                at(x[0], y[0]),
-                at(x[1], y[0]),
-                at(x[1], y[1]),
-                at(x[0], y[1]),
-            ]);
+            builder.quad([at(x[0], y[0]), at(x[1], y[0]), at(x[1], y[1]), at(x[0], y[1])]);
         }
     }
     builder.build()
@@ -318,10 +271,7 @@ pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
 /// Without texture coordinates, a corner gets the face's normal if the cosine of the angle between
 /// its own normal and the face's is below 0.8. This keeps edges sharp, as in MuJoCo.
 pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3]>) -> [Corner; 3] {
-    let (u, v) = (
-        crate::matrix::minus(pos[1], pos[0]),
-        crate::matrix::minus(pos[2], pos[0]),
-    );
+    let (u, v) = (crate::matrix::minus(pos[1], pos[0]), crate::matrix::minus(pos[2], pos[0]));
     let face = normalized(crate::matrix::cross(u, v));
     std::array::from_fn(|index| {
         let normal = normals[index];
@@ -341,21 +291,13 @@ mod tests {
 
     #[test]
     fn shapes_have_as_many_triangles_as_mujocos_shapes() {
-        let quality = Quality {
-            slices: 28,
-            stacks: 16,
-            quads: 4,
-        };
+        let quality = Quality { slices: 28, stacks: 16, quads: 4 };
         let shapes = Shapes::new(quality);
         assert_eq!(shapes.rectangle.triangles(), 32);
         assert_eq!(shapes.cuboid.triangles(), 192);
         assert_eq!(shapes.sphere.triangles(), 2 * (28 + 7 * 28 * 2));
         assert_eq!(shapes.open_cylinder.triangles(), 16 * 28 * 2);
-        let upper = shapes
-            .cuboid
-            .order
-            .iter()
-            .filter(|order| is_upper_face(**order));
+        let upper = shapes.cuboid.order.iter().filter(|order| is_upper_face(**order));
         assert!(upper.count() >= 32);
     }
 

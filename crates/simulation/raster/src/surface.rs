@@ -57,10 +57,8 @@ pub(crate) struct Vertices {
 /// Largest number of vertices of a cluster: as many as a byte can index, so that indices need no
 /// bounds check. Includes padding, since vertices are computed eight at a time.
 const CAPACITY: usize = 256;
-const _: () = assert!(
-    3 * CLUSTER + LANES <= CAPACITY,
-    "a byte holds the index of every vertex, and UNLIT"
-);
+const _: () =
+    assert!(3 * CLUSTER + LANES <= CAPACITY, "a byte holds the index of every vertex, and UNLIT");
 /// Marks a vertex that no triangle has needed so far.
 const UNLIT: u8 = u8::MAX;
 
@@ -174,11 +172,7 @@ impl Corners {
     #[inline(always)]
     fn new(vertices: [Vertex; LANES]) -> Self {
         let [x, y, z, nx, ny, nz, s, t] = F::transpose(vertices.map(F::new));
-        Self {
-            pos: [x, y, z],
-            normal: [nx, ny, nz],
-            st: [s, t],
-        }
+        Self { pos: [x, y, z], normal: [nx, ny, nz], st: [s, t] }
     }
 
     /// Repeats the computation of [`transform`](crate::place::transform) bit for bit.
@@ -233,11 +227,9 @@ impl Corners {
         let coordinates = match instance.mapping {
             Mapping::None => [splat(0.0); 3],
             Mapping::Corners => [s, t, splat(0.0)],
-            Mapping::Flat([sx, sy]) => [
-                x * splat(sx) - splat(0.5),
-                y * splat(sy) - splat(0.5),
-                splat(0.0),
-            ],
+            Mapping::Flat([sx, sy]) => {
+                [x * splat(sx) - splat(0.5), y * splat(sy) - splat(0.5), splat(0.0)]
+            }
             Mapping::Cube([sx, sy, sz]) => [x * splat(sx), y * splat(sy), z * splat(sz)],
             Mapping::Sky => [x, z, -y],
         };
@@ -258,15 +250,9 @@ pub(crate) fn compute_clipped(
     visible: &Visible,
     record: &Record,
 ) -> Surface {
-    debug_assert_eq!(
-        record.vertices, CLIPPED,
-        "the record is a piece of a clipped triangle"
-    );
+    debug_assert_eq!(record.vertices, CLIPPED, "the record is a piece of a clipped triangle");
     let piece = &visible.clipped[record.triangle as usize];
-    let ids = mesh
-        .corners
-        .each_ref()
-        .map(|corners| corners[piece.triangle as usize]);
+    let ids = mesh.corners.each_ref().map(|corners| corners[piece.triangle as usize]);
     let [a, b, c] = ids.map(|id| mesh.vertices[piece.vertices as usize + usize::from(id)]);
     let from = Corners::new([a, b, c, c, c, c, c, c]);
     let [a, b, c, ..] = F::transpose(from.values(instance, interpolated, F::splat(1.0)));
@@ -281,9 +267,5 @@ pub(crate) fn compute_clipped(
     // One lane per interpolated value.
     let values = corners.map(|corner| corner.values * F::splat(corner.over_w));
     let [at_corner, per_x, per_y] = slopes.plane(&values);
-    Surface {
-        at_corner: at_corner.to_array(),
-        per_x: per_x.to_array(),
-        per_y: per_y.to_array(),
-    }
+    Surface { at_corner: at_corner.to_array(), per_x: per_x.to_array(), per_y: per_y.to_array() }
 }

@@ -46,11 +46,7 @@ pub(crate) struct Texels<'a> {
 impl<'a> Texels<'a> {
     /// Combines a texture with the bytes that it was made from.
     pub(crate) fn new(texture: &'a Texture, largest: &'a [u8]) -> Self {
-        Self {
-            texture,
-            largest,
-            smaller: &texture.smaller,
-        }
+        Self { texture, largest, smaller: &texture.smaller }
     }
 
     /// Returns red, green, blue and opacity, starting from the lowest byte. Texels are numbered
@@ -81,9 +77,7 @@ impl Texels<'_> {
     #[inline(always)]
     pub(crate) fn eight(self, at: &[i32; LANES]) -> [u32; LANES] {
         let largest = self.texture.largest as i32;
-        let smaller = at
-            .iter()
-            .fold(0, |count, at| count + u32::from(*at >= largest));
+        let smaller = at.iter().fold(0, |count, at| count + u32::from(*at >= largest));
         match smaller {
             0 => self.eight_of(self.largest, 0, at),
             8 => self.eight_of(self.smaller, largest, at),
@@ -102,9 +96,7 @@ impl Texels<'_> {
     #[inline(always)]
     pub(crate) fn eight_pairs(self, at: &[i32; LANES]) -> Option<[[u32; LANES]; 2]> {
         let largest = self.texture.largest as i32;
-        let smaller = at
-            .iter()
-            .fold(0, |count, at| count + u32::from(*at >= largest));
+        let smaller = at.iter().fold(0, |count, at| count + u32::from(*at >= largest));
         let (bytes, first) = match smaller {
             0 => (self.largest, 0),
             8 => (self.smaller, largest),
@@ -183,12 +175,7 @@ impl Texture {
     ) -> Result<Self, ModelError> {
         let images = image_count(kind, width, height, channels)
             .filter(|_| bytes.len() == width * height * channels)
-            .ok_or(ModelError::Texture {
-                width,
-                height,
-                channels,
-                bytes: bytes.len(),
-            })?;
+            .ok_or(ModelError::Texture { width, height, channels, bytes: bytes.len() })?;
         let mut texture = Self::with_sizes(kind, [width, height, channels], images);
         texture.smaller = Values::with_capacity(texture.smaller_bytes(images));
         texture.add_smaller_levels(images, bytes);
@@ -302,12 +289,7 @@ impl Texels<'_> {
 
 impl Level {
     fn new(width: usize, height: usize, start: usize, images: usize) -> Self {
-        Self {
-            width,
-            height,
-            start,
-            image: if images == 1 { 0 } else { width * height },
-        }
+        Self { width, height, start, image: if images == 1 { 0 } else { width * height } }
     }
 
     /// Returns the index after the last texel of this level.
@@ -319,14 +301,7 @@ impl Level {
     fn next(&self, images: usize) -> Option<Self> {
         let half = |side: usize| (side / 2).max(1);
         let is_last = self.width == 1 && self.height == 1;
-        (!is_last).then(|| {
-            Self::new(
-                half(self.width),
-                half(self.height),
-                self.end(images),
-                images,
-            )
-        })
+        (!is_last).then(|| Self::new(half(self.width), half(self.height), self.end(images), images))
     }
 }
 
@@ -367,12 +342,8 @@ fn blend(from: u8, to: u8, weight: i32) -> u8 {
 
 /// Coefficients of Mesa's polynomial for decoding sRGB values of 0 to 255, constant term first;
 /// small values are decoded linearly.
-pub(crate) const SRGB_POLYNOMIAL: [f32; 4] = [
-    0.0023,
-    0.0030 / 255.0,
-    0.6935 / (255.0 * 255.0),
-    0.3012 / (255.0 * 255.0 * 255.0),
-];
+pub(crate) const SRGB_POLYNOMIAL: [f32; 4] =
+    [0.0023, 0.0030 / 255.0, 0.6935 / (255.0 * 255.0), 0.3012 / (255.0 * 255.0 * 255.0)];
 /// Largest sRGB value that is decoded linearly, with [`SRGB_LINEAR_FACTOR`].
 pub(crate) const SRGB_LINEAR_TO: f32 = 15.0;
 /// Factor of sRGB values up to [`SRGB_LINEAR_TO`].
@@ -427,14 +398,9 @@ mod tests {
 
     #[test]
     fn estimated_reciprocal_roots_have_errors_below_one_in_two_thousand() {
-        for value in [
-            0.0032f32, 0.01, 0.2499, 0.25, 0.3, 0.5, 0.99, 1.0, 2.0, 17.3,
-        ] {
+        for value in [0.0032f32, 0.01, 0.2499, 0.25, 0.3, 0.5, 0.99, 1.0, 2.0, 17.3] {
             let expected = 1.0 / value.sqrt();
-            assert!(
-                (reciprocal_sqrt(value) / expected - 1.0).abs() < 5e-4,
-                "{value}"
-            );
+            assert!((reciprocal_sqrt(value) / expected - 1.0).abs() < 5e-4, "{value}");
         }
         assert_eq!(reciprocal_sqrt(1.0), 4095.0 / 4096.0);
     }
@@ -444,10 +410,7 @@ mod tests {
         let bytes: Vec<u8> = (0..12 * 5 * 3).map(|byte| byte as u8).collect();
         let flat = TextureKind::Flat { srgb: false };
         let texture = Texture::new(flat, 12, 5, 3, &bytes).expect("a texture");
-        let sizes = texture
-            .levels
-            .iter()
-            .map(|level| (level.width, level.height));
+        let sizes = texture.levels.iter().map(|level| (level.width, level.height));
         assert_eq!(sizes.collect::<Vec<_>>(), [(12, 5), (6, 2), (3, 1), (1, 1)]);
         assert_eq!(texture.smaller.len(), (12 + 3 + 1) * 3 + 1);
         let texels = Texels::new(&texture, &bytes);
@@ -457,24 +420,16 @@ mod tests {
 
     #[test]
     fn a_texture_of_one_colour_has_that_colour_on_every_level() {
-        for kind in [
-            TextureKind::Flat { srgb: false },
-            TextureKind::Flat { srgb: true },
-            TextureKind::Cube,
-        ] {
+        for kind in
+            [TextureKind::Flat { srgb: false }, TextureKind::Flat { srgb: true }, TextureKind::Cube]
+        {
             for value in [0u8, 1, 15, 16, 100, 254, 255] {
                 let bytes = vec![value; 8 * 8 * 3];
                 let texture = Texture::new(kind, 8, 8, 3, &bytes).expect("a texture");
                 let expected = u32::from_le_bytes([value, value, value, 255]);
                 let texels = Texels::new(&texture, &bytes);
-                let all = texture
-                    .levels
-                    .iter()
-                    .map(|level| level.width * level.height);
-                assert!(
-                    (0..all.sum()).all(|at| texels.at(at) == expected),
-                    "{kind:?} {value}"
-                );
+                let all = texture.levels.iter().map(|level| level.width * level.height);
+                assert!((0..all.sum()).all(|at| texels.at(at) == expected), "{kind:?} {value}");
             }
         }
     }

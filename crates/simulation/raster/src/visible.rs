@@ -104,11 +104,7 @@ impl Visible {
         self.blocks_in_row = self.width.div_ceil(BLOCK as usize);
         let blocks = self.blocks_in_row * self.height.div_ceil(BLOCK as usize);
         self.blocks.clear();
-        let cleared = Block {
-            parts: [0.0; LANES],
-            whole: 0.0,
-            writes,
-        };
+        let cleared = Block { parts: [0.0; LANES], whole: 0.0, writes };
         self.blocks.resize(blocks, cleared);
     }
 
@@ -174,16 +170,8 @@ impl Visible {
             }
         }
         let [a, b, c, d, e, f, g, h] = F::transpose(parts);
-        let parts = a
-            .min(b)
-            .min(c.min(d))
-            .min(e.min(f).min(g.min(h)))
-            .to_array();
-        Block {
-            parts,
-            whole: parts.iter().fold(f32::INFINITY, |a, b| a.min(*b)),
-            writes: 0,
-        }
+        let parts = a.min(b).min(c.min(d)).min(e.min(f).min(g.min(h))).to_array();
+        Block { parts, whole: parts.iter().fold(f32::INFINITY, |a, b| a.min(*b)), writes: 0 }
     }
 }
 

@@ -17,10 +17,7 @@ pub(crate) struct BoundingWindow {
 }
 
 impl BoundingWindow {
-    pub(crate) const EMPTY: Self = Self {
-        low: [i32::MAX; 2],
-        high: [i32::MIN; 2],
-    };
+    pub(crate) const EMPTY: Self = Self { low: [i32::MAX; 2], high: [i32::MIN; 2] };
 
     /// Adds an inclusive range of pixels.
     #[inline(always)]
@@ -33,37 +30,25 @@ impl BoundingWindow {
     /// Returns the bounding window; `None` if nothing was added.
     pub(crate) fn window(&self) -> Option<Window> {
         let Self { low, high } = *self;
-        (low[0] <= high[0]).then_some(Window {
-            x: [low[0], high[0]],
-            y: [low[1], high[1]],
-        })
+        (low[0] <= high[0]).then_some(Window { x: [low[0], high[0]], y: [low[1], high[1]] })
     }
 }
 
 impl Window {
     /// Returns the window of a whole picture.
     pub(crate) fn whole(width: usize, height: usize) -> Self {
-        Self {
-            x: [0, width as i32 - 1],
-            y: [0, height as i32 - 1],
-        }
+        Self { x: [0, width as i32 - 1], y: [0, height as i32 - 1] }
     }
 
     /// Returns the window of a single pixel.
     pub(crate) fn pixel(x: i32, y: i32) -> Self {
-        Self {
-            x: [x, x],
-            y: [y, y],
-        }
+        Self { x: [x, x], y: [y, y] }
     }
 
     /// Returns the smallest window that contains both windows.
     pub(crate) fn enclosing(self, other: Self) -> Self {
         let range = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
-        Self {
-            x: range(self.x, other.x),
-            y: range(self.y, other.y),
-        }
+        Self { x: range(self.x, other.x), y: range(self.y, other.y) }
     }
 
     /// Returns the bounding window of two windows, of which either may be empty.

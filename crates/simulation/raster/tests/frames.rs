@@ -11,11 +11,7 @@ use sha2::{Digest, Sha256};
 
 fn digest(frame: &[u8]) -> String {
     let digest = Sha256::digest(frame);
-    digest
-        .iter()
-        .take(8)
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// First eight bytes of the SHA-256 of the room's frames, by size. The frames change only with
@@ -33,9 +29,8 @@ fn golden_frames_have_the_same_bits_on_every_machine() {
     let (model, scene) = (model(), room());
     let found = GOLDEN.map(|(width, height, _)| {
         let mut canvas = Canvas::new();
-        let frame = canvas
-            .draw(&model, &largest_levels(), &scene, [width, height])
-            .expect("a frame");
+        let frame =
+            canvas.draw(&model, &largest_levels(), &scene, [width, height]).expect("a frame");
         (width, height, digest(&frame))
     });
     let expected = GOLDEN.map(|(width, height, digest)| (width, height, digest.to_owned()));
@@ -47,9 +42,7 @@ fn every_part_of_the_room_changes_the_frame() {
     let model = model();
     let scene = room();
     let draw = |scene: &Scene| {
-        Canvas::new()
-            .draw(&model, &largest_levels(), scene, [128, 128])
-            .expect("a frame")
+        Canvas::new().draw(&model, &largest_levels(), scene, [128, 128]).expect("a frame")
     };
     let whole = draw(&scene);
     for geom in 0..scene.geoms.len() {
@@ -192,44 +185,19 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
         let mut scene = room();
         change(&mut scene);
         let mut canvas = Canvas::new();
-        canvas
-            .draw(&model, &largest_levels(), &scene, [width, 8])
-            .map(|frame| frame.len())
+        canvas.draw(&model, &largest_levels(), &scene, [width, 8]).map(|frame| frame.len())
     };
-    assert_eq!(
-        draw(&|_| {}, 0),
-        Err(DrawError::Size {
-            width: 0,
-            height: 8
-        })
-    );
-    assert_eq!(
-        draw(&|_| {}, 4097),
-        Err(DrawError::Size {
-            width: 4097,
-            height: 8
-        })
-    );
+    assert_eq!(draw(&|_| {}, 0), Err(DrawError::Size { width: 0, height: 8 }));
+    assert_eq!(draw(&|_| {}, 4097), Err(DrawError::Size { width: 4097, height: 8 }));
     assert_eq!(draw(&|_| {}, 4096), Ok(4096 * 8 * 3));
     for (what, change) in [
-        (
-            "near plane",
-            (|scene: &mut Scene| scene.camera.near = 0.0) as fn(&mut Scene),
-        ),
+        ("near plane", (|scene: &mut Scene| scene.camera.near = 0.0) as fn(&mut Scene)),
         ("far plane", |scene: &mut Scene| scene.camera.far = 0.001),
-        ("height", |scene: &mut Scene| {
-            scene.camera.top = scene.camera.bottom
-        }),
+        ("height", |scene: &mut Scene| scene.camera.top = scene.camera.bottom),
         ("pose", |scene: &mut Scene| scene.camera.pos[1] = f32::NAN),
-        ("mesh 7", |scene: &mut Scene| {
-            scene.geoms[0].shape = Shape::Mesh(7)
-        }),
-        ("the sky names texture 9", |scene: &mut Scene| {
-            scene.sky = Some(9)
-        }),
-        ("shadow maps of 2 × 2", |scene: &mut Scene| {
-            scene.shadows = Some(shadows(2))
-        }),
+        ("mesh 7", |scene: &mut Scene| scene.geoms[0].shape = Shape::Mesh(7)),
+        ("the sky names texture 9", |scene: &mut Scene| scene.sky = Some(9)),
+        ("shadow maps of 2 × 2", |scene: &mut Scene| scene.shadows = Some(shadows(2))),
     ] {
         let error = draw(&change, 8).expect_err(what).to_string();
         assert!(error.contains(what), "{error}");
@@ -249,13 +217,9 @@ fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     let mut canvas = Canvas::new();
     for (number, scene) in scenes.iter().enumerate() {
         let mut new_canvas = Canvas::new();
-        let expected = new_canvas
-            .draw(&model, &largest_levels(), scene, size)
-            .expect("a frame");
+        let expected = new_canvas.draw(&model, &largest_levels(), scene, size).expect("a frame");
         for repetition in 0..4 {
-            let drawn = canvas
-                .draw(&model, &largest_levels(), scene, size)
-                .expect("a frame");
+            let drawn = canvas.draw(&model, &largest_levels(), scene, size).expect("a frame");
             assert!(drawn == expected, "scene {number}, repetition {repetition}");
         }
     }
@@ -276,9 +240,8 @@ fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_canvases() {
         for (at, (ball, canvas)) in canvases.iter_mut().enumerate() {
             // The ball is at rest for some steps, so that it is cached, too.
             let scene = moved(step / 5, *ball);
-            let expected = Canvas::new()
-                .draw(&model, &largest_levels(), &scene, [64, 48])
-                .expect("a frame");
+            let expected =
+                Canvas::new().draw(&model, &largest_levels(), &scene, [64, 48]).expect("a frame");
             let mut draw = || canvas.draw(&model, &largest_levels(), &scene, [64, 48]);
             let drawn = match (at + usize::from(step)).is_multiple_of(3) {
                 true => std::thread::scope(|scope| scope.spawn(draw).join().expect("no panic")),
@@ -294,11 +257,8 @@ fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_canvases() {
 fn zeros_of_both_signs_are_distinguished() {
     let with_attenuation = |zero: f32| {
         let mut scene = room();
-        scene.lights[1].kind = raster::LightKind::Spot {
-            cutoff: 180.0,
-            exponent: 0.0,
-            attenuation: [zero; 3],
-        };
+        scene.lights[1].kind =
+            raster::LightKind::Spot { cutoff: 180.0, exponent: 0.0, attenuation: [zero; 3] };
         scene.lights[1].ambient = [0.1; 3];
         scene
     };
@@ -312,30 +272,15 @@ fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     let mut builder = MeshBuilder::default();
     for layer in 0..1500 {
         let z = layer as f32 * 1e-3;
-        builder.quad(
-            [
-                [-9.0, -9.0, z],
-                [9.0, -9.0, z],
-                [9.0, 9.0, z],
-                [-9.0, 9.0, z],
-            ]
-            .map(corner),
-        );
+        builder.quad([[-9.0, -9.0, z], [9.0, -9.0, z], [9.0, 9.0, z], [-9.0, 9.0, z]].map(corner));
     }
     let mut model = model();
     model.meshes.push(builder.build().into());
     let mut scene = room();
-    let glass = scenes::geom(
-        Shape::Mesh(1),
-        [0.0, 0.0, -2.0],
-        [1.0; 3],
-        [0.2, 0.4, 0.6, 0.01],
-    );
+    let glass = scenes::geom(Shape::Mesh(1), [0.0, 0.0, -2.0], [1.0; 3], [0.2, 0.4, 0.6, 0.01]);
     scene.geoms = vec![glass];
     let mut canvas = Canvas::new();
-    let frame = canvas
-        .draw(&model, &largest_levels(), &scene, [96, 64])
-        .expect("a frame");
+    let frame = canvas.draw(&model, &largest_levels(), &scene, [96, 64]).expect("a frame");
     assert_eq!(digest(&frame), "b3803dc6681de13b");
 }
 

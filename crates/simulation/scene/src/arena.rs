@@ -78,23 +78,15 @@ impl Arena {
 /// Returns the arena of a problem class of LIBERO or LIBERO-Plus. The classes of LIBERO-Plus are
 /// LIBERO's with another model file or other textures.
 pub fn arena(problem: &str) -> Option<Arena> {
-    let libero_arena = |problem: &str| {
-        ARENAS
-            .iter()
-            .find(|arena| arena.problem == problem)
-            .cloned()
-    };
+    let libero_arena =
+        |problem: &str| ARENAS.iter().find(|arena| arena.problem == problem).cloned();
     libero_arena(problem).or_else(|| {
         let class = problem_class(problem).ok()?;
         let arena = libero_arena(class.parent)?;
         Some(Arena {
             file: class.scene.map_or(arena.file, Cow::Owned),
-            floor_texture: class
-                .floor
-                .map_or(arena.floor_texture, |style| style.file.into()),
-            wall_texture: class
-                .wall
-                .map_or(arena.wall_texture, |style| style.file.into()),
+            floor_texture: class.floor.map_or(arena.floor_texture, |style| style.file.into()),
+            wall_texture: class.wall.map_or(arena.wall_texture, |style| style.file.into()),
             ..arena
         })
     })
@@ -109,28 +101,15 @@ const fn camera(name: &'static str, pos: [f64; 3], quat: [f64; 4]) -> Camera {
     Camera { name, pos, quat }
 }
 
-const LOW_VIEW: [f64; 4] = [
-    0.6182166934013367,
-    0.3432307541370392,
-    0.3432314395904541,
-    0.6182177066802979,
-];
-const HIGH_VIEW: [f64; 4] = [
-    0.6380177736282349,
-    0.3048497438430786,
-    0.30484986305236816,
-    0.6380177736282349,
-];
+const LOW_VIEW: [f64; 4] =
+    [0.6182166934013367, 0.3432307541370392, 0.3432314395904541, 0.6182177066802979];
+const HIGH_VIEW: [f64; 4] =
+    [0.6380177736282349, 0.3048497438430786, 0.30484986305236816, 0.6380177736282349];
 const FRONT_VIEW: [f64; 4] = [0.56, 0.43, 0.43, 0.56];
 const GALLERY: Camera = camera(
     "galleryview",
     [2.844547668904445, 2.1279684793440667, 3.128616846013882],
-    [
-        0.42261379957199097,
-        0.23374411463737488,
-        0.41646939516067505,
-        0.7702690958976746,
-    ],
+    [0.42261379957199097, 0.23374411463737488, 0.41646939516067505, 0.7702690958976746],
 );
 const PAPER_VIEW: [f64; 4] = [0.513, 0.353, 0.443, 0.645];
 
@@ -146,18 +125,11 @@ const ARENAS: &[Arena] = &[
         zone_offset: [0.0, 0.0, 0.02],
         workspace_offset: [0.0, 0.0, 0.90],
         fixture_z_offset: 0.01 - 0.05,
-        table: Some(Table {
-            full_size: [1.0, 1.2, 0.05],
-            friction: [0.6, 0.005, 0.0001],
-        }),
+        table: Some(Table { full_size: [1.0, 1.2, 0.05], friction: [0.6, 0.005, 0.0001] }),
         whole_object_in_region: true,
         robot: RobotStand::Pedestal([-0.66, 0.0, 0.0]),
         cameras: &[
-            camera(
-                "agentview",
-                [0.6586131746834771, 0.0, 1.6103500240372423],
-                HIGH_VIEW,
-            ),
+            camera("agentview", [0.6586131746834771, 0.0, 1.6103500240372423], HIGH_VIEW),
             camera("frontview", [1.0, 0.0, 1.48], FRONT_VIEW),
             GALLERY,
         ],
@@ -173,18 +145,11 @@ const ARENAS: &[Arena] = &[
         zone_offset: [0.0, 0.0, 0.0],
         workspace_offset: [0.0, 0.0, 0.90],
         fixture_z_offset: 0.01 - 0.05,
-        table: Some(Table {
-            full_size: [1.0, 1.2, 0.05],
-            friction: [1.0, 0.005, 0.0001],
-        }),
+        table: Some(Table { full_size: [1.0, 1.2, 0.05], friction: [1.0, 0.005, 0.0001] }),
         whole_object_in_region: false,
         robot: RobotStand::Pedestal([-0.66, 0.0, 0.0]),
         cameras: &[
-            camera(
-                "agentview",
-                [0.6586131746834771, 0.0, 1.6103500240372423],
-                HIGH_VIEW,
-            ),
+            camera("agentview", [0.6586131746834771, 0.0, 1.6103500240372423], HIGH_VIEW),
             camera("frontview", [1.0, 0.0, 1.48], FRONT_VIEW),
             GALLERY,
             camera("paperview", [2.1, 0.535, 2.075], PAPER_VIEW),
@@ -226,11 +191,7 @@ const ARENAS: &[Arena] = &[
         whole_object_in_region: false,
         robot: RobotStand::Pedestal([-0.75, 0.0, 0.0]),
         cameras: &[
-            camera(
-                "agentview",
-                [0.4586131746834771, 0.0, 1.6103500240372423],
-                HIGH_VIEW,
-            ),
+            camera("agentview", [0.4586131746834771, 0.0, 1.6103500240372423], HIGH_VIEW),
             camera("frontview", [1.0, 0.0, 1.48], FRONT_VIEW),
             GALLERY,
             camera("paperview", [2.1, 0.535, 2.075], PAPER_VIEW),
@@ -251,11 +212,7 @@ const ARENAS: &[Arena] = &[
         whole_object_in_region: true,
         robot: RobotStand::Ground([-0.6, 0.0, 0.0]),
         cameras: &[
-            camera(
-                "agentview",
-                [0.8965773716836134, 5.216182733499864e-7, 0.65],
-                LOW_VIEW,
-            ),
+            camera("agentview", [0.8965773716836134, 5.216182733499864e-7, 0.65], LOW_VIEW),
             camera("frontview", [1.0, 0.0, 0.65], FRONT_VIEW),
             GALLERY,
         ],
@@ -277,11 +234,7 @@ const ARENAS: &[Arena] = &[
         cameras: &[
             camera("agentview", [1.5, 0.0, 0.9], FRONT_VIEW),
             GALLERY,
-            camera(
-                "canonical_agentview",
-                [0.5386131746834771, 0.0, 0.7903500240372423],
-                HIGH_VIEW,
-            ),
+            camera("canonical_agentview", [0.5386131746834771, 0.0, 0.7903500240372423], HIGH_VIEW),
         ],
     },
 ];

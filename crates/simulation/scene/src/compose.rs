@@ -66,9 +66,7 @@ impl Scene {
     /// Returns the robot's meshes and textures that the MJCF references.
     pub fn robot_files(&self, sources: &Sources) -> Vec<PathBuf> {
         let root = sources.robosuite();
-        self.files_below(&root)
-            .map(|file| root.path(file))
-            .collect()
+        self.files_below(&root).map(|file| root.path(file)).collect()
     }
 
     fn files_below<'a>(&'a self, root: &'a AssetRoot) -> impl Iterator<Item = &'a str> {
@@ -118,10 +116,7 @@ pub fn compose(
 
     let inconsistent = SceneError::Inconsistent;
     let mut model = Part::load(&sources.robosuite(), "base.xml", "base model")?;
-    model
-        .root
-        .child_mut("option")
-        .set("timestep", TIMESTEP_SECS.to_string());
+    model.root.child_mut("option").set("timestep", TIMESTEP_SECS.to_string());
     model.merge(&workspace, None).map_err(inconsistent)?;
     model.merge(&robot, None).map_err(inconsistent)?;
     for part in &parts {
@@ -156,9 +151,7 @@ fn load_instances(
     for (declaration, kind) in objects.chain(fixtures) {
         let name = &declaration.name;
         if parts.iter().any(|part| part.instance.name == *name) {
-            return Err(SceneError::Inconsistent(format!(
-                "two instances are called `{name}`"
-            )));
+            return Err(SceneError::Inconsistent(format!("two instances are called `{name}`")));
         }
         let category =
             category(&declaration.category).ok_or_else(|| SceneError::UnknownCategory {
@@ -180,10 +173,7 @@ fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
         path: root.path(&arena.file),
         problem: format!("no {what}"),
     };
-    for (texture, file) in [
-        ("texplane", &arena.floor_texture),
-        ("tex-wall", &arena.wall_texture),
-    ] {
+    for (texture, file) in [("texplane", &arena.floor_texture), ("tex-wall", &arena.wall_texture)] {
         let texture = part
             .root
             .child_mut("asset")
@@ -205,9 +195,7 @@ fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
         let element = match world.find_mut("camera", camera.name) {
             Some(element) => element,
             None => {
-                world
-                    .children
-                    .push(Element::new("camera").with("name", camera.name));
+                world.children.push(Element::new("camera").with("name", camera.name));
                 world.children.last_mut().expect("just pushed")
             }
         };
@@ -232,9 +220,7 @@ fn size_table(
     let offset = arena.workspace_offset;
     let world = part.worldbody_mut();
     let set_attributes = |world: &mut Element, tag: &str, name: &str, values: &[(&str, String)]| {
-        let element = world
-            .find_mut(tag, name)
-            .ok_or_else(|| format!("{tag} `{name}`"))?;
+        let element = world.find_mut(tag, name).ok_or_else(|| format!("{tag} `{name}`"))?;
         for (attribute, value) in values {
             element.set(attribute, value.clone());
         }
@@ -247,12 +233,7 @@ fn size_table(
     let friction = ("friction", numbers(&friction));
     set_attributes(world, "geom", "table_collision", &[size.clone(), friction])?;
     set_attributes(world, "geom", "table_visual", &[size])?;
-    set_attributes(
-        world,
-        "site",
-        "table_top",
-        &[("pos", numbers(&[0.0, 0.0, half[2]]))],
-    )?;
+    set_attributes(world, "site", "table_top", &[("pos", numbers(&[0.0, 0.0, half[2]]))])?;
     let half_length = (offset[2] - half[2]) / 2.0;
     for (index, inset) in LEG_INSET.iter().enumerate() {
         let mut pos = [0.0, 0.0, -half_length];
@@ -264,12 +245,7 @@ fn size_table(
         }
         let name = format!("table_leg{}_visual", index + 1);
         let size = numbers(&[LEG_RADIUS, half_length]);
-        set_attributes(
-            world,
-            "geom",
-            &name,
-            &[("pos", numbers(&pos)), ("size", size)],
-        )?;
+        set_attributes(world, "geom", &name, &[("pos", numbers(&pos)), ("size", size)])?;
     }
     Ok(())
 }
@@ -285,19 +261,13 @@ fn find_regions(
     let mut sites: Vec<RegionSite> = Vec::new();
     for region in &problem.regions {
         // Of regions with the same name, the last definition is used, at the position of the first.
-        let region = problem
-            .region(&region.name)
-            .expect("the problem has the region");
+        let region = problem.region(&region.name).expect("the problem has the region");
         if sites.iter().any(|site| site.name == region.name) {
             continue;
         }
         if !region.name.contains(arena.zone_marker) {
-            sites.extend(
-                parts
-                    .iter()
-                    .filter_map(|part| part.region_site(&region.name))
-                    .next_back(),
-            );
+            sites
+                .extend(parts.iter().filter_map(|part| part.region_site(&region.name)).next_back());
             continue;
         }
         let Some(rectangle) = region.ranges.first() else {
@@ -316,15 +286,9 @@ fn find_regions(
             )));
         }
         let offset = arena.zone_offset;
-        let pos = [
-            centre(rectangle.x) + offset[0],
-            centre(rectangle.y) + offset[1],
-            offset[2],
-        ];
-        let body = workspace
-            .worldbody_mut()
-            .find_mut("body", arena.zone_body)
-            .ok_or_else(|| {
+        let pos = [centre(rectangle.x) + offset[0], centre(rectangle.y) + offset[1], offset[2]];
+        let body =
+            workspace.worldbody_mut().find_mut("body", arena.zone_body).ok_or_else(|| {
                 SceneError::Inconsistent(format!("the arena has no body `{}`", arena.zone_body))
             })?;
         body.children.push(

@@ -16,11 +16,7 @@ const MAX_DEPTH: usize = 128;
 
 impl Element {
     pub(crate) fn new(tag: &str) -> Self {
-        Self {
-            tag: tag.to_owned(),
-            attributes: Vec::new(),
-            children: Vec::new(),
-        }
+        Self { tag: tag.to_owned(), attributes: Vec::new(), children: Vec::new() }
     }
 
     /// Parses a document. A syntax error has its position; an error about nesting or namespaces has
@@ -36,32 +32,20 @@ impl Element {
         }
         // A namespaced attribute would lose its prefix, and its name could then occur twice.
         if let Some(namespaced) = node.attributes().find(|a| a.namespace().is_some()) {
-            return Err(format!(
-                "attribute `{}` is in a namespace",
-                namespaced.name()
-            ));
+            return Err(format!("attribute `{}` is in a namespace", namespaced.name()));
         }
-        let attributes = node
-            .attributes()
-            .map(|a| (a.name().to_owned(), a.value().to_owned()))
-            .collect();
+        let attributes =
+            node.attributes().map(|a| (a.name().to_owned(), a.value().to_owned())).collect();
         let children = node
             .children()
             .filter(roxmltree::Node::is_element)
             .map(|child| Self::from_node(child, depth + 1))
             .collect::<Result<_, _>>()?;
-        Ok(Self {
-            tag: node.tag_name().name().to_owned(),
-            attributes,
-            children,
-        })
+        Ok(Self { tag: node.tag_name().name().to_owned(), attributes, children })
     }
 
     pub(crate) fn get(&self, name: &str) -> Option<&str> {
-        self.attributes
-            .iter()
-            .find(|(key, _)| key == name)
-            .map(|(_, value)| value.as_str())
+        self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }
 
     pub(crate) fn set(&mut self, name: &str, value: impl Into<String>) {
@@ -90,9 +74,7 @@ impl Element {
     }
 
     pub(crate) fn attributes(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.attributes
-            .iter()
-            .map(|(key, value)| (key.as_str(), value.as_str()))
+        self.attributes.iter().map(|(key, value)| (key.as_str(), value.as_str()))
     }
 
     pub(crate) fn name(&self) -> Option<&str> {
@@ -118,9 +100,7 @@ impl Element {
 
     /// Finds this element or a descendant by tag and name, in document order.
     pub(crate) fn find(&self, tag: &str, name: &str) -> Option<&Self> {
-        self.descendants()
-            .into_iter()
-            .find(|e| e.tag == tag && e.name() == Some(name))
+        self.descendants().into_iter().find(|e| e.tag == tag && e.name() == Some(name))
     }
 
     /// Mutable variant of [`find`](Self::find).
@@ -128,9 +108,7 @@ impl Element {
         if self.tag == tag && self.name() == Some(name) {
             return Some(self);
         }
-        self.children
-            .iter_mut()
-            .find_map(|child| child.find_mut(tag, name))
+        self.children.iter_mut().find_map(|child| child.find_mut(tag, name))
     }
 
     /// Returns this element and all its descendants, in document order.
@@ -192,9 +170,7 @@ pub(crate) fn numbers(values: &[f64]) -> String {
 
 /// Parses MJCF numbers.
 pub(crate) fn parse_numbers(text: &str) -> Option<Vec<f64>> {
-    text.split_whitespace()
-        .map(|word| word.parse().ok())
-        .collect()
+    text.split_whitespace().map(|word| word.parse().ok()).collect()
 }
 
 #[cfg(test)]

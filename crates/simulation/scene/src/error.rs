@@ -40,25 +40,14 @@ pub enum SceneError {
          replaces it, or `worker assets verify`, which lists everything that differs",
         path.display()
     )]
-    NotLiberos {
-        what: String,
-        path: PathBuf,
-        difference: String,
-    },
+    NotLiberos { what: String, path: PathBuf, difference: String },
     #[error(
         "find a model for category `{category}` of `{instance}`: the catalogue has {known} \
          other categories; check the category's spelling in the BDDL file"
     )]
-    UnknownCategory {
-        category: String,
-        instance: String,
-        known: usize,
-    },
+    UnknownCategory { category: String, instance: String, known: usize },
     #[error("choose an arena for problem `{problem}`: the known problems are {}", known.join(", "))]
-    UnknownProblem {
-        problem: String,
-        known: Vec<&'static str>,
-    },
+    UnknownProblem { problem: String, known: Vec<&'static str> },
     /// No package index has the task files of LIBERO-Para.
     #[error("fetch LIBERO-Para's sentences: no package index has them; run `{FETCH}`")]
     NoWheel,
@@ -73,9 +62,5 @@ pub enum SceneError {
         "place `{object}` in region `{region}`: no free position in {attempts} attempts \
          (the region is too crowded)"
     )]
-    NoRoom {
-        object: String,
-        region: String,
-        attempts: usize,
-    },
+    NoRoom { object: String, region: String, attempts: usize },
 }

@@ -29,10 +29,7 @@ const MAX_DEPTH: usize = 64;
 
 impl Expression {
     pub(crate) fn error(&self, problem: impl Into<String>) -> BddlError {
-        BddlError {
-            line: self.line,
-            problem: problem.into(),
-        }
+        BddlError { line: self.line, problem: problem.into() }
     }
 
     pub(crate) fn word(&self, what: &str) -> Result<&str, BddlError> {
@@ -54,9 +51,7 @@ impl Expression {
         rest: &'a [Expression],
         what: &str,
     ) -> Result<&'a str, BddlError> {
-        rest.last()
-            .ok_or_else(|| self.error(format!("expected {what}")))?
-            .word(what)
+        rest.last().ok_or_else(|| self.error(format!("expected {what}")))?.word(what)
     }
 
     pub(crate) fn numbers<const N: usize>(&self, what: &str) -> Result<[f64; N], BddlError> {
@@ -72,10 +67,7 @@ impl Expression {
             })
             .collect::<Result<_, _>>()?;
         numbers.try_into().map_err(|found: Vec<f64>| {
-            self.error(format!(
-                "{what}: expected {N} numbers, found {}",
-                found.len()
-            ))
+            self.error(format!("{what}: expected {N} numbers, found {}", found.len()))
         })
     }
 }
@@ -87,30 +79,18 @@ pub(crate) fn read_expression(text: &str) -> Result<Expression, BddlError> {
         let number = index + 1;
         let code = line.split(';').next().unwrap_or_default().to_lowercase();
         for token in tokens(&code) {
-            let error = |problem: &str| BddlError {
-                line: number,
-                problem: problem.to_owned(),
-            };
+            let error = |problem: &str| BddlError { line: number, problem: problem.to_owned() };
             let finished = match token {
                 "(" if open.len() == MAX_DEPTH => return Err(error("nested too deeply")),
                 "(" => {
-                    open.push(Expression {
-                        line: number,
-                        kind: Kind::List(Vec::new()),
-                    });
+                    open.push(Expression { line: number, kind: Kind::List(Vec::new()) });
                     continue;
                 }
                 ")" => open.pop().ok_or_else(|| error("`)` without `(`"))?,
-                word => Expression {
-                    line: number,
-                    kind: Kind::Word(word.to_owned()),
-                },
+                word => Expression { line: number, kind: Kind::Word(word.to_owned()) },
             };
             match open.last_mut() {
-                Some(Expression {
-                    kind: Kind::List(items),
-                    ..
-                }) => items.push(finished),
+                Some(Expression { kind: Kind::List(items), .. }) => items.push(finished),
                 _ if root.is_none() => root = Some(finished),
                 _ => return Err(error("more than one expression in the file")),
             }
@@ -119,10 +99,7 @@ pub(crate) fn read_expression(text: &str) -> Result<Expression, BddlError> {
     match (open.last(), root) {
         (Some(list), _) => Err(list.error("`(` is never closed")),
         (None, Some(root)) => Ok(root),
-        (None, None) => Err(BddlError {
-            line: 1,
-            problem: "the file is empty".to_owned(),
-        }),
+        (None, None) => Err(BddlError { line: 1, problem: "the file is empty".to_owned() }),
     }
 }
 
@@ -131,11 +108,7 @@ fn tokens(code: &str) -> impl Iterator<Item = &str> {
     code.split_whitespace().flat_map(move |chunk| {
         chunk.split_inclusive(is_paren).flat_map(move |piece| {
             // A piece is a word, a parenthesis, or a word that ends with a parenthesis.
-            let split = if piece.ends_with(is_paren) {
-                piece.len() - 1
-            } else {
-                piece.len()
-            };
+            let split = if piece.ends_with(is_paren) { piece.len() - 1 } else { piece.len() };
             let (word, paren) = piece.split_at(split);
             [word, paren].into_iter().filter(|token| !token.is_empty())
         })

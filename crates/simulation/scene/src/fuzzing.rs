@@ -16,11 +16,7 @@ use crate::sources::{AssetRoot, RootKind, locate_files};
 /// # Panics
 /// If the written scene does not parse to the same scene.
 pub fn object_model(text: &str, movable: bool) -> Result<(), String> {
-    let root = AssetRoot {
-        kind: RootKind::Pack,
-        dir: PathBuf::from("pack"),
-        verified: None,
-    };
+    let root = AssetRoot { kind: RootKind::Pack, dir: PathBuf::from("pack"), verified: None };
     let category = category("wooden_cabinet").expect("in the catalogue");
     let kind = match movable {
         true => InstanceKind::Object,

@@ -45,11 +45,7 @@ impl InitialStates {
             path: path.to_owned(),
             problem,
         })?;
-        Ok(Self {
-            path: path.to_owned(),
-            width: matrix.columns,
-            values: matrix.values,
-        })
+        Ok(Self { path: path.to_owned(), width: matrix.columns, values: matrix.values })
     }
 
     pub fn count(&self) -> usize {
@@ -110,9 +106,7 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
 /// Parses NumPy's format 1.0: a row-major matrix of little-endian doubles.
 fn read_npy(bytes: &[u8]) -> Result<Matrix, String> {
     let malformed = || "`states.npy` is not a row-major matrix of little-endian doubles".to_owned();
-    let rest = bytes
-        .strip_prefix(b"\x93NUMPY\x01\x00")
-        .ok_or_else(malformed)?;
+    let rest = bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(malformed)?;
     let (length, rest) = rest.split_first_chunk::<2>().ok_or_else(malformed)?;
     let length = usize::from(u16::from_le_bytes(*length));
     let (header, data) = rest.split_at_checked(length).ok_or_else(malformed)?;
@@ -132,10 +126,7 @@ fn read_npy(bytes: &[u8]) -> Result<Matrix, String> {
     Ok(Matrix {
         rows,
         columns,
-        values: chunks
-            .iter()
-            .map(|chunk| f64::from_le_bytes(*chunk))
-            .collect(),
+        values: chunks.iter().map(|chunk| f64::from_le_bytes(*chunk)).collect(),
     })
 }
 
@@ -147,9 +138,7 @@ mod tests {
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
         bytes.extend((header.len() as u16).to_le_bytes());
         bytes.extend(header.as_bytes());
-        values
-            .iter()
-            .for_each(|value| bytes.extend(value.to_le_bytes()));
+        values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
         bytes
     }
 
@@ -167,10 +156,7 @@ mod tests {
             header.replace("(2, 3)", "(2, 4)"),
             header.replace("(2, 3)", "(18446744073709551615, 2)"),
         ] {
-            assert!(
-                read_npy(&npy(&invalid_header, &values)).is_err(),
-                "{invalid_header}"
-            );
+            assert!(read_npy(&npy(&invalid_header, &values)).is_err(), "{invalid_header}");
         }
         let whole = npy(header, &values);
         for end in 0..whole.len() {

@@ -93,13 +93,8 @@ pub(crate) fn build(
     add_prefix(&mut part.root, &prefix);
 
     let names = |is_selected: &dyn Fn(&Element) -> bool| -> Vec<String> {
-        let elements = body
-            .descendants()
-            .into_iter()
-            .filter(|element| is_selected(element));
-        elements
-            .filter_map(|element| element.name().map(str::to_owned))
-            .collect()
+        let elements = body.descendants().into_iter().filter(|element| is_selected(element));
+        elements.filter_map(|element| element.name().map(str::to_owned)).collect()
     };
     let burner = format!("{prefix}burner");
     let instance = Instance {
@@ -112,12 +107,7 @@ pub(crate) fn build(
         burner_site: body.find("site", &burner).map(|_| burner),
     };
     let footprint = footprint(&part, &prefix)?;
-    Ok(ObjectPart {
-        instance,
-        part,
-        body,
-        footprint,
-    })
+    Ok(ObjectPart { instance, part, body, footprint })
 }
 
 /// Drops geoms that are neither in the collision group 0 nor in the visual group 1, and names
@@ -163,18 +153,9 @@ impl ObjectPart {
     /// LIBERO, visits the bodies in document order, takes the last body that contains the site,
     /// and stops at the first body without any site.
     pub(crate) fn region_site(&self, region: &str) -> Option<RegionSite> {
-        let outer = self
-            .part
-            .worldbody()
-            .ok()?
-            .children
-            .iter()
-            .find(|child| child.tag == "body")?;
-        let bodies = outer
-            .descendants()
-            .into_iter()
-            .skip(1)
-            .filter(|e| e.tag == "body");
+        let outer =
+            self.part.worldbody().ok()?.children.iter().find(|child| child.tag == "body")?;
+        let bodies = outer.descendants().into_iter().skip(1).filter(|e| e.tag == "body");
         let mut found = None;
         for body in bodies {
             let inside = body.descendants();
@@ -190,9 +171,7 @@ impl ObjectPart {
                 name: region.to_owned(),
                 half_size: half_size(site),
                 parent: Some(self.instance.name.clone()),
-                joints: joints
-                    .filter_map(|joint| joint.name().map(str::to_owned))
-                    .collect(),
+                joints: joints.filter_map(|joint| joint.name().map(str::to_owned)).collect(),
             });
         }
         found

@@ -83,14 +83,7 @@ impl AssetPack {
     }
 
     fn custom(dir: PathBuf, digest: String, differences: Vec<String>) -> Self {
-        Self {
-            name: CUSTOM,
-            dir,
-            digest,
-            verified: None,
-            is_managed: false,
-            differences,
-        }
+        Self { name: CUSTOM, dir, digest, verified: None, is_managed: false, differences }
     }
 
     /// Opens a given folder as the target of a fetch of LIBERO's assets. The folder need not exist.
@@ -107,9 +100,8 @@ impl AssetPack {
         if differences.is_empty() && present > 0 {
             return Ok(pack);
         }
-        let differences = differences
-            .iter()
-            .map(|(path, difference)| format!("{path} ({difference})"));
+        let differences =
+            differences.iter().map(|(path, difference)| format!("{path} ({difference})"));
         let digest = digest_of_folder(&pack.dir)?;
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
@@ -158,11 +150,7 @@ impl AssetPack {
     }
 
     pub(crate) fn root(&self) -> AssetRoot {
-        AssetRoot {
-            kind: RootKind::Pack,
-            dir: self.dir.clone(),
-            verified: self.verified.clone(),
-        }
+        AssetRoot { kind: RootKind::Pack, dir: self.dir.clone(), verified: self.verified.clone() }
     }
 
     fn unpack_primitives(packs: &Path) -> Result<Self, SceneError> {
@@ -190,10 +178,7 @@ impl AssetPack {
             // Removes the temporary folder if another process was faster; its pack is identical.
             let _ = std::fs::remove_dir_all(&temporary);
         }
-        Ok(Self {
-            name: PRIMITIVES,
-            ..Self::custom(dir, digest, Vec::new())
-        })
+        Ok(Self { name: PRIMITIVES, ..Self::custom(dir, digest, Vec::new()) })
     }
 }
 

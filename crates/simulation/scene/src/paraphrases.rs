@@ -24,10 +24,7 @@ const BDDL_FILES: &str = "bddl_files";
 /// # Errors
 /// If a file of the checkout is missing, unreadable or altered, or the copies cannot be written.
 pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, SceneError> {
-    let refused = |problem: String| SceneError::Checkout {
-        path: checkout.to_owned(),
-        problem,
-    };
+    let refused = |problem: String| SceneError::Checkout { path: checkout.to_owned(), problem };
     let folder = Sources::family(sources.dir(), Benchmark::Para);
     let unpacking = folder.join(UNPACKING);
     let required = required_files(Benchmark::Para);
@@ -56,14 +53,9 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
     if let Some(first) = missing.first() {
         let all = required.len() + 1;
         let count = missing.len();
-        return Err(refused(format!(
-            "{count} of {all} files are missing, for example `{first}`"
-        )));
+        return Err(refused(format!("{count} of {all} files are missing, for example `{first}`")));
     }
-    let found: String = Sha256::digest(&digests)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let found: String = Sha256::digest(&digests).iter().map(|byte| format!("{byte:02x}")).collect();
     let expected = para::digest();
     if found != expected {
         return Err(refused(format!(

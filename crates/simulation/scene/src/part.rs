@@ -111,9 +111,7 @@ impl Part {
     }
 
     pub(crate) fn worldbody(&self) -> Result<&Element, String> {
-        self.root
-            .child("worldbody")
-            .ok_or_else(|| "no `<worldbody>`".to_owned())
+        self.root.child("worldbody").ok_or_else(|| "no `<worldbody>`".to_owned())
     }
 
     pub(crate) fn worldbody_mut(&mut self) -> &mut Element {
@@ -146,10 +144,7 @@ impl Part {
     /// unnamed assets of one kind count as having the same name.
     pub(crate) fn merge_assets(&mut self, other: &Part) {
         let assets = self.root.child_mut("asset");
-        let incoming = other
-            .root
-            .child("asset")
-            .map_or(&[][..], |section| &section.children);
+        let incoming = other.root.child("asset").map_or(&[][..], |section| &section.children);
         for asset in incoming {
             let exists = assets
                 .children
@@ -249,10 +244,7 @@ mod tests {
     #[test]
     fn an_unknown_class_is_refused() {
         let mut root = Element::parse(r#"<mujoco><geom class="c"/></mujoco>"#).unwrap();
-        assert_eq!(
-            expand_defaults(&mut root).unwrap_err(),
-            "class `c` has no `<default>`"
-        );
+        assert_eq!(expand_defaults(&mut root).unwrap_err(), "class `c` has no `<default>`");
     }
 
     #[test]

@@ -67,38 +67,16 @@ const MAX_OPCODES: usize = 256;
 
 /// Unpickles a matrix.
 pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
-    let value = Machine {
-        input: bytes,
-        stack: Vec::new(),
-        memo: HashMap::new(),
-    }
-    .run()?;
-    let Value::Array(Some(Array {
-        shape: [rows, columns],
-        data,
-    })) = value
-    else {
+    let value = Machine { input: bytes, stack: Vec::new(), memo: HashMap::new() }.run()?;
+    let Value::Array(Some(Array { shape: [rows, columns], data })) = value else {
         return Err("the pickle holds no array of doubles".to_owned());
     };
-    if rows
-        .checked_mul(columns)
-        .and_then(|count| count.checked_mul(8))
-        != Some(data.len())
-    {
-        return Err(format!(
-            "{} bytes do not make {rows} × {columns} doubles",
-            data.len()
-        ));
+    if rows.checked_mul(columns).and_then(|count| count.checked_mul(8)) != Some(data.len()) {
+        return Err(format!("{} bytes do not make {rows} × {columns} doubles", data.len()));
     }
-    let values = data
-        .chunks_exact(8)
-        .map(|c| f64::from_le_bytes(c.try_into().expect("8 bytes")))
-        .collect();
-    Ok(Matrix {
-        rows,
-        columns,
-        values,
-    })
+    let values =
+        data.chunks_exact(8).map(|c| f64::from_le_bytes(c.try_into().expect("8 bytes"))).collect();
+    Ok(Matrix { rows, columns, values })
 }
 
 /// Stack machine that executes a pickle's opcodes.
@@ -182,22 +160,17 @@ impl Machine<'_> {
     }
 
     fn u32(&mut self) -> Result<u32, String> {
-        Ok(u32::from_le_bytes(
-            self.take(4)?.try_into().expect("4 bytes"),
-        ))
+        Ok(u32::from_le_bytes(self.take(4)?.try_into().expect("4 bytes")))
     }
 
     fn text(&mut self) -> Result<Rc<str>, String> {
         let length = self.u32()? as usize;
         let text = std::str::from_utf8(self.take(length)?);
-        text.map(Rc::from)
-            .map_err(|_| "a text is not UTF-8".to_owned())
+        text.map(Rc::from).map_err(|_| "a text is not UTF-8".to_owned())
     }
 
     fn pop(&mut self) -> Result<Value, String> {
-        self.stack
-            .pop()
-            .ok_or_else(|| "the stack is empty".to_owned())
+        self.stack.pop().ok_or_else(|| "the stack is empty".to_owned())
     }
 
     fn memoize(&mut self, slot: u32) -> Result<(), String> {
@@ -207,11 +180,7 @@ impl Machine<'_> {
     }
 
     fn recall(&mut self, slot: u32) -> Result<(), String> {
-        let value = self
-            .memo
-            .get(&slot)
-            .cloned()
-            .ok_or("a memo slot is read before it is set")?;
+        let value = self.memo.get(&slot).cloned().ok_or("a memo slot is read before it is set")?;
         self.stack.push(value);
         Ok(())
     }
@@ -238,21 +207,14 @@ impl Machine<'_> {
     }
 
     fn tuple(&mut self, count: usize) -> Result<(), String> {
-        let start = self
-            .stack
-            .len()
-            .checked_sub(count)
-            .ok_or("the stack has too few values")?;
+        let start = self.stack.len().checked_sub(count).ok_or("the stack has too few values")?;
         let items = self.stack.split_off(start);
         self.stack.push(Value::Tuple(items.into()));
         Ok(())
     }
 
     fn tuple_to_mark(&mut self) -> Result<(), String> {
-        let mark = self
-            .stack
-            .iter()
-            .rposition(|value| matches!(value, Value::Mark));
+        let mark = self.stack.iter().rposition(|value| matches!(value, Value::Mark));
         let mark = mark.ok_or("a tuple has no start mark")?;
         let items = self.stack.split_off(mark + 1);
         self.stack.pop();
@@ -299,32 +261,19 @@ impl Machine<'_> {
             (Value::Dtype, _) => return Err("the doubles are not little-endian".to_owned()),
             (
                 Value::Array(None),
-                [
-                    _,
-                    Value::Tuple(shape),
-                    Value::Dtype,
-                    Value::Bool(false),
-                    Value::Bytes(data),
-                ],
+                [_, Value::Tuple(shape), Value::Dtype, Value::Bool(false), Value::Bytes(data)],
             ) => match &**shape {
                 [Value::Int(rows), Value::Int(columns)] if *rows >= 0 && *columns >= 0 => {
                     let shape = [*rows as usize, *columns as usize];
-                    Value::Array(Some(Array {
-                        shape,
-                        data: data.clone(),
-                    }))
+                    Value::Array(Some(Array { shape, data: data.clone() }))
                 }
-                [Value::Int(columns)] if *columns >= 0 => Value::Array(Some(Array {
-                    shape: [1, *columns as usize],
-                    data: data.clone(),
-                })),
+                [Value::Int(columns)] if *columns >= 0 => {
+                    Value::Array(Some(Array { shape: [1, *columns as usize], data: data.clone() }))
+                }
                 _ => return Err("the array has neither one nor two dimensions".to_owned()),
             },
             (value, _) => {
-                return Err(format!(
-                    "setting this state of {} is not allowed",
-                    value.kind()
-                ));
+                return Err(format!("setting this state of {} is not allowed", value.kind()));
             }
         };
         self.stack.push(built);

@@ -88,11 +88,7 @@ enum Base {
     /// The top of another object.
     Top(usize),
     /// A site of another object or fixture, the carrier, added to the carrier's top or origin.
-    Site {
-        carrier: usize,
-        is_relative_to_top: bool,
-        site: usize,
-    },
+    Site { carrier: usize, is_relative_to_top: bool, site: usize },
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -143,11 +139,7 @@ impl Samplers {
             let (origin, site) = match sampler.base {
                 Base::Point(origin) => (origin, [0.0; 3]),
                 Base::Top(carrier) => (self.top(carrier, &poses), [0.0; 3]),
-                Base::Site {
-                    carrier,
-                    is_relative_to_top,
-                    site,
-                } => {
+                Base::Site { carrier, is_relative_to_top, site } => {
                     let origin = if is_relative_to_top {
                         self.top(carrier, &poses)
                     } else {
@@ -230,11 +222,7 @@ impl PoseSampler {
         placed: &[Pose],
         samplers: &[Self],
     ) -> Result<Pose, SceneError> {
-        let attempts = if self.ranges.is_empty() {
-            0
-        } else {
-            MAX_ATTEMPTS
-        };
+        let attempts = if self.ranges.is_empty() { 0 } else { MAX_ATTEMPTS };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
             // Some ranges were shortened by the object's radius at both ends. If the radius exceeds

@@ -71,12 +71,7 @@ impl AssetPack {
         let Some(into) = self.verified() else {
             return Ok(Fetched::default());
         };
-        let mut fetch = Fetch {
-            origin,
-            into,
-            pause: &mut thread::sleep,
-            progress: report,
-        };
+        let mut fetch = Fetch { origin, into, pause: &mut thread::sleep, progress: report };
         fetch.run(files)
     }
 }

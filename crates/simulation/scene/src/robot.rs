@@ -42,23 +42,13 @@ pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, Sce
     let mount_bottom = root_height(&mount).map_err(inconsistent)?;
     let body = root_body(&mut mount).map_err(inconsistent)?;
     body.set("pos", numbers(&[0.0, 0.0, 0.0 - mount_top]));
-    robot
-        .merge(&mount, Some("robot0_base"))
-        .map_err(inconsistent)?;
+    robot.merge(&mount, Some("robot0_base")).map_err(inconsistent)?;
 
-    let gripper = load_part(
-        "grippers/panda_gripper.xml",
-        "gripper0_",
-        GRIPPER_COLLISION_RGBA,
-    )?;
-    robot
-        .merge(&gripper, Some("robot0_right_hand"))
-        .map_err(inconsistent)?;
+    let gripper = load_part("grippers/panda_gripper.xml", "gripper0_", GRIPPER_COLLISION_RGBA)?;
+    robot.merge(&gripper, Some("robot0_right_hand")).map_err(inconsistent)?;
 
     let base = [foot[0], foot[1], foot[2] - (mount_bottom - mount_top)];
-    root_body(&mut robot)
-        .map_err(inconsistent)?
-        .set("pos", numbers(&base));
+    root_body(&mut robot).map_err(inconsistent)?.set("pos", numbers(&base));
     Ok(robot)
 }
 
@@ -69,11 +59,8 @@ fn name_geoms(root: &mut Element) {
         if element.tag != "geom" || element.name().is_some() {
             return;
         }
-        let (count, kind) = if is_collision_geom(element) {
-            (&mut collision, "col")
-        } else {
-            (&mut visual, "vis")
-        };
+        let (count, kind) =
+            if is_collision_geom(element) { (&mut collision, "col") } else { (&mut visual, "vis") };
         element.set("name", format!("g{count}_{kind}"));
         *count += 1;
     });
@@ -92,18 +79,11 @@ fn set_joint_properties(robot: &mut Part) {
 }
 
 fn root_body(part: &mut Part) -> Result<&mut Element, String> {
-    part.worldbody_mut()
-        .children
-        .first_mut()
-        .ok_or_else(|| "a model has no body".to_owned())
+    part.worldbody_mut().children.first_mut().ok_or_else(|| "a model has no body".to_owned())
 }
 
 fn root_height(part: &Part) -> Result<f64, String> {
-    let pos = part
-        .worldbody()?
-        .children
-        .first()
-        .and_then(|body| body.get("pos"));
+    let pos = part.worldbody()?.children.first().and_then(|body| body.get("pos"));
     match parse_numbers(pos.unwrap_or("0 0 0")).as_deref() {
         Some([_, _, z]) => Ok(*z),
         _ => Err("a model's root body has no valid position".to_owned()),

@@ -77,20 +77,8 @@ pub fn single_precision_matrix(quat: [f64; 4]) -> [[f64; 3]; 3] {
     let diagonal = |a: usize, b: usize| 1.0 - f64::from(product(a, a)) - f64::from(product(b, b));
     let sum = |a: f32, b: f32| f64::from(a + b);
     [
-        [
-            diagonal(2, 3),
-            sum(product(1, 2), -product(3, 0)),
-            sum(product(1, 3), product(2, 0)),
-        ],
-        [
-            sum(product(1, 2), product(3, 0)),
-            diagonal(1, 3),
-            sum(product(2, 3), -product(1, 0)),
-        ],
-        [
-            sum(product(1, 3), -product(2, 0)),
-            sum(product(2, 3), product(1, 0)),
-            diagonal(1, 2),
-        ],
+        [diagonal(2, 3), sum(product(1, 2), -product(3, 0)), sum(product(1, 3), product(2, 0))],
+        [sum(product(1, 2), product(3, 0)), diagonal(1, 3), sum(product(2, 3), -product(1, 0))],
+        [sum(product(1, 3), -product(2, 0)), sum(product(2, 3), product(1, 0)), diagonal(1, 2)],
     ]
 }

@@ -26,14 +26,8 @@ impl Sources {
     pub fn open(dir: &Path) -> Result<Self, SceneError> {
         // The path is made absolute, since MuJoCo does not resolve relative file names against the
         // current folder.
-        let sources = Self {
-            dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
-        };
-        for part in [
-            "robosuite/base.xml",
-            "libero/bddl_files",
-            "libero/init_files",
-        ] {
+        let sources = Self { dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()) };
+        for part in ["robosuite/base.xml", "libero/bddl_files", "libero/init_files"] {
             let path = dir.join(part);
             std::fs::metadata(&path).map_err(|source| SceneError::Read {
                 what: "simulation source".to_owned(),
@@ -114,26 +108,16 @@ impl Sources {
 
     /// Returns the path of a task's BDDL file; `suite` is the full name of the suite.
     pub fn bddl_file(&self, suite: &str, stem: &str) -> PathBuf {
-        self.dir
-            .join("libero/bddl_files")
-            .join(suite)
-            .join(format!("{stem}.bddl"))
+        self.dir.join("libero/bddl_files").join(suite).join(format!("{stem}.bddl"))
     }
 
     /// Returns the path of a task's released initial states; `suite` is the full name of the suite.
     pub fn init_file(&self, suite: &str, stem: &str) -> PathBuf {
-        self.dir
-            .join("libero/init_files")
-            .join(suite)
-            .join(format!("{stem}.pruned_init"))
+        self.dir.join("libero/init_files").join(suite).join(format!("{stem}.pruned_init"))
     }
 
     pub(crate) fn robosuite(&self) -> AssetRoot {
-        AssetRoot {
-            kind: RootKind::Robosuite,
-            dir: self.dir.join("robosuite"),
-            verified: None,
-        }
+        AssetRoot { kind: RootKind::Robosuite, dir: self.dir.join("robosuite"), verified: None }
     }
 }
 
@@ -194,11 +178,7 @@ impl AssetRoot {
             },
             None => "LIBERO has no such file".to_owned(),
         };
-        Err(SceneError::NotLiberos {
-            what: what.to_owned(),
-            path: self.path(inside),
-            difference,
-        })
+        Err(SceneError::NotLiberos { what: what.to_owned(), path: self.path(inside), difference })
     }
 
     pub(crate) fn remedy(&self) -> String {
@@ -235,10 +215,7 @@ impl FileRef {
                 _ => return Err(format!("file `{name}` lies outside the asset folder")),
             }
         }
-        Ok(Self {
-            kind,
-            path: parts.join("/"),
-        })
+        Ok(Self { kind, path: parts.join("/") })
     }
 }
 
@@ -255,10 +232,7 @@ pub(crate) fn locate_files(mjcf: &str, roots: [&AssetRoot; 2]) -> String {
         if let Some(root) = roots.iter().find(|root| root.kind == kind) {
             let from = format!("file=\"{}/", kind.token());
             let dir = root.dir.to_string_lossy();
-            let dir = dir
-                .replace('&', "&amp;")
-                .replace('<', "&lt;")
-                .replace('"', "&quot;");
+            let dir = dir.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
             text = text.replace(&from, &format!("file=\"{dir}/"));
         }
     }
@@ -274,19 +248,9 @@ mod tests {
         let resolve = |folder: &str, name: &str| {
             FileRef::resolve(RootKind::Pack, Path::new(folder), name).map(|file| file.to_string())
         };
-        assert_eq!(
-            resolve("scenes", "../textures/a.png"),
-            Ok("@pack/textures/a.png".to_owned())
-        );
-        assert_eq!(
-            resolve("a/b", "c/d.msh"),
-            Ok("@pack/a/b/c/d.msh".to_owned())
-        );
-        assert!(
-            resolve("a", "../../etc/passwd")
-                .unwrap_err()
-                .contains("outside")
-        );
+        assert_eq!(resolve("scenes", "../textures/a.png"), Ok("@pack/textures/a.png".to_owned()));
+        assert_eq!(resolve("a/b", "c/d.msh"), Ok("@pack/a/b/c/d.msh".to_owned()));
+        assert!(resolve("a", "../../etc/passwd").unwrap_err().contains("outside"));
         assert!(resolve("a", "/etc/passwd").unwrap_err().contains("outside"));
     }
 }

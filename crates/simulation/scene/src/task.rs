@@ -39,10 +39,7 @@ impl TaskFiles {
     /// Returns the files of one of the 40 evaluation tasks.
     pub fn of_task(sources: &Sources, task: TaskRef) -> Self {
         let (suite, stem) = (task.suite().name(), task.name());
-        Self {
-            bddl: sources.bddl_file(suite, stem),
-            init: sources.init_file(suite, stem),
-        }
+        Self { bddl: sources.bddl_file(suite, stem), init: sources.init_file(suite, stem) }
     }
 
     /// Returns the files of a LIBERO-Plus variant: LIBERO's own or, where the variant differs, the
@@ -85,10 +82,7 @@ impl TaskFiles {
     /// Returns the files of a suite file's task.
     pub fn of_suite_file(sources: &Sources, task: &OwnTask) -> Self {
         let folder = Sources::suite_folder(sources.dir(), &task.folder);
-        Self {
-            bddl: folder.join(&task.bddl),
-            init: folder.join(&task.states),
-        }
+        Self { bddl: folder.join(&task.bddl), init: folder.join(&task.states) }
     }
 
     pub fn problem(&self) -> Result<Problem, SceneError> {
@@ -118,10 +112,6 @@ impl TaskFiles {
     }
 
     fn malformed(&self, problem: String) -> SceneError {
-        SceneError::Malformed {
-            what: BDDL.to_owned(),
-            path: self.bddl.clone(),
-            problem,
-        }
+        SceneError::Malformed { what: BDDL.to_owned(), path: self.bddl.clone(), problem }
     }
 }

@@ -61,10 +61,7 @@ impl CompiledScene {
             scene.verify_files(pack)?;
             Model::compile(&scene.mjcf(pack, sources))
         };
-        let LoadedScene {
-            mut model,
-            prepared,
-        } = match SceneFolder::of_process() {
+        let LoadedScene { mut model, prepared } = match SceneFolder::of_process() {
             Some(folder) => folder.obtain(&name_of_scene(&scene, pack, sources), compile)?,
             None => LoadedScene::in_memory(compile()?),
         };
@@ -120,17 +117,8 @@ impl CompiledScene {
 /// Hides the sites of the robot, the objects and the fixtures by negating their opacity, like
 /// robosuite; sites of zones on the workspace stay visible.
 pub(crate) fn hide_marker_sites(scene: &Scene, model: &mut Model) {
-    let mut prefixes = vec![
-        "robot0_".to_owned(),
-        "mount0_".to_owned(),
-        "gripper0_".to_owned(),
-    ];
-    prefixes.extend(
-        scene
-            .instances
-            .iter()
-            .map(|instance| format!("{}_", instance.name)),
-    );
+    let mut prefixes = vec!["robot0_".to_owned(), "mount0_".to_owned(), "gripper0_".to_owned()];
+    prefixes.extend(scene.instances.iter().map(|instance| format!("{}_", instance.name)));
     for site in 0..model.count(ObjectKind::Site) {
         let name = model.name(ObjectKind::Site, site).unwrap_or_default();
         if prefixes.iter().any(|prefix| name.starts_with(prefix)) {
@@ -152,11 +140,7 @@ fn find_burners(scene: &Scene, model: &Model) -> Result<Vec<Burner>, SimError> {
             let joint = model.id(ObjectKind::Joint, name)?;
             Ok::<_, SimError>(model.jnt_qposadr()[joint] as usize)
         };
-        let knobs = instance
-            .joints
-            .iter()
-            .map(address)
-            .collect::<Result<_, _>>()?;
+        let knobs = instance.joints.iter().map(address).collect::<Result<_, _>>()?;
         let site = model.id(ObjectKind::Site, name)?;
         burners.push(Burner {
             site,

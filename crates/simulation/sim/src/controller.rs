@@ -16,15 +16,8 @@ pub const ARM_JOINTS: usize = 7;
 pub const GRIP_SITE: &str = "gripper0_grip_site";
 /// Angles of the arm's joints at a reset, rad (`MountedPanda.init_qpos`). Robots of LIBERO-Plus
 /// have other angles.
-pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
-    0.0,
-    -1.61037389e-01,
-    0.00,
-    -2.44459747e00,
-    0.00,
-    2.22675220e00,
-    std::f64::consts::FRAC_PI_4,
-];
+pub const RESET_JOINTS: [f64; ARM_JOINTS] =
+    [0.0, -1.61037389e-01, 0.00, -2.44459747e00, 0.00, 2.22675220e00, std::f64::consts::FRAC_PI_4];
 /// Simulation steps of 2 ms per control step: actions are executed at 20 Hz.
 pub const SUBSTEPS: usize = 25;
 
@@ -155,11 +148,7 @@ impl Controller {
             return;
         }
         let delta: [f64; 6] = std::array::from_fn(|axis| {
-            let scale = if axis < 3 {
-                TRANSLATION_SCALE
-            } else {
-                ROTATION_SCALE
-            };
+            let scale = if axis < 3 { TRANSLATION_SCALE } else { ROTATION_SCALE };
             action[axis].clamp(-1.0, 1.0) * scale
         });
         let (pos, orientation) = if self.uses_reset_arm {
@@ -181,10 +170,7 @@ impl Controller {
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
         let arm = if std::mem::take(&mut self.uses_reset_arm) {
-            ArmState {
-                bias: arm_vector(data.qfrc_bias(model)),
-                ..self.reset_arm.clone()
-            }
+            ArmState { bias: arm_vector(data.qfrc_bias(model)), ..self.reset_arm.clone() }
         } else {
             self.buffers.read_arm(model, data, self.site)
         };
@@ -221,12 +207,8 @@ impl Controller {
         let lambda_pos = full.fixed_view::<3, 3>(0, 0).into_owned().try_inverse()?;
         let lambda_rot = full.fixed_view::<3, 3>(3, 3).into_owned().try_inverse()?;
         let mut wrench = SVector::<f64, 6>::zeros();
-        wrench
-            .fixed_rows_mut::<3>(0)
-            .copy_from(&(lambda_pos * force));
-        wrench
-            .fixed_rows_mut::<3>(3)
-            .copy_from(&(lambda_rot * torque));
+        wrench.fixed_rows_mut::<3>(0).copy_from(&(lambda_pos * force));
+        wrench.fixed_rows_mut::<3>(3).copy_from(&(lambda_rot * torque));
 
         let posture_damping = 2.0 * POSTURE_STIFFNESS.sqrt();
         // The null-space term pulls the arm back to the reset posture.
@@ -285,10 +267,8 @@ fn site_pose(model: &Model, data: &Data, site: usize) -> (Vector3<f64>, Matrix3<
 
 fn orientation_error(goal: &Matrix3<f64>, current: &Matrix3<f64>) -> Vector3<f64> {
     let cross = |axis: usize| {
-        let (from, to): (Vector3<f64>, Vector3<f64>) = (
-            current.column(axis).into_owned(),
-            goal.column(axis).into_owned(),
-        );
+        let (from, to): (Vector3<f64>, Vector3<f64>) =
+            (current.column(axis).into_owned(), goal.column(axis).into_owned());
         from.cross(&to)
     };
     (cross(0) + cross(1) + cross(2)) * 0.5

@@ -149,12 +149,8 @@ impl Environment {
         self.model.copy_own(&self.compiled.model);
         self.data.reset(&self.model);
         self.data.set_time_secs(state[0]);
-        self.data
-            .qpos_mut(&self.model)
-            .copy_from_slice(&state[1..=nq]);
-        self.data
-            .qvel_mut(&self.model)
-            .copy_from_slice(&state[1 + nq..]);
+        self.data.qpos_mut(&self.model).copy_from_slice(&state[1..=nq]);
+        self.data.qvel_mut(&self.model).copy_from_slice(&state[1 + nq..]);
         self.data.forward(&self.model);
         self.controller.reset();
         self.control_steps = 0;
@@ -196,13 +192,10 @@ impl Environment {
             }
             self.data.step1(&self.model);
             if substep == 0 {
-                self.controller
-                    .set_goal(&self.model, &self.data, action, frame);
+                self.controller.set_goal(&self.model, &self.data, action, frame);
             }
             if !self.controller.run(&self.model, &mut self.data, action) {
-                return Err(SimError::Singular {
-                    control_step: self.control_steps,
-                });
+                return Err(SimError::Singular { control_step: self.control_steps });
             }
             self.data.step2(&self.model);
             if substep == self.observed_substep {
@@ -258,10 +251,7 @@ impl Environment {
         self.pose_observed();
         let pos = &self.observed.xpos(&self.model)[body * 3..][..3];
         let quat = &self.observed.xquat(&self.model)[body * 4..][..4];
-        (
-            std::array::from_fn(|axis| pos[axis]),
-            [quat[1], quat[2], quat[3], quat[0]],
-        )
+        (std::array::from_fn(|axis| pos[axis]), [quat[1], quat[2], quat[3], quat[0]])
     }
 
     /// Renders a camera's frame at the observed instant of the last step.
@@ -276,12 +266,7 @@ impl Environment {
         height: u32,
     ) -> Result<Frame, SimError> {
         let rgb = self.render(drawer, camera, [width, height], Canvas::draw)?;
-        Ok(Frame {
-            camera: camera.to_owned(),
-            width,
-            height,
-            rgb,
-        })
+        Ok(Frame { camera: camera.to_owned(), width, height, rgb })
     }
 
     /// Renders a camera's depths at the observed instant of the last step, as in OpenGL: 0 at the
@@ -324,11 +309,7 @@ impl Environment {
         let id = self.model.id(ObjectKind::Camera, camera)?;
         self.pose_observed();
         let [width, height] = size.map(|side| side.max(CANVAS_SIZE));
-        if self
-            .canvas
-            .as_ref()
-            .is_none_or(|canvas| !canvas.is_usable_for(drawer, width, height))
-        {
+        if self.canvas.as_ref().is_none_or(|canvas| !canvas.is_usable_for(drawer, width, height)) {
             self.canvas = None;
             self.canvas = Some(Canvas::new(
                 drawer,
@@ -339,12 +320,7 @@ impl Environment {
         }
         self.show_burners(|burner| burner.observed_opacity);
         let canvas = self.canvas.as_mut().expect("created above");
-        let view = View {
-            model: &self.model,
-            data: &mut self.observed,
-            camera: id,
-            size,
-        };
+        let view = View { model: &self.model, data: &mut self.observed, camera: id, size };
         let output = draw(canvas, view);
         self.show_burners(|burner| burner.opacity);
         output
@@ -367,12 +343,8 @@ impl Environment {
 
     fn record_joints(&mut self) {
         let (qpos, qvel) = (self.data.qpos(&self.model), self.data.qvel(&self.model));
-        self.observed_joints
-            .pos
-            .copy_from_slice(&qpos[..ARM_JOINTS + 2]);
-        self.observed_joints
-            .vel
-            .copy_from_slice(&qvel[..ARM_JOINTS + 2]);
+        self.observed_joints.pos.copy_from_slice(&qpos[..ARM_JOINTS + 2]);
+        self.observed_joints.vel.copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
     /// Computes the observed poses from the observed positions, unless that was already done.
@@ -394,10 +366,7 @@ impl Environment {
             Some(warning) => warning.clone(),
             None => "the state is not finite".to_owned(),
         };
-        Err(SimError::Unstable {
-            control_step: self.control_steps,
-            problem,
-        })
+        Err(SimError::Unstable { control_step: self.control_steps, problem })
     }
 
     /// Updates the burners like LIBERO: the opacity of a burner that disagrees with its knob
@@ -405,10 +374,7 @@ impl Environment {
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {
-            let is_on = burner
-                .knobs
-                .iter()
-                .any(|knob| qpos[*knob] >= burner.on_threshold);
+            let is_on = burner.knobs.iter().any(|knob| qpos[*knob] >= burner.on_threshold);
             if is_on != (burner.opacity > 0.0) {
                 burner.opacity = 1.0 - burner.opacity;
             }

@@ -100,9 +100,7 @@ impl Conditions {
         let mut realise = |axis, elements| {
             realised.add(axis, perturbation.values(axis), elements);
         };
-        let ik = perturbation
-            .robot
-            .map(|shift| displaced_arm(environment, &state, &shift));
+        let ik = perturbation.robot.map(|shift| displaced_arm(environment, &state, &shift));
         if let Some(ik) = &ik {
             // The state starts with the time and then the positions, of which the arm's come first.
             state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
@@ -251,12 +249,7 @@ impl<'a> Episode<'a> {
             scene: ready.digest.clone(),
             init_state: ready.states.digest(init_id).expect("the state was loaded"),
         };
-        Ok(Self {
-            environment,
-            drawer,
-            digests,
-            conditions,
-        })
+        Ok(Self { environment, drawer, digests, conditions })
     }
 
     /// Returns the digests of the rollout's circumstances.
@@ -339,16 +332,9 @@ impl<'a> Episode<'a> {
             }
             frames.push(frame);
         }
-        let privileged = if request.privileged {
-            Some(self.environment.privileged()?)
-        } else {
-            None
-        };
-        Ok(Observation {
-            frames,
-            robot: self.environment.robot_state(),
-            privileged,
-        })
+        let privileged =
+            if request.privileged { Some(self.environment.privileged()?) } else { None };
+        Ok(Observation { frames, robot: self.environment.robot_state(), privileged })
     }
 
     /// Returns the environment, for inspection.
@@ -414,12 +400,7 @@ fn apply_lighting(
         let to_singles = |colour: [f64; 3]| colour.map(|channel| channel as f32);
         model.light_diffuse_mut()[at..][..3].copy_from_slice(&to_singles(light.diffuse));
         model.light_specular_mut()[at..][..3].copy_from_slice(&to_singles(light.specular));
-        for part in [
-            light.position,
-            light.direction,
-            light.diffuse,
-            light.specular,
-        ] {
+        for part in [light.position, light.direction, light.diffuse, light.specular] {
             realised.extend(part);
         }
     }

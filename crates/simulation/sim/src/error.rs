@@ -24,11 +24,7 @@ pub enum SimError {
         needed: usize,
     },
     #[error("load initial state {id} of {file}: the file has {count} states")]
-    NoSuchState {
-        id: usize,
-        file: String,
-        count: usize,
-    },
+    NoSuchState { id: usize, file: String, count: usize },
     #[error("simulate control step {control_step}: {problem}")]
     Unstable {
         /// Control step, counted from the start of settling.
@@ -55,10 +51,7 @@ pub enum SimError {
     #[error(transparent)]
     Corruption(#[from] libero_family::corruption::UnsuitedPicture),
     #[error("draw off-screen: {problem}; {remedy}")]
-    Graphics {
-        problem: String,
-        remedy: &'static str,
-    },
+    Graphics { problem: String, remedy: &'static str },
     #[error("allocate {0}: out of memory")]
     OutOfMemory(&'static str),
 }

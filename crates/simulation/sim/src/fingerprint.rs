@@ -108,20 +108,15 @@ fn functions(secs: f64) -> [f64; 11] {
 }
 
 fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec<u8>>, SimError> {
-    let (width, height) = FRAMES.iter().fold((0, 0), |(width, height), frame| {
-        (frame.1.max(width), frame.2.max(height))
-    });
+    let (width, height) = FRAMES
+        .iter()
+        .fold((0, 0), |(width, height), frame| (frame.1.max(width), frame.2.max(height)));
     let prepare = |model: &Model| Prepared::from_model(model).map(Arc::new);
     let mut canvas = Canvas::new(drawer, model, prepare, [width, height])?;
     let frames = FRAMES.iter().map(|(camera, width, height)| {
         let camera = model.id(ObjectKind::Camera, camera)?;
         let size = [*width, *height];
-        canvas.draw(View {
-            model,
-            data,
-            camera,
-            size,
-        })
+        canvas.draw(View { model, data, camera, size })
     });
     frames.collect()
 }

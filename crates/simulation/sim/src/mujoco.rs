@@ -87,9 +87,7 @@ unsafe extern "C" fn on_error(message: *const c_char) {
 
 unsafe extern "C" fn on_warning(message: *const c_char) {
     // SAFETY: as in `on_error`.
-    let message = unsafe { CStr::from_ptr(message) }
-        .to_string_lossy()
-        .into_owned();
+    let message = unsafe { CStr::from_ptr(message) }.to_string_lossy().into_owned();
     WARNINGS.with_borrow_mut(|warnings| {
         if warnings.len() < MAX_WARNINGS {
             warnings.push(message);

@@ -23,19 +23,11 @@ enum Check {
     OnObject { upper: ObjectRef, lower: ObjectRef },
     /// An object on a region. The object must touch `parent`, the instance that has the region;
     /// `None` for a zone on the workspace.
-    OnSite {
-        object: ObjectRef,
-        site: Site,
-        parent: Option<usize>,
-    },
+    OnSite { object: ObjectRef, site: Site, parent: Option<usize> },
     /// An object in a region.
     InSite { object: ObjectRef, site: Site },
     /// Joints beyond a threshold: one of them or all of them.
-    Joints {
-        addresses: Vec<usize>,
-        condition: JointCondition,
-        quantifier: Quantifier,
-    },
+    Joints { addresses: Vec<usize>, condition: JointCondition, quantifier: Quantifier },
 }
 
 #[derive(Clone, Copy)]
@@ -79,24 +71,16 @@ impl Goal {
         }
         let resolver = Resolver { scene, model };
         let checks = scene.goal.iter().map(|predicate| resolver.check(predicate));
-        Ok(Self {
-            checks: checks.collect::<Result<_, _>>()?,
-            owner_of_geom,
-        })
+        Ok(Self { checks: checks.collect::<Result<_, _>>()?, owner_of_geom })
     }
 
     pub fn holds(&self, model: &Model, data: &Data) -> bool {
-        self.checks
-            .iter()
-            .all(|check| self.check_holds(check, model, data))
+        self.checks.iter().all(|check| self.check_holds(check, model, data))
     }
 
     /// Returns the truth value of each predicate, in the BDDL file's order.
     pub fn truths(&self, model: &Model, data: &Data) -> Vec<bool> {
-        self.checks
-            .iter()
-            .map(|check| self.check_holds(check, model, data))
-            .collect()
+        self.checks.iter().map(|check| self.check_holds(check, model, data)).collect()
     }
 
     fn check_holds(&self, check: &Check, model: &Model, data: &Data) -> bool {
@@ -109,20 +93,12 @@ impl Goal {
                     && distance < STACKED_DISTANCE
                     && self.are_touching(data, upper.instance, lower.instance)
             }
-            Check::OnSite {
-                object,
-                site,
-                parent,
-            } => {
+            Check::OnSite { object, site, parent } => {
                 site.supports(model, data, position(object))
                     && parent.is_none_or(|parent| self.are_touching(data, parent, object.instance))
             }
             Check::InSite { object, site } => site.contains(model, data, position(object)),
-            Check::Joints {
-                addresses,
-                condition,
-                quantifier,
-            } => {
+            Check::Joints { addresses, condition, quantifier } => {
                 let holds = |address: &usize| condition.holds(data.qpos(model)[*address]);
                 match quantifier {
                     Quantifier::Any => addresses.iter().any(holds),
@@ -133,11 +109,7 @@ impl Goal {
     }
 
     fn are_touching(&self, data: &Data, a: usize, b: usize) -> bool {
-        let owner = |geom: i32| {
-            usize::try_from(geom)
-                .ok()
-                .and_then(|g| self.owner_of_geom[g])
-        };
+        let owner = |geom: i32| usize::try_from(geom).ok().and_then(|g| self.owner_of_geom[g]);
         data.contacts().any(|contact| {
             let owners = contact.geoms.map(owner);
             owners == [Some(a), Some(b)] || owners == [Some(b), Some(a)]
@@ -152,9 +124,7 @@ impl Site {
         let offset = self.offset(model, data, position);
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
         let along = |row: usize| -> f64 {
-            (0..3)
-                .map(|column| rotation[row * 3 + column] * offset[column])
-                .sum()
+            (0..3).map(|column| rotation[row * 3 + column] * offset[column]).sum()
         };
         let [half_x, half_y, half_z] = self.half_size;
         let height = along(2);
@@ -169,14 +139,10 @@ impl Site {
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
         let centre = vector(data.site_xpos(model), self.id);
         (0..3).all(|axis| {
-            let extent: f64 = (0..3)
-                .map(|column| rotation[axis * 3 + column] * self.half_size[column])
-                .sum();
+            let extent: f64 =
+                (0..3).map(|column| rotation[axis * 3 + column] * self.half_size[column]).sum();
             let slack = if axis == 2 { IN_SITE_BELOW } else { 0.0 };
-            let (low, high) = (
-                centre[axis] - extent.abs() - slack,
-                centre[axis] + extent.abs(),
-            );
+            let (low, high) = (centre[axis] - extent.abs() - slack, centre[axis] + extent.abs());
             position[axis] > low && position[axis] < high
         })
     }
@@ -217,8 +183,7 @@ impl<'a> Resolver<'a> {
             problem: problem.to_owned(),
         };
         let referent = |name: &str| {
-            self.referent(name)
-                .ok_or_else(|| problem(&format!("`{name}` is not in the scene")))
+            self.referent(name).ok_or_else(|| problem(&format!("`{name}` is not in the scene")))
         };
         let object = |name: &str| match referent(name)? {
             Referent::Instance(index, instance) => self.object_ref(index, instance),
@@ -233,17 +198,13 @@ impl<'a> Resolver<'a> {
                 Referent::Region(region) => Ok(Check::OnSite {
                     object: object(upper)?,
                     site: self.site(region)?,
-                    parent: region
-                        .parent
-                        .as_deref()
-                        .and_then(|name| self.instance_index(name)),
+                    parent: region.parent.as_deref().and_then(|name| self.instance_index(name)),
                 }),
             },
             ("in", [inner, outer]) => match referent(outer)? {
-                Referent::Region(region) => Ok(Check::InSite {
-                    object: object(inner)?,
-                    site: self.site(region)?,
-                }),
+                Referent::Region(region) => {
+                    Ok(Check::InSite { object: object(inner)?, site: self.site(region)? })
+                }
                 Referent::Instance(..) => Err(problem(&format!(
                     "`{outer}` is an object or a fixture, and `in` needs a region"
                 ))),
@@ -252,10 +213,7 @@ impl<'a> Resolver<'a> {
                 let (instance, joints) = match referent(name)? {
                     Referent::Instance(_, instance) => (instance, &instance.joints),
                     Referent::Region(region) => {
-                        let parent = region
-                            .parent
-                            .as_deref()
-                            .and_then(|p| self.scene.instance(p));
+                        let parent = region.parent.as_deref().and_then(|p| self.scene.instance(p));
                         let parent = parent.ok_or_else(|| {
                             problem(&format!("`{name}` belongs to no object or fixture"))
                         })?;
@@ -270,23 +228,14 @@ impl<'a> Resolver<'a> {
                                 instance.category.name, predicate.name
                             ))
                         })?;
-                Ok(Check::Joints {
-                    addresses: self.addresses(joints)?,
-                    condition,
-                    quantifier,
-                })
+                Ok(Check::Joints { addresses: self.addresses(joints)?, condition, quantifier })
             }
-            _ => Err(problem(
-                "no predicate has this name and number of arguments",
-            )),
+            _ => Err(problem("no predicate has this name and number of arguments")),
         }
     }
 
     fn instance_index(&self, name: &str) -> Option<usize> {
-        self.scene
-            .instances
-            .iter()
-            .position(|instance| instance.name == name)
+        self.scene.instances.iter().position(|instance| instance.name == name)
     }
 
     fn referent(&self, name: &str) -> Option<Referent<'a>> {
@@ -297,18 +246,12 @@ impl<'a> Resolver<'a> {
     }
 
     fn object_ref(&self, instance: usize, names: &Instance) -> Result<ObjectRef, SimError> {
-        Ok(ObjectRef {
-            instance,
-            body: self.model.id(ObjectKind::Body, &names.root_body)?,
-        })
+        Ok(ObjectRef { instance, body: self.model.id(ObjectKind::Body, &names.root_body)? })
     }
 
     fn site(&self, region: &RegionSite) -> Result<Site, SimError> {
         let id = self.model.id(ObjectKind::Site, &region.name)?;
-        Ok(Site {
-            id,
-            half_size: region.half_size,
-        })
+        Ok(Site { id, half_size: region.half_size })
     }
 
     fn addresses(&self, joints: &[String]) -> Result<Vec<usize>, SimError> {

@@ -19,14 +19,9 @@ impl Environment {
     /// If an element that the scene names is missing from the model.
     pub fn privileged(&self) -> Result<Privileged, SimError> {
         let (scene, model, data) = (self.scene(), self.model(), self.data());
-        let instances = scene
-            .instances
-            .iter()
-            .map(|instance| instance_entity(model, data, instance));
-        let regions = scene
-            .regions
-            .iter()
-            .map(|region| region_entity(model, data, region));
+        let instances =
+            scene.instances.iter().map(|instance| instance_entity(model, data, instance));
+        let regions = scene.regions.iter().map(|region| region_entity(model, data, region));
         let grip = model.id(ObjectKind::Site, GRIP_SITE)?;
         let qpos = data.qpos(model);
         Ok(Privileged {
@@ -43,12 +38,7 @@ impl Environment {
 fn joints(environment: &Environment) -> Result<Vec<(String, f64)>, SimError> {
     let (model, data) = (environment.model(), environment.data());
     let mut joints = Vec::new();
-    for name in environment
-        .scene()
-        .instances
-        .iter()
-        .flat_map(|instance| &instance.joints)
-    {
+    for name in environment.scene().instances.iter().flat_map(|instance| &instance.joints) {
         let id = model.id(ObjectKind::Joint, name)?;
         if model.jnt_type()[id] != FREE_JOINT {
             let position = data.qpos(model)[model.jnt_qposadr()[id] as usize];
@@ -97,16 +87,9 @@ fn world_box(model: &Model, data: &Data, geom: usize) -> ([f64; 3], [f64; 3]) {
         row(axis).iter().zip(values).map(|(r, v)| r * v).sum()
     };
     let spread = |axis: usize| -> f64 {
-        row(axis)
-            .iter()
-            .zip(&local[3..])
-            .map(|(r, half)| r.abs() * half)
-            .sum()
+        row(axis).iter().zip(&local[3..]).map(|(r, half)| r.abs() * half).sum()
     };
-    (
-        std::array::from_fn(|axis| pos[axis] + along(axis, &local[..3])),
-        std::array::from_fn(spread),
-    )
+    (std::array::from_fn(|axis| pos[axis] + along(axis, &local[..3])), std::array::from_fn(spread))
 }
 
 fn region_entity(model: &Model, data: &Data, region: &RegionSite) -> Result<Entity, SimError> {

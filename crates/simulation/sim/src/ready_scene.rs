@@ -88,13 +88,11 @@ impl ReadyScene {
     }
 
     pub(crate) fn state(&self, id: u16) -> Result<&[f64], SimError> {
-        self.states
-            .get(usize::from(id))
-            .ok_or_else(|| SimError::NoSuchState {
-                id: usize::from(id),
-                file: self.files.init.display().to_string(),
-                count: self.states.count(),
-            })
+        self.states.get(usize::from(id)).ok_or_else(|| SimError::NoSuchState {
+            id: usize::from(id),
+            file: self.files.init.display().to_string(),
+            count: self.states.count(),
+        })
     }
 }
 

@@ -7,10 +7,7 @@ mod gl;
 mod gl_context;
 mod prepare;
 mod software;
-#[allow(
-    unsafe_code,
-    reason = "other threads may move the value but never use it"
-)]
+#[allow(unsafe_code, reason = "other threads may move the value but never use it")]
 mod thread_bound;
 mod view;
 
@@ -110,10 +107,7 @@ pub(crate) struct LazyDrawer {
 
 impl LazyDrawer {
     pub(crate) fn new(renderer: Renderer) -> Self {
-        Self {
-            renderer,
-            drawer: None,
-        }
+        Self { renderer, drawer: None }
     }
 
     pub(crate) fn open(&mut self) -> Result<&Drawer, SimError> {
@@ -166,9 +160,9 @@ impl Canvas {
     pub(crate) fn is_usable_for(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
-            (Self::Gl(canvas), Drawer::Gl(context)) => canvas
-                .get()
-                .is_some_and(|canvas| canvas.is_usable_for(context, [width, height])),
+            (Self::Gl(canvas), Drawer::Gl(context)) => {
+                canvas.get().is_some_and(|canvas| canvas.is_usable_for(context, [width, height]))
+            }
             _ => false,
         }
     }
@@ -294,21 +288,14 @@ mod tests {
         let (mut model, _) = scene();
         let canvas = canvas(&drawer, &mut model);
         for size in [4096, i32::MAX as u32 + 1, u32::MAX] {
-            assert!(
-                !canvas.is_usable_for(&drawer, size, 48),
-                "{size} pixels wide"
-            );
+            assert!(!canvas.is_usable_for(&drawer, size, 48), "{size} pixels wide");
         }
     }
 
     #[test]
     fn no_canvas_draws_a_scene_of_another_model() {
         let mut drawers = vec![Drawer::Software];
-        drawers.extend(
-            opengl("no_canvas_draws_a_scene_of_another_model")
-                .into_iter()
-                .flatten(),
-        );
+        drawers.extend(opengl("no_canvas_draws_a_scene_of_another_model").into_iter().flatten());
         for drawer in &drawers {
             let (mut own, mut data) = scene();
             let (other, mut foreign) = scene();
@@ -317,11 +304,7 @@ mod tests {
             let mut panic_message = |model: &Model, data: &mut Data| {
                 let drawn = AssertUnwindSafe(|| canvas.draw(view(model, data)));
                 let message = catch_unwind(drawn).expect_err("another model");
-                message
-                    .downcast_ref::<&str>()
-                    .copied()
-                    .unwrap_or_default()
-                    .to_owned()
+                message.downcast_ref::<&str>().copied().unwrap_or_default().to_owned()
             };
             let scene = "this scene was made for another model";
             assert_eq!(panic_message(&other, &mut foreign), scene);

@@ -72,12 +72,7 @@ impl Resets {
             .iter()
             .map(|site| model.id(ObjectKind::Site, site))
             .collect::<Result<_, _>>()?;
-        Ok(Self {
-            joints,
-            targets,
-            sites,
-            compiled_fixtures,
-        })
+        Ok(Self { joints, targets, sites, compiled_fixtures })
     }
 
     /// Restores the compiled poses of the fixtures.

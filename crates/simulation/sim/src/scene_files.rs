@@ -123,10 +123,7 @@ impl SceneFolder {
             Ok(None) => {}
             Err(problem) => record_problem(&problem),
         }
-        Ok(LoadedScene {
-            model,
-            prepared: Preparation::InMemory(Arc::new(prepared)),
-        })
+        Ok(LoadedScene { model, prepared: Preparation::InMemory(Arc::new(prepared)) })
     }
 
     /// Returns the scene, or the lock that a process holds while it compiles the scene.
@@ -143,10 +140,7 @@ impl SceneFolder {
 impl LoadedScene {
     /// Wraps a model in the memory of this process.
     pub(crate) fn in_memory(model: Model) -> Self {
-        Self {
-            model,
-            prepared: Preparation::Missing,
-        }
+        Self { model, prepared: Preparation::Missing }
     }
 }
 
@@ -161,11 +155,7 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
     // written only at installation.
     for file in scene.robot_files(sources) {
         if let Ok(metadata) = fs::metadata(&file) {
-            for number in [
-                metadata.len() as i64,
-                metadata.mtime(),
-                metadata.mtime_nsec(),
-            ] {
+            for number in [metadata.len() as i64, metadata.mtime(), metadata.mtime_nsec()] {
                 hash.update(number.to_le_bytes());
             }
         }
@@ -177,11 +167,7 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
 /// Describes everything that the layout of scene files depends on: the machine, MuJoCo, and the
 /// renderer's code that prepares meshes and textures.
 fn layout() -> String {
-    let endian = if cfg!(target_endian = "big") {
-        "big"
-    } else {
-        "little"
-    };
+    let endian = if cfg!(target_endian = "big") { "big" } else { "little" };
     let (mujoco, raster) = (mujoco::version(), raster::SOURCES);
     format!("{FORMAT} {ARCH} {endian} {STRUCTURE} {mujoco} {raster}\n")
 }

@@ -112,14 +112,7 @@ impl Simulator {
     ) -> Result<Episode<'_>, SimError> {
         self.make_ready(files)?;
         let (ready, environment) = &mut self.scenes[0];
-        Episode::begin(
-            ready,
-            environment,
-            &mut self.drawer,
-            row,
-            realisation,
-            variant,
-        )
+        Episode::begin(ready, environment, &mut self.drawer, row, realisation, variant)
     }
 
     /// Moves the scene of these files to the front of the cache, compiling it if necessary.
@@ -132,8 +125,7 @@ impl Simulator {
         }
         // The least recently used scene is evicted before the new one is compiled, so that the
         // buffers of both are not allocated at once.
-        self.scenes
-            .truncate(self.config.cached_scenes.saturating_sub(1));
+        self.scenes.truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;
         let environment = Environment::before_load(Arc::clone(scene.compiled()))?;
         self.scenes.insert(0, (scene, environment));

@@ -47,13 +47,7 @@ impl Environment {
         reset: Reset,
         joint_sampler_rounds: u32,
     ) -> Result<u32, SimError> {
-        let Self {
-            compiled,
-            model,
-            data,
-            reset_joints,
-            ..
-        } = self;
+        let Self { compiled, model, data, reset_joints, .. } = self;
         if reset == Reset::Hard {
             model.copy_own(&compiled.model);
             compiled.resets.restore_fixtures(model);
@@ -62,9 +56,7 @@ impl Environment {
         let mut rounds = joint_sampler_rounds;
         let mut attempts = 1;
         while let Err(error) =
-            compiled
-                .resets
-                .place(samplers, model, data, rng, rounds, reset_joints)
+            compiled.resets.place(samplers, model, data, rng, rounds, reset_joints)
         {
             if attempts == MAX_DRAWS {
                 return Err(error.into());

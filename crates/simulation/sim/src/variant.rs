@@ -84,11 +84,7 @@ impl VariantStart {
             environment.post_process();
             environment.observe_now();
         }
-        Ok(self.corruption.map(|corruption| Noise {
-            corruption,
-            rng,
-            picture: 0,
-        }))
+        Ok(self.corruption.map(|corruption| Noise { corruption, rng, picture: 0 }))
     }
 }
 
@@ -123,8 +119,7 @@ impl Noise {
             return Ok(());
         }
         while self.picture < control_steps {
-            self.corruption
-                .skip(BENCHMARK_SIDE, BENCHMARK_SIDE, &mut self.rng);
+            self.corruption.skip(BENCHMARK_SIDE, BENCHMARK_SIDE, &mut self.rng);
             self.picture += 1;
         }
         let mut picture = Picture {

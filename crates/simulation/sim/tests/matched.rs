@@ -35,10 +35,8 @@ struct Realised {
 
 fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
     let perturbation = &row.perturbation;
-    let mut realised = Realised {
-        stored: rollout_types::Realised::default(),
-        bits: BTreeMap::new(),
-    };
+    let mut realised =
+        Realised { stored: rollout_types::Realised::default(), bits: BTreeMap::new() };
     let camera = nominal_camera();
     let look_at = look_at_point(&camera, &[[0.1, 0.05, 0.9], [-0.1, 0.0, 0.95]]);
     if let Some(shift) = &perturbation.camera {
@@ -79,8 +77,7 @@ impl Realised {
     fn add(&mut self, axis: Axis, parameters: &[f64], fixed: &[f64], steps: &[f64]) {
         self.stored.add(axis, parameters.to_vec(), fixed.to_vec());
         let values = fixed.iter().chain(steps);
-        self.bits
-            .insert(axis, values.map(|value| value.to_bits()).collect());
+        self.bits.insert(axis, values.map(|value| value.to_bits()).collect());
     }
 }
 
@@ -105,18 +102,13 @@ fn pictures(stage: &mut SensorStage) -> Vec<f64> {
 
 fn actions(stage: &mut ActuationStage) -> Vec<f64> {
     let action = |step: usize| std::array::from_fn(|i| ((step * 7 + i * 3) as f64).sin());
-    (0..ACTIONS)
-        .flat_map(|step| stage.apply(&action(step)))
-        .collect()
+    (0..ACTIONS).flat_map(|step| stage.apply(&action(step))).collect()
 }
 
 fn nominal_camera() -> CameraPose {
     // A quarter turn about y, so that the camera looks along −x.
     let half = std::f64::consts::FRAC_1_SQRT_2;
-    CameraPose {
-        position: [0.9, 0.1, 1.4],
-        quat_wxyz: [half, 0.0, half, 0.0],
-    }
+    CameraPose { position: [0.9, 0.1, 1.4], quat_wxyz: [half, 0.0, half, 0.0] }
 }
 
 fn nominal_lighting() -> Lighting {
@@ -126,10 +118,7 @@ fn nominal_lighting() -> Lighting {
         diffuse: [0.8, 0.7, 0.6],
         specular: [0.3; 3],
     };
-    Lighting {
-        lights: vec![light(1.0), light(-0.5)],
-        headlight_ambient: [0.2; 3],
-    }
+    Lighting { lights: vec![light(1.0), light(-0.5)], headlight_ambient: [0.2; 3] }
 }
 
 fn lighting_values(lighting: &Lighting) -> Vec<f64> {

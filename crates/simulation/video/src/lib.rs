@@ -80,11 +80,7 @@ impl VideoEncoder {
         let muxer = MuxerBuilder::new(Vec::new())
             .video(VideoCodec::H264, width, height, FRAMES_PER_SEC)
             .build()?;
-        Ok(Self {
-            encoder,
-            muxer,
-            frames: 0,
-        })
+        Ok(Self { encoder, muxer, frames: 0 })
     }
 
     /// Adds a frame of the video, which shows the picture of the first camera on the left and that
@@ -101,8 +97,7 @@ impl VideoEncoder {
         let encoded = self.encoder.encode(&picture)?;
         let keyframe = matches!(encoded.frame_type(), FrameType::IDR | FrameType::I);
         let shown_at_secs = f64::from(self.frames) / FRAMES_PER_SEC;
-        self.muxer
-            .write_video(shown_at_secs, &encoded.to_vec(), keyframe)?;
+        self.muxer.write_video(shown_at_secs, &encoded.to_vec(), keyframe)?;
         self.frames += 1;
         Ok(())
     }

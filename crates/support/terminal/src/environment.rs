@@ -58,10 +58,8 @@ pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap:
 
 /// Adds the variable's name to an error if the invalid value comes from the environment.
 fn name_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
-    let is_about_value = matches!(
-        error.kind(),
-        ErrorKind::InvalidValue | ErrorKind::ValueValidation
-    );
+    let is_about_value =
+        matches!(error.kind(), ErrorKind::InvalidValue | ErrorKind::ValueValidation);
     let Some(ContextValue::String(argument)) = error.get(ContextKind::InvalidArg) else {
         return error;
     };
@@ -112,18 +110,10 @@ mod tests {
     }
 
     fn variables(command: &Command) -> Vec<(&str, Option<&str>)> {
-        let name = |arg: &Arg| {
-            arg.get_env()
-                .map(|name| name.to_str().expect("UTF-8").to_owned())
-        };
+        let name = |arg: &Arg| arg.get_env().map(|name| name.to_str().expect("UTF-8").to_owned());
         let arguments = command.get_arguments();
         arguments
-            .map(|arg| {
-                (
-                    arg.get_id().as_str(),
-                    name(arg).map(|variable| &*variable.leak()),
-                )
-            })
+            .map(|arg| (arg.get_id().as_str(), name(arg).map(|variable| &*variable.leak())))
             .collect()
     }
 

@@ -16,12 +16,7 @@ where
 {
     move |text| match text.parse() {
         Ok(number) if range.contains(&number) => Ok(number),
-        _ => Err(format!(
-            "write {}, {} to {}",
-            whole(unit),
-            range.start(),
-            range.end()
-        )),
+        _ => Err(format!("write {}, {} to {}", whole(unit), range.start(), range.end())),
     }
 }
 
@@ -51,11 +46,7 @@ pub fn decimal(
 ) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| match text.parse() {
         Ok(number) if range.contains(&number) => Ok(number),
-        _ => Err(format!(
-            "write a number of {unit}, {} to {}",
-            range.start(),
-            range.end()
-        )),
+        _ => Err(format!("write a number of {unit}, {} to {}", range.start(), range.end())),
     }
 }
 

@@ -38,18 +38,14 @@ pub(crate) async fn call(
 pub(crate) fn is_internal_fault(refusal: &Status) -> bool {
     match refusal.code() {
         // tonic uses this code also for bytes that cannot be decoded.
-        Code::Internal => !refusal
-            .message()
-            .starts_with("failed to decode Protobuf message"),
+        Code::Internal => !refusal.message().starts_with("failed to decode Protobuf message"),
         code => matches!(code, Code::Unknown | Code::DataLoss),
     }
 }
 
 /// Runs `future` to completion; drops the tasks that it spawned and that have not ended by then.
 pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     runtime.expect("a runtime").block_on(future)
 }
 

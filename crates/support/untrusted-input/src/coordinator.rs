@@ -113,10 +113,7 @@ mod tests {
     fn every_method_of_both_services_is_called() {
         let proto = include_str!("../../../../proto/rollout/coordinator/v1/coordinator.proto");
         let names = METHODS.map(|method| method.split('/').nth(1).expect("a name"));
-        for line in proto
-            .lines()
-            .filter_map(|line| line.trim().strip_prefix("rpc "))
-        {
+        for line in proto.lines().filter_map(|line| line.trim().strip_prefix("rpc ")) {
             let name = line.split('(').next().expect("a name");
             assert!(names.contains(&name), "{name}");
         }

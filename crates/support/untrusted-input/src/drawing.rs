@@ -163,28 +163,20 @@ impl Drawing {
                     let depths = canvas.depths(&self.model, &levels, &self.scene, size);
                     depths.expect("depths of a valid scene")
                 });
-                assert!(
-                    depths == redrawn_depths,
-                    "a depth depends on an earlier frame"
-                );
+                assert!(depths == redrawn_depths, "a depth depends on an earlier frame");
                 assert!(depths.iter().all(|depth| (0.0..=1.0).contains(depth)));
                 assert_eq!(depths.len(), width * height);
                 let segments = raster::segments(&self.model, &self.scene, size);
-                assert_eq!(
-                    segments.expect("segments of a valid scene").len(),
-                    width * height
-                );
+                assert_eq!(segments.expect("segments of a valid scene").len(), width * height);
             }
             (Err(drawn), Err(redrawn)) => {
                 raster::segments(&self.model, &self.scene, size).expect_err("an invalid scene");
                 assert_eq!(drawn.to_string(), redrawn.to_string());
                 self.is_refused = true;
             }
-            (drawn, redrawn) => panic!(
-                "reused canvas: {:?}, new canvas: {:?}",
-                drawn.err(),
-                redrawn.err()
-            ),
+            (drawn, redrawn) => {
+                panic!("reused canvas: {:?}, new canvas: {:?}", drawn.err(), redrawn.err())
+            }
         }
     }
 }
@@ -235,16 +227,8 @@ impl Bytes<'_> {
 
     /// Reads a size that a hostile file may claim.
     fn claimed_size(&mut self) -> usize {
-        const CLAIMS: [usize; 8] = [
-            256,
-            300,
-            1 << 14,
-            (1 << 14) + 1,
-            6 << 14,
-            1 << 32,
-            usize::MAX / 2,
-            usize::MAX,
-        ];
+        const CLAIMS: [usize; 8] =
+            [256, 300, 1 << 14, (1 << 14) + 1, 6 << 14, 1 << 32, usize::MAX / 2, usize::MAX];
         let byte = usize::from(self.byte());
         CLAIMS.get(byte.wrapping_sub(248)).copied().unwrap_or(byte)
     }
@@ -257,11 +241,7 @@ impl Bytes<'_> {
             254 => most + 1,
             byte => usize::from(byte) % 24,
         };
-        Quality {
-            slices: subdivisions(512),
-            stacks: subdivisions(512),
-            quads: subdivisions(64),
-        }
+        Quality { slices: subdivisions(512), stacks: subdivisions(512), quads: subdivisions(64) }
     }
 
     fn mesh(&mut self) -> Mesh {
@@ -315,11 +295,8 @@ impl Bytes<'_> {
             1 => TextureKind::Flat { srgb: true },
             _ => TextureKind::Cube,
         };
-        let (width, height, channels) = (
-            self.claimed_size(),
-            self.claimed_size(),
-            self.claimed_size(),
-        );
+        let (width, height, channels) =
+            (self.claimed_size(), self.claimed_size(), self.claimed_size());
         let needed = width
             .checked_mul(height)
             .and_then(|texels| texels.checked_mul(channels))
@@ -365,13 +342,7 @@ impl Bytes<'_> {
         }
         if flags & 8 != 0 {
             let numbers = self.numbers();
-            [
-                geom.emission,
-                geom.specular,
-                geom.shininess,
-                geom.reflectance,
-                geom.reach,
-            ] = numbers;
+            [geom.emission, geom.specular, geom.shininess, geom.reflectance, geom.reach] = numbers;
         }
         if flags & 16 != 0 {
             geom.mat = self.numbers();
@@ -476,26 +447,11 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let mirror = encoded(&[8], &[0.0, 0.5, 0.5, 0.4, 0.0]);
     let capsule = |z: f32| {
         let pos = [-0.2, 0.3, z];
-        geom(
-            2,
-            [6, 0],
-            numbers([0.08, 0.08, 0.2], pos, [0.2, 0.7, 0.3, 1.0]),
-            &[],
-        )
+        geom(2, [6, 0], numbers([0.08, 0.08, 0.2], pos, [0.2, 0.7, 0.3, 1.0]), &[])
     };
     let geoms = [
-        geom(
-            99,
-            [1, 0],
-            numbers([2.0, 2.0, 0.5], [0.0; 3], white),
-            &encoded(&[3, 1], &[2.0, 3.0]),
-        ),
-        geom(
-            99,
-            [3, 0],
-            numbers([0.25, 0.3, 0.1], [0.3, 0.0, 0.1], white),
-            &mirror,
-        ),
+        geom(99, [1, 0], numbers([2.0, 2.0, 0.5], [0.0; 3], white), &encoded(&[3, 1], &[2.0, 3.0])),
+        geom(99, [3, 0], numbers([0.25, 0.3, 0.1], [0.3, 0.0, 0.1], white), &mirror),
         capsule(0.4),
         geom(
             99,
@@ -509,18 +465,8 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
             numbers([0.15, 0.1, 0.2], [-0.5, 0.6, 0.2], white),
             &encoded(&[1, 2], &[1.0, 1.0]),
         ),
-        geom(
-            99,
-            [5, 0],
-            numbers([0.1, 0.1, 0.3], [0.0, -0.5, 0.3], white),
-            &[],
-        ),
-        geom(
-            99,
-            [4, 0],
-            numbers([0.4; 3], [0.1, -0.2, 0.35], [0.3, 0.5, 1.0, 0.4]),
-            &[],
-        ),
+        geom(99, [5, 0], numbers([0.1, 0.1, 0.3], [0.0, -0.5, 0.3], white), &[]),
+        geom(99, [4, 0], numbers([0.4; 3], [0.1, -0.2, 0.35], [0.3, 0.5, 1.0, 0.4]), &[]),
     ]
     .concat();
     let room = [
@@ -532,33 +478,17 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     .concat();
     let near = encoded(
         &[0],
-        &[
-            0.3, 0.1, 0.5, -0.8, -0.1, -0.2, 0.0, 0.0, 1.0, 0.0, 0.0, -0.02, 0.02, 0.01, 50.0,
-        ],
+        &[0.3, 0.1, 0.5, -0.8, -0.1, -0.2, 0.0, 0.0, 1.0, 0.0, 0.0, -0.02, 0.02, 0.01, 50.0],
     );
     let from_above = encoded(
         &[1],
-        &[
-            0.0, 0.0, 3.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.1, 1.5, -1.0, 1.0, 0.5, 9.0,
-        ],
+        &[0.0, 0.0, 3.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.1, 1.5, -1.0, 1.0, 0.5, 9.0],
     );
-    let moves = [
-        draw(64, 48, 3),
-        capsule(0.5),
-        draw(64, 48, 1),
-        draw(33, 17, 2),
-    ]
-    .concat();
+    let moves = [draw(64, 48, 3), capsule(0.5), draw(64, 48, 1), draw(33, 17, 2)].concat();
     vec![
         [room.clone(), moves].concat(),
         [room.clone(), script::write(CAMERA, &near), draw(65, 39, 2)].concat(),
-        [
-            room,
-            script::write(CAMERA, &from_above),
-            draw(1, 4096, 0),
-            draw(4096, 1, 0),
-        ]
-        .concat(),
+        [room, script::write(CAMERA, &from_above), draw(1, 4096, 0), draw(4096, 1, 0)].concat(),
         [quality, draw(1, 1, 3), draw(64, 64, 0)].concat(),
     ]
 }
@@ -587,10 +517,8 @@ fn bumps() -> Vec<u8> {
         ];
         for three in corners.chunks(3) {
             let pos = three.concat();
-            let st: Vec<f32> = three
-                .iter()
-                .flat_map(|point| [point[0] * 3.0, point[1] * 3.0])
-                .collect();
+            let st: Vec<f32> =
+                three.iter().flat_map(|point| [point[0] * 3.0, point[1] * 3.0]).collect();
             mesh.extend(encoded(&[], &pos));
             mesh.extend(encoded(&[], &st));
         }

@@ -153,10 +153,7 @@ pub(crate) fn recorded_actions_seeds() -> Vec<Vec<u8>> {
     let lines = b"[0,0,0,0,0,0,-1]\n[0.5,0,1e-3,0,0,0,1]\n";
     let zipped = zipped("actions.npy", &array);
     let files = [&zipped[..], &array, lines];
-    (0..)
-        .zip(files)
-        .map(|(kind, file)| [&[kind], file].concat())
-        .collect()
+    (0..).zip(files).map(|(kind, file)| [&[kind], file].concat()).collect()
 }
 
 pub(crate) fn gateway_file_seeds() -> Vec<Vec<u8>> {
@@ -175,10 +172,7 @@ pub(crate) fn recording_seeds() -> Vec<Vec<u8>> {
     let mut writer = writer.expect("written");
     let pair = Pair {
         query: InferRequest::default(),
-        answer: InferResponse {
-            actions: vec![0.5; 7],
-            action_width: 7,
-        },
+        answer: InferResponse { actions: vec![0.5; 7], action_width: 7 },
     };
     writer.add(&pair).expect("written");
     let file = writer.finish().expect("written");

@@ -78,11 +78,7 @@ pub(crate) fn check_answers(input: &[u8]) -> bool {
         is_accepted = true;
         let grippers = response.actions.chunks(ACTION_WIDTH);
         if policy_protocol::actions(&response, 1).is_ok() {
-            assert!(
-                grippers
-                    .flat_map(|action| action.last())
-                    .all(|gripper| gripper.abs() == 1.0)
-            );
+            assert!(grippers.flat_map(|action| action.last()).all(|gripper| gripper.abs() == 1.0));
         }
     }
     is_accepted
@@ -102,17 +98,10 @@ pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
         horizon: 8,
         execute: 4,
         max_batch: 2,
-        cameras: vec![wire::CameraRequest {
-            name: "agentview".into(),
-            width: 128,
-            height: 128,
-        }],
+        cameras: vec![wire::CameraRequest { name: "agentview".into(), width: 128, height: 128 }],
         ..wire::DescribeResponse::default()
     };
-    let response = wire::InferResponse {
-        actions: vec![0.5; 14],
-        action_width: 7,
-    };
+    let response = wire::InferResponse { actions: vec![0.5; 14], action_width: 7 };
     // A map whose key `actions` holds an array of one action, as msgpack_numpy writes it.
     let mut chunk = b"\x81\xa7actions\x84\xc4\x0b__ndarray__\xc3\xc4\x04data\xc4\x1c".to_vec();
     chunk.extend([0; 28]);
@@ -122,12 +111,7 @@ pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
     action.extend(b"\x84\xab__ndarray__\xc3\xa4data\xc4\x1c");
     action.extend([0; 28]);
     action.extend(b"\xa5dtype\xa3<f4\xa5shape\x91\x07\xa3seq\x01\xa9timestamp\x00");
-    vec![
-        described.encode_to_vec(),
-        response.encode_to_vec(),
-        chunk,
-        action,
-    ]
+    vec![described.encode_to_vec(), response.encode_to_vec(), chunk, action]
 }
 
 fn session(policy: &str) -> Vec<u8> {
@@ -153,13 +137,8 @@ fn session(policy: &str) -> Vec<u8> {
         }),
         under_way: None,
     };
-    let batch = wire::InferBatchRequest {
-        queries: vec![infer.clone(), infer.clone()],
-    };
-    let end = wire::EndRequest {
-        policy: policy.into(),
-        session: "s".into(),
-    };
+    let batch = wire::InferBatchRequest { queries: vec![infer.clone(), infer.clone()] };
+    let end = wire::EndRequest { policy: policy.into(), session: "s".into() };
     [
         script::write(0, &describe.encode_to_vec()),
         script::write(1, &reset.encode_to_vec()),
@@ -182,10 +161,7 @@ fn scene() -> wire::PrivilegedState {
         centre: centre.into(),
     };
     wire::PrivilegedState {
-        entities: vec![
-            entity("bowl_1", [-0.1, -0.1, 0.02]),
-            entity("plate_1", [0.1, 0.2, 0.02]),
-        ],
+        entities: vec![entity("bowl_1", [-0.1, -0.1, 0.02]), entity("plate_1", [0.1, 0.2, 0.02])],
         joints: vec![],
         goal: vec![wire::GoalPredicate {
             predicate: "on".into(),
@@ -204,10 +180,7 @@ mod tests {
     #[test]
     fn every_method_is_called() {
         let proto = include_str!("../../../../proto/rollout/policy/v1/policy.proto");
-        for line in proto
-            .lines()
-            .filter_map(|line| line.trim().strip_prefix("rpc "))
-        {
+        for line in proto.lines().filter_map(|line| line.trim().strip_prefix("rpc ")) {
             let name = line.split('(').next().expect("a name");
             assert!(METHODS.contains(&name), "{name}");
         }

@@ -30,38 +30,18 @@ pub struct Target {
 pub const TARGETS: [Target; 15] = [
     target("bddl", scenes::bddl, scenes::bddl_seeds),
     target("mjcf", scenes::mjcf, scenes::mjcf_seeds),
-    target(
-        "pruned_init",
-        scenes::pruned_init,
-        scenes::pruned_init_seeds,
-    ),
+    target("pruned_init", scenes::pruned_init, scenes::pruned_init_seeds),
     target("manifest", files::manifest, files::manifest_seeds),
-    target(
-        "campaign_spec",
-        files::campaign_spec,
-        files::campaign_spec_seeds,
-    ),
+    target("campaign_spec", files::campaign_spec, files::campaign_spec_seeds),
     target("result_rows", files::result_rows, files::result_rows_seeds),
     target("about_file", files::about_file, files::about_file_seeds),
-    target(
-        "recorded_actions",
-        files::recorded_actions,
-        files::recorded_actions_seeds,
-    ),
-    target(
-        "gateway_file",
-        files::gateway_file,
-        files::gateway_file_seeds,
-    ),
+    target("recorded_actions", files::recorded_actions, files::recorded_actions_seeds),
+    target("gateway_file", files::gateway_file, files::gateway_file_seeds),
     target("recording", files::recording, files::recording_seeds),
     target("token_file", files::token_file, files::token_file_seeds),
     target("rpc", coordinator::check_calls, coordinator::seeds),
     target("rpc_policy", gateway::check_calls, gateway::seeds),
-    target(
-        "policy_answer",
-        gateway::check_answers,
-        gateway::answer_seeds,
-    ),
+    target("policy_answer", gateway::check_answers, gateway::answer_seeds),
     target("drawing", drawing::draw, drawing::seeds),
 ];
 

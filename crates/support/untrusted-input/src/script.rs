@@ -55,10 +55,8 @@ mod tests {
     #[test]
     fn a_script_round_trips_and_any_bytes_are_a_script() {
         let input = [write(1, b"one"), write(2, b""), write(2 | MORE, b"more")].concat();
-        let call = |method, messages: &[&'static [u8]]| Call {
-            method,
-            messages: messages.to_vec(),
-        };
+        let call =
+            |method, messages: &[&'static [u8]]| Call { method, messages: messages.to_vec() };
         assert_eq!(read(&input), [call(1, &[b"one"]), call(2, &[b"", b"more"])]);
         assert_eq!(read(&[MORE, 9, 0, 7]), [call(0, &[&[7]])]);
         assert_eq!(read(&[1, 2]), []);

@@ -92,10 +92,7 @@ fn check_mutations(target: Target, inputs: usize) {
             let name = format!("{}-{seed}-{number}", target.name);
             let file = std::env::temp_dir().join(&name);
             std::fs::write(&file, &input).expect("written");
-            panic!(
-                "input {name} makes the target fail; it is stored in {}",
-                file.display()
-            );
+            panic!("input {name} makes the target fail; it is stored in {}", file.display());
         }
     }
 }

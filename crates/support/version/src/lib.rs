@@ -84,11 +84,7 @@ mod tests {
 
         git(folder.path(), "init --quiet");
         git(folder.path(), "commit --quiet --allow-empty -m somebody's");
-        assert_eq!(
-            Commit::of_package(&package),
-            None,
-            "inside another repository"
-        );
+        assert_eq!(Commit::of_package(&package), None, "inside another repository");
 
         git(folder.path(), "add .");
         git(folder.path(), "commit --quiet -m ours");

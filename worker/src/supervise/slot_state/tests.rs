@@ -11,11 +11,7 @@ fn attempt(number: u8) -> AttemptId {
 fn running(now: Instant) -> SlotState {
     let mut slot = SlotState::new(now, 1);
     slot.process = ProcessState::Up;
-    slot.work = Work::Running {
-        attempt: attempt(1),
-        control_steps: 0,
-        progressed_at: now,
-    };
+    slot.work = Work::Running { attempt: attempt(1), control_steps: 0, progressed_at: now };
     slot
 }
 
@@ -31,10 +27,7 @@ fn secs(secs: u64) -> Duration {
 }
 
 fn lost(kind: FailureKind) -> Loss {
-    Loss {
-        rollout: Some((attempt(1), kind)),
-        video: None,
-    }
+    Loss { rollout: Some((attempt(1), kind)), video: None }
 }
 
 #[test]
@@ -78,10 +71,7 @@ fn a_crash_costs_only_the_running_rollout() {
     assert_eq!(slot.delivered(false), None);
     assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now), None);
     let later = now + secs(1);
-    assert_eq!(
-        slot.decide(Mode::Serving, TIMEOUT, later),
-        Some(Decision::Start)
-    );
+    assert_eq!(slot.decide(Mode::Serving, TIMEOUT, later), Some(Decision::Start));
     assert_eq!(slot.ended(later), Loss::default());
 }
 
@@ -91,11 +81,7 @@ fn a_crash_while_filming_costs_the_video_and_not_the_result() {
     let mut slot = filming(now);
     let ended = slot.ended(now);
     assert_eq!((ended.rollout, ended.video), (None, Some(attempt(1))));
-    assert_eq!(
-        slot.progress(),
-        Some((attempt(1), 0)),
-        "the result is still being delivered"
-    );
+    assert_eq!(slot.progress(), Some((attempt(1), 0)), "the result is still being delivered");
     assert_eq!(slot.delivered(true), None);
     assert!(slot.is_done());
 }
@@ -106,18 +92,12 @@ fn filming_advances_the_video_and_never_the_rollouts_steps() {
     let mut slot = running(now);
     slot.advanced(attempt(1), 290, now);
     slot.filming_advanced(attempt(1), 300, now);
-    assert_eq!(
-        slot.progress(),
-        Some((attempt(1), 290)),
-        "no video is being made"
-    );
+    assert_eq!(slot.progress(), Some((attempt(1), 290)), "no video is being made");
     assert!(slot.rollout_ended(attempt(1), true, now));
     slot.filming_advanced(attempt(1), 300, now);
     slot.advanced(attempt(1), 570, now);
     assert_eq!(slot.progress(), Some((attempt(1), 290)));
-    let Video::Filming { pictures, .. } = slot.video else {
-        panic!("{:?}", slot.video)
-    };
+    let Video::Filming { pictures, .. } = slot.video else { panic!("{:?}", slot.video) };
     assert_eq!(pictures, 300);
 }
 
@@ -167,10 +147,7 @@ fn a_video_of_a_refused_result_is_dropped() {
 fn a_rollout_whose_lease_is_lost_is_abandoned_without_a_report() {
     let now = Instant::now();
     let mut slot = running(now);
-    slot.work = Work::Abandoning {
-        attempt: attempt(1),
-        deadline: now + ABANDON_DEADLINE,
-    };
+    slot.work = Work::Abandoning { attempt: attempt(1), deadline: now + ABANDON_DEADLINE };
     assert_eq!(slot.progress(), None);
     let late = slot.decide(Mode::Serving, TIMEOUT, now + ABANDON_DEADLINE);
     assert_eq!(late, Some(Decision::Kill(Kill::NotAbandoned)));

@@ -101,10 +101,7 @@ impl Supervisor {
             Err(error) => failed(FailureKind::Simulator, format!("failed to {error}")),
             Ok(assignment) => return self.prepare(slot, assignment, campaign, now),
         };
-        self.slots[slot].state.work = Work::Delivering {
-            attempt,
-            control_steps: 0,
-        };
+        self.slots[slot].state.work = Work::Delivering { attempt, control_steps: 0 };
         let label = format!("{campaign}: job {job}");
         self.send_delivery(slot, attempt, label, ending);
     }
@@ -132,11 +129,7 @@ impl Supervisor {
         let events = self.events.clone();
         self.calls.spawn_blocking(move || {
             let outcome = provider.provide(&row);
-            let _ = events.blocking_send(Event::Provided {
-                slot,
-                attempt,
-                outcome,
-            });
+            let _ = events.blocking_send(Event::Provided { slot, attempt, outcome });
         });
     }
 
@@ -182,18 +175,10 @@ impl Supervisor {
                 error
             }
         };
-        self.slots[slot].state.work = Work::Delivering {
-            attempt,
-            control_steps: 0,
-        };
+        self.slots[slot].state.work = Work::Delivering { attempt, control_steps: 0 };
         let kind = FailureKind::Draining;
         let label = format!("{campaign}: {}", assignment.session);
-        self.send_delivery(
-            slot,
-            attempt,
-            label,
-            Ending::Failed(Failure { kind, error }),
-        );
+        self.send_delivery(slot, attempt, label, Ending::Failed(Failure { kind, error }));
     }
 
     /// Logs the coordinator's reason for granting no job although jobs wait, unless it was the last
@@ -226,10 +211,7 @@ impl Supervisor {
             true => VideoOf::Failures,
             false => VideoOf::Everything,
         };
-        let video = VideoRequest {
-            file: self.video_file(attempt),
-            of: filmed_outcomes,
-        };
+        let video = VideoRequest { file: self.video_file(attempt), of: filmed_outcomes };
         Ok(Assignment {
             attempt,
             session: Session::new(&row.id, lease.replicate, attempt),
@@ -251,11 +233,8 @@ impl Supervisor {
         if let Some(process) = &slot.process {
             process.send(SlotCommand::Run(Box::new(assignment.clone())));
         }
-        slot.state.work = Work::Running {
-            attempt: assignment.attempt,
-            control_steps: 0,
-            progressed_at: now,
-        };
+        slot.state.work =
+            Work::Running { attempt: assignment.attempt, control_steps: 0, progressed_at: now };
         slot.assignment = Some(assignment);
         slot.campaign = campaign;
         self.has_unacknowledged_lease = true;

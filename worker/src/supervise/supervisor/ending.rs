@@ -88,9 +88,7 @@ impl Supervisor {
 
     /// Gives the rollouts in flight back, and limits the time until the worker exits.
     pub(super) fn give_up(&mut self, now: Instant) {
-        self.mode = Mode::Abandoning {
-            until: now + GIVE_BACK_DEADLINE,
-        };
+        self.mode = Mode::Abandoning { until: now + GIVE_BACK_DEADLINE };
         for slot in 0..self.slots.len() {
             let given_back = self.slots[slot].state.give_up();
             if let Some(process) = &self.slots[slot].process {

@@ -108,17 +108,11 @@ impl Supervisor {
         let Some(slot) = self.slots.iter().position(is_running) else {
             return;
         };
-        tracing::warn!(
-            "the lease of {} was lost; the rollout is abandoned",
-            self.label(slot)
-        );
+        tracing::warn!("the lease of {} was lost; the rollout is abandoned", self.label(slot));
         let slot = &mut self.slots[slot];
         if let Some(process) = &slot.process {
             process.send(SlotCommand::Abandon(lost));
         }
-        slot.state.work = Work::Abandoning {
-            attempt: lost,
-            deadline: now + ABANDON_DEADLINE,
-        };
+        slot.state.work = Work::Abandoning { attempt: lost, deadline: now + ABANDON_DEADLINE };
     }
 }

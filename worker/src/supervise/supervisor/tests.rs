@@ -24,10 +24,7 @@ fn supervisor_with(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
             mujoco_version: String::new(),
         },
         slots,
-        slot_program: SlotProgram {
-            program: "cat".into(),
-            arguments: Vec::new(),
-        },
+        slot_program: SlotProgram { program: "cat".into(), arguments: Vec::new() },
         provider: None,
         lacking_tasks: Vec::new(),
         policy_endpoint: None,
@@ -61,10 +58,7 @@ async fn a_shutdown_request_is_handled_while_slots_start() {
     let (events, _inbox) = mpsc::channel(8);
     let mut supervisor = supervisor_with(3 * STARTS_AT_ONCE, events);
     let now = Instant::now();
-    assert!(
-        supervisor.carry_out_decisions(now),
-        "further processes are to be started"
-    );
+    assert!(supervisor.carry_out_decisions(now), "further processes are to be started");
     let is_started = |slot: &&Slot| slot.process.is_some();
     let started = |parent: &Supervisor| parent.slots.iter().filter(is_started).count();
     assert_eq!(started(&supervisor), STARTS_AT_ONCE);
@@ -81,10 +75,7 @@ async fn exhausted_resources_end_the_worker_at_once() {
     supervisor.slots[7].starts = 1;
     let too_many_files = rustix::io::Errno::MFILE;
     supervisor.start_failed(7, too_many_files.into(), now);
-    assert!(
-        !supervisor.carry_out_decisions(now),
-        "no further process may start"
-    );
+    assert!(!supervisor.carry_out_decisions(now), "no further process may start");
     assert_eq!(supervisor.mode, Mode::Draining);
     let fault = supervisor.fault.expect("a fault").to_string();
     assert!(fault.contains("slot 7"), "{fault}");
@@ -98,11 +89,8 @@ async fn a_panic_of_a_slots_task_ends_its_process() {
     supervisor.start_process(0, now);
     let attempt = AttemptId::from_random([1; 16]);
     supervisor.slots[0].state.process = ProcessState::Up;
-    supervisor.slots[0].state.work = Work::Running {
-        attempt,
-        control_steps: 0,
-        progressed_at: now,
-    };
+    supervisor.slots[0].state.work =
+        Work::Running { attempt, control_steps: 0, progressed_at: now };
     let task = supervisor.processes.spawn(async { panic!("a defect") });
     let process = supervisor.slots[0].process.as_mut().expect("started");
     process.task = task.id();

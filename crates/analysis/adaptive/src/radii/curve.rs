@@ -122,10 +122,9 @@ impl Survives {
     fn from_finding(finding: &Finding) -> Option<Self> {
         let survives = match finding.threshold {
             Threshold::NominalFails => Some(Self::Never),
-            Threshold::Between {
-                succeeds_at,
-                fails_at,
-            } => Some(Self::Until([succeeds_at.radius(), fails_at.radius()])),
+            Threshold::Between { succeeds_at, fails_at } => {
+                Some(Self::Until([succeeds_at.radius(), fails_at.radius()]))
+            }
             Threshold::Beyond => Some(Self::Throughout),
             Threshold::Open { succeeds_at } => Some(Self::AtLeast(succeeds_at.radius())),
             Threshold::NominalUnknown => None,
@@ -184,10 +183,7 @@ impl Curve {
             .filter_map(|(task, finding)| Some((*task, Survives::from_finding(finding)?)));
         let thresholds: Vec<(TaskRef, Survives)> = thresholds.collect();
         let count = |matches: fn(&Survives) -> bool| {
-            thresholds
-                .iter()
-                .filter(|(_, survives)| matches(survives))
-                .count()
+            thresholds.iter().filter(|(_, survives)| matches(survives)).count()
         };
         let recovers = |(_, finding): &&(TaskRef, Finding)| !finding.recovers_at.is_empty();
         let largest_radius = search.largest().map_or(0.0, Level::radius);
@@ -251,10 +247,7 @@ impl Clusters {
                 }
             }
         }
-        Self {
-            radii,
-            tasks: tasks.into_values().collect(),
-        }
+        Self { radii, tasks: tasks.into_values().collect() }
     }
 
     /// Computes the curve's points and the radius at which it crosses one half.
@@ -322,9 +315,8 @@ impl Clusters {
                 survival[place]
             };
             let share = |&radius: &f64| {
-                let expected = thresholds
-                    .iter()
-                    .map(|(_, survives)| survives.expected(radius, curve));
+                let expected =
+                    thresholds.iter().map(|(_, survives)| survives.expected(radius, curve));
                 expected.sum::<f64>() / thresholds.len() as f64
             };
             let updated: Vec<f64> = self.radii.iter().map(share).collect();

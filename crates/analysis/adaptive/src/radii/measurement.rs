@@ -35,9 +35,7 @@ impl Measurement {
     /// that runs further radii, `further`.
     pub fn of(source: &[Record], further: &[Record], thresholds: &Thresholds) -> Self {
         let source = decisive(source, false);
-        let nominal = source
-            .iter()
-            .filter(|record| record.id.condition() == Condition::Clean);
+        let nominal = source.iter().filter(|record| record.id.condition() == Condition::Clean);
         let nominal: BTreeMap<RolloutId, Outcome> =
             nominal.map(|record| (record.id, record.outcome)).collect();
         let is_measured = |condition: Condition| {
@@ -96,9 +94,7 @@ impl Measurement {
 
     /// Returns the search of each measured condition.
     pub fn searches(&self) -> impl Iterator<Item = (Condition, &Search)> {
-        self.searches
-            .iter()
-            .map(|(&condition, search)| (condition, search))
+        self.searches.iter().map(|(&condition, search)| (condition, search))
     }
 
     /// Returns the upper bound of the number of further rollouts of any single configuration.
@@ -108,10 +104,8 @@ impl Measurement {
 
     /// Returns the upper bound of the number of further rollouts of each sampled configuration.
     pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
-        let sampled = self
-            .costs
-            .iter()
-            .filter(|(configuration, _)| self.sample.contains(configuration));
+        let sampled =
+            self.costs.iter().filter(|(configuration, _)| self.sample.contains(configuration));
         sampled.map(|((task, _), most)| (*task, *most))
     }
 
@@ -129,11 +123,7 @@ impl Measurement {
     /// needed rollouts are requested, or the budget is used up.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
         let requested: u32 = self.rays.values().map(Outcomes::requested).sum();
-        let budget_left = self
-            .thresholds
-            .budget
-            .unwrap_or(u32::MAX)
-            .saturating_sub(requested);
+        let budget_left = self.thresholds.budget.unwrap_or(u32::MAX).saturating_sub(requested);
         let requests = self.rays().flat_map(|(ray, outcomes)| {
             let levels = match self.decision(ray, outcomes) {
                 Decision::Run(levels) => levels,
@@ -154,9 +144,8 @@ impl Measurement {
     pub fn curves(&self, bootstrap: &Bootstrap) -> Vec<Curve> {
         let curve = |(condition, search): (Condition, &Search)| {
             let rays = self.rays().filter(|(ray, _)| ray.condition == condition);
-            let findings: Vec<(TaskRef, Finding)> = rays
-                .map(|(ray, outcomes)| (ray.task, self.finding(ray, outcomes)))
-                .collect();
+            let findings: Vec<(TaskRef, Finding)> =
+                rays.map(|(ray, outcomes)| (ray.task, self.finding(ray, outcomes))).collect();
             Curve::new(condition, search, &findings, bootstrap)
         };
         self.searches().map(curve).collect()
@@ -164,11 +153,7 @@ impl Measurement {
 }
 
 fn ray(id: RolloutId) -> Ray {
-    Ray {
-        condition: id.condition(),
-        task: id.task(),
-        config: id.number(),
-    }
+    Ray { condition: id.condition(), task: id.task(), config: id.number() }
 }
 
 fn single_axis(condition: Condition) -> AxisSet {

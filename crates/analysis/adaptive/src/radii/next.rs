@@ -25,10 +25,9 @@ pub fn next(outcomes: &Outcomes<Level>, search: &Search) -> Decision<Level> {
         return Decision::Wait;
     }
     let halfway = match Finding::new(outcomes, search).threshold {
-        Threshold::Between {
-            succeeds_at,
-            fails_at,
-        } => search.halfway([succeeds_at.radius(), fails_at.radius()]),
+        Threshold::Between { succeeds_at, fails_at } => {
+            search.halfway([succeeds_at.radius(), fails_at.radius()])
+        }
         _ => None,
     };
     // If a rollout exists halfway and did not narrow the bracket, it is quarantined: the bracket

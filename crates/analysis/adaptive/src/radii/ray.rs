@@ -54,7 +54,6 @@ impl Outcomes<Level> {
     /// ascending order.
     pub(crate) fn levels(&self, success: bool) -> impl DoubleEndedIterator<Item = Level> {
         let matches = move |outcome: Outcome| outcome.success() == Some(success);
-        self.perturbed()
-            .filter_map(move |(level, outcome)| matches(outcome).then_some(level))
+        self.perturbed().filter_map(move |(level, outcome)| matches(outcome).then_some(level))
     }
 }

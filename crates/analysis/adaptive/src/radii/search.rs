@@ -43,18 +43,10 @@ impl Search {
         }
         let mut grid = thresholds.grid();
         if !condition.axes(axes).contains(Axis::Language) {
-            return Self {
-                grid,
-                tolerance: Some(thresholds.tolerance),
-                spacing: None,
-            };
+            return Self { grid, tolerance: Some(thresholds.tolerance), spacing: None };
         }
         grid.retain(|level| level.is_named());
-        Self {
-            grid,
-            tolerance: None,
-            spacing: None,
-        }
+        Self { grid, tolerance: None, spacing: None }
     }
 
     /// Returns the radius that halves a bracket; `None` if the bracket is narrow enough, or if no

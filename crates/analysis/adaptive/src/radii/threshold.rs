@@ -53,20 +53,11 @@ impl Finding {
             (Outcome::Failure, _) => Threshold::NominalFails,
             (Outcome::Missing | Outcome::Quarantined, _) => Threshold::NominalUnknown,
             (Outcome::Success, Some(fails_at)) => {
-                let mut below = outcomes
-                    .levels(true)
-                    .rev()
-                    .filter(|level| *level < fails_at);
-                Threshold::Between {
-                    succeeds_at: below.next().unwrap_or(Level::L0),
-                    fails_at,
-                }
+                let mut below = outcomes.levels(true).rev().filter(|level| *level < fails_at);
+                Threshold::Between { succeeds_at: below.next().unwrap_or(Level::L0), fails_at }
             }
             (Outcome::Success, None) => {
-                match search
-                    .largest()
-                    .and_then(|level| outcomes.at(level)?.success())
-                {
+                match search.largest().and_then(|level| outcomes.at(level)?.success()) {
                     Some(_) => Threshold::Beyond,
                     None => Threshold::Open {
                         succeeds_at: outcomes

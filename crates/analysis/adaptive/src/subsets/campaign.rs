@@ -104,10 +104,7 @@ mod tests {
             replicate: 0,
             outcome: Outcome::from(true),
         };
-        let mut records = vec![
-            record("goal/t0/camera/L2/c01"),
-            record("goal/t0/robot/L2/c01"),
-        ];
+        let mut records = vec![record("goal/t0/camera/L2/c01"), record("goal/t0/robot/L2/c01")];
         let lattices = configurations(&records, &[], None).expect("two axes");
         assert_eq!(lattices.len(), 1);
         records.push(record("goal/t0/robot/L2/c01"));

@@ -129,11 +129,7 @@ impl Default for Repeats {
     /// by 24 with a minority of at most six. A further subset in a lattice of six axes is decided
     /// by 13 equal outcomes, or by 24 with a minority of at most three.
     fn default() -> Self {
-        Self {
-            batch: 8,
-            most: 24,
-            error: 0.05,
-        }
+        Self { batch: 8, most: 24, error: 0.05 }
     }
 }
 
@@ -141,11 +137,7 @@ impl Repeats {
     /// Returns the default rule with at most `most` rollouts.
     pub fn up_to(most: u32) -> Self {
         let default = Self::default();
-        Self {
-            batch: default.batch.min(most),
-            most,
-            ..default
-        }
+        Self { batch: default.batch.min(most), most, ..default }
     }
 
     /// Returns the fewest rollouts per subset that can decide about every subset of a lattice
@@ -168,11 +160,8 @@ impl Repeats {
             Role::Further { subsets } => self.error / f64::from(subsets.max(1)),
         };
         let most = self.most.max(self.batch).max(1);
-        let looks = |batch: u32| Looks {
-            batch,
-            most,
-            level: level / f64::from(most.div_ceil(batch)),
-        };
+        let looks =
+            |batch: u32| Looks { batch, most, level: level / f64::from(most.div_ceil(batch)) };
         let mut batches = (self.batch.max(1)..=most).map(looks);
         let deciding = batches.find(Looks::can_decide);
         deciding.unwrap_or_else(|| looks(most))
@@ -182,17 +171,13 @@ impl Repeats {
         let Looks { batch, most, level } = self.looks(role);
         let requested = tally.requested();
         if requested < batch {
-            return Verdict::Short {
-                more: batch - requested,
-            };
+            return Verdict::Short { more: batch - requested };
         }
         let decides = sign_test(tally.successes, tally.failures) <= level;
         match tally.majority() {
             Some(true) if decides => Verdict::Success,
             Some(false) if decides => Verdict::Failure,
-            _ if requested < most => Verdict::Short {
-                more: batch.min(most - requested),
-            },
+            _ if requested < most => Verdict::Short { more: batch.min(most - requested) },
             _ if tally.count().n == 0 => Verdict::Quarantined,
             _ => Verdict::Undecided,
         }
@@ -215,12 +200,7 @@ fn sign_test(successes: u32, failures: u32) -> f64 {
 impl Evidence {
     /// Returns the verdict of a tally of rollouts under a subset with this role.
     pub fn verdict(&self, tally: &Tally, role: Role) -> Verdict {
-        let Tally {
-            successes,
-            failures,
-            pending,
-            ..
-        } = *tally;
+        let Tally { successes, failures, pending, .. } = *tally;
         match self {
             _ if tally.requested() == 0 => Verdict::NotRun,
             Self::Repeated(_) if pending > 0 => Verdict::Pending,
@@ -266,11 +246,7 @@ mod tests {
     use crate::subsets::proportion::clopper_pearson;
 
     fn tally(successes: u32, failures: u32) -> Tally {
-        Tally {
-            successes,
-            failures,
-            ..Tally::default()
-        }
+        Tally { successes, failures, ..Tally::default() }
     }
 
     const ROLES: [Role; 2] = [Role::Transition, Role::Further { subsets: 56 }];
@@ -284,10 +260,7 @@ mod tests {
         assert_eq!(once(1, 0), Verdict::Success);
         assert_eq!(once(0, 1), Verdict::Failure);
         assert_eq!(once(1, 1), Verdict::Undecided);
-        let quarantined = Tally {
-            quarantined: 1,
-            ..Tally::default()
-        };
+        let quarantined = Tally { quarantined: 1, ..Tally::default() };
         let verdict = Evidence::Once.verdict(&quarantined, Role::Transition);
         assert_eq!(verdict, Verdict::Quarantined);
     }
@@ -302,9 +275,7 @@ mod tests {
                     let tally = tally(successes, n - successes);
                     let [low, high] =
                         clopper_pearson(tally.count(), 1.0 - level).expect("rollouts");
-                    let expected = (low > 0.5)
-                        .then_some(true)
-                        .or((high < 0.5).then_some(false));
+                    let expected = (low > 0.5).then_some(true).or((high < 0.5).then_some(false));
                     let verdict = Evidence::Repeated(repeats).verdict(&tally, role);
                     assert_eq!(verdict.success(), expected, "{role:?}: {successes} of {n}");
                 }

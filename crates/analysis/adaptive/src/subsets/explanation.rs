@@ -118,10 +118,7 @@ pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
     confirm(lattice)?;
     let searches = Search::for_transition(lattice, transition);
     let answers = searches.iter().map(|search| search.answer()).collect();
-    Ok(Explanation {
-        transition,
-        answers,
-    })
+    Ok(Explanation { transition, answers })
 }
 
 /// Returns the transition that the outcomes of the explained campaign form. With repeats, this
@@ -136,9 +133,7 @@ pub fn selected(lattice: &Lattice) -> Result<Transition, Unexplained> {
     for single in lattice.singles() {
         conjunction &= lattice.selected(single).ok_or(Unexplained::Incomplete)?;
     }
-    let simultaneous = lattice
-        .selected(lattice.full())
-        .ok_or(Unexplained::Incomplete)?;
+    let simultaneous = lattice.selected(lattice.full()).ok_or(Unexplained::Incomplete)?;
     let nominal = lattice.selecting(AxisSet::EMPTY).majority();
     match Transition::between(conjunction, simultaneous) {
         Transition::Emergent if nominal == Some(false) => Err(Unexplained::NominalFails),
@@ -190,21 +185,15 @@ impl Search {
         match transition {
             Transition::Compensated => {
                 let failing = lattice.singles().filter(fails);
-                failing
-                    .map(|start| Self::new(lattice, start, true))
-                    .collect()
+                failing.map(|start| Self::new(lattice, start, true)).collect()
             }
             _ => vec![Self::new(lattice, AxisSet::EMPTY, false)],
         }
     }
 
     fn new(lattice: &Lattice, start: AxisSet, flips_to: bool) -> Self {
-        let mut search = Self {
-            start,
-            flipping: Vec::new(),
-            unflipped: Vec::new(),
-            open: Vec::new(),
-        };
+        let mut search =
+            Self { start, flipping: Vec::new(), unflipped: Vec::new(), open: Vec::new() };
         let full = lattice.full();
         for set in between(start, full).into_iter().chain([full]) {
             let group = match lattice.verdict(set).success() {
@@ -225,9 +214,8 @@ impl Search {
         };
         let largest_below = |set: AxisSet| {
             let unflipped = self.unflipped.iter().copied();
-            let below: Vec<AxisSet> = unflipped
-                .filter(|subset| subset.is_proper_subset(set))
-                .collect();
+            let below: Vec<AxisSet> =
+                unflipped.filter(|subset| subset.is_proper_subset(set)).collect();
             match below.is_empty() {
                 true => vec![self.start],
                 false => maximal(&below),
@@ -235,11 +223,7 @@ impl Search {
         };
         let minimal = minimal(&self.flipping).into_iter();
         minimal
-            .map(|set| MinimalSubset {
-                set,
-                open: open_below(set),
-                below: largest_below(set),
-            })
+            .map(|set| MinimalSubset { set, open: open_below(set), below: largest_below(set) })
             .collect()
     }
 

@@ -48,11 +48,7 @@ impl CompleteLattice {
         let successes = subsets
             .map(|set| outcome(set).ok_or(IncompleteLattice { full, set }))
             .collect::<Result<_, _>>()?;
-        Ok(Self {
-            task,
-            full,
-            successes,
-        })
+        Ok(Self { task, full, successes })
     }
 }
 
@@ -194,10 +190,7 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
     let mut rows = vec![Vec::with_capacity(clusters.len()); estimates.len()];
     for task in clusters {
         let numerators = Numerators::new(subsets, &task.successes);
-        let values = rows
-            .iter_mut()
-            .zip(estimates)
-            .zip(numerators.with_factors());
+        let values = rows.iter_mut().zip(estimates).zip(numerators.with_factors());
         for ((row, estimate), (numerator, scale)) in values {
             let value = numerator as f64 / scale as f64;
             row.push((value - estimate.value * task.n as f64) / mean);
@@ -235,10 +228,7 @@ struct Tally {
 
 impl Tally {
     fn new(full: AxisSet) -> Self {
-        Self {
-            n: 0,
-            successes: vec![0; 1 << full.len()],
-        }
+        Self { n: 0, successes: vec![0; 1 << full.len()] }
     }
 
     /// Returns the tally of each task, ordered by task.
@@ -246,9 +236,7 @@ impl Tally {
         let mut clusters: BTreeMap<TaskRef, Self> = BTreeMap::new();
         for lattice in configurations {
             assert_eq!(lattice.full, full, "all configurations have the same axes");
-            let tally = clusters
-                .entry(lattice.task)
-                .or_insert_with(|| Self::new(full));
+            let tally = clusters.entry(lattice.task).or_insert_with(|| Self::new(full));
             tally.n += 1;
             for (count, &success) in tally.successes.iter_mut().zip(&lattice.successes) {
                 *count += i64::from(success);
@@ -303,9 +291,7 @@ impl Numerators {
             .collect();
         // Σ_{B⊇A} m(B) / (|B| − |A| + 1): Shapley value and interaction index.
         let index = |set: AxisSet| -> i64 {
-            let supersets = moebius
-                .iter()
-                .filter(|(superset, _)| set.is_subset(*superset));
+            let supersets = moebius.iter().filter(|(superset, _)| set.is_subset(*superset));
             let shares = supersets.map(|(superset, coefficient)| {
                 coefficient * (SIXTIETHS / (superset.len() - set.len() + 1) as i64)
             });
@@ -322,10 +308,7 @@ impl Numerators {
             sizes: (1..=largest_size).map(sum).collect(),
             shapley: of_size(1).map(|&set| index(set)).collect(),
             pairs: of_size(2).map(|&set| index(set)).collect(),
-            moebius: moebius
-                .into_iter()
-                .map(|(_, coefficient)| coefficient)
-                .collect(),
+            moebius: moebius.into_iter().map(|(_, coefficient)| coefficient).collect(),
         }
     }
 

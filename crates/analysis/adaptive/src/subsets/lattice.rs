@@ -59,11 +59,7 @@ impl Lattice {
     pub fn new(full: AxisSet, evidence: Evidence) -> Result<Self, LatticeError> {
         match full.len() < 2 {
             true => Err(LatticeError::TooFewAxes(full)),
-            false => Ok(Self {
-                full,
-                evidence,
-                outcomes: Outcomes::default(),
-            }),
+            false => Ok(Self { full, evidence, outcomes: Outcomes::default() }),
         }
     }
 

@@ -109,35 +109,23 @@ pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
         return Decision::Run(replicates);
     }
     let searches = Search::for_transition(lattice, transition);
-    let sets = searches
-        .iter()
-        .flat_map(|search| next_batch(search, lattice, strategy));
+    let sets = searches.iter().flat_map(|search| next_batch(search, lattice, strategy));
     let sets: BTreeSet<AxisSet> = sets.collect();
-    Decision::run(
-        sets.into_iter()
-            .map(|set| first_request(lattice, set))
-            .collect(),
-    )
+    Decision::run(sets.into_iter().map(|set| first_request(lattice, set)).collect())
 }
 
 /// Returns the requests for the next batch of each subset that is not decided.
 fn undecided_requests(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) -> Vec<Request> {
     let requests = sets.filter_map(|set| match lattice.verdict(set) {
         Verdict::NotRun => Some(first_request(lattice, set)),
-        Verdict::Short { more } => Some(Request {
-            set,
-            rollouts: more,
-        }),
+        Verdict::Short { more } => Some(Request { set, rollouts: more }),
         _ => None,
     });
     requests.collect()
 }
 
 fn first_request(lattice: &Lattice, set: AxisSet) -> Request {
-    Request {
-        set,
-        rollouts: lattice.evidence().first_batch(lattice.role(set)),
-    }
+    Request { set, rollouts: lattice.evidence().first_batch(lattice.role(set)) }
 }
 
 /// Step of a strategy: chooses a batch from the subsets that were not run; empty if the step
@@ -147,40 +135,26 @@ type Step = fn(&Search, &[AxisSet]) -> Vec<AxisSet>;
 /// Returns the next batch of one search: the first non-empty batch of the strategy's steps.
 fn next_batch(search: &Search, lattice: &Lattice, strategy: Strategy) -> Vec<AxisSet> {
     let open = search.open.iter().copied();
-    let not_run: Vec<AxisSet> = open
-        .filter(|set| lattice.verdict(*set) == Verdict::NotRun)
-        .collect();
+    let not_run: Vec<AxisSet> =
+        open.filter(|set| lattice.verdict(*set) == Verdict::NotRun).collect();
     let steps: &[Step] = match strategy {
         Strategy::Adaptive => &[pairs, border, verification],
         Strategy::TopDown => &[border, verification],
         Strategy::Exhaustive => &[|_, not_run| not_run.to_vec()],
     };
     let batches = steps.iter().map(|step| step(search, &not_run));
-    batches
-        .into_iter()
-        .find(|batch| !batch.is_empty())
-        .unwrap_or_default()
+    batches.into_iter().find(|batch| !batch.is_empty()).unwrap_or_default()
 }
 
 fn pairs(_: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
-    not_run
-        .iter()
-        .copied()
-        .filter(|set| set.len() == 2)
-        .collect()
+    not_run.iter().copied().filter(|set| set.len() == 2).collect()
 }
 
 /// Returns the smallest or the largest unsettled subsets, whichever are fewer.
 fn border(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
     let is_settled = |set: &AxisSet| {
-        search
-            .flipping
-            .iter()
-            .any(|flipping| flipping.is_subset(*set))
-            || search
-                .unflipped
-                .iter()
-                .any(|unflipped| set.is_subset(*unflipped))
+        search.flipping.iter().any(|flipping| flipping.is_subset(*set))
+            || search.unflipped.iter().any(|unflipped| set.is_subset(*unflipped))
     };
     let unsettled = not_run.iter().copied().filter(|set| !is_settled(set));
     let unsettled: Vec<AxisSet> = unsettled.collect();
@@ -203,9 +177,5 @@ fn verification(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
         open.into_iter().filter(needed)
     };
     let needed: Vec<AxisSet> = search.minimal().into_iter().flat_map(needed_for).collect();
-    not_run
-        .iter()
-        .copied()
-        .filter(|set| needed.contains(set))
-        .collect()
+    not_run.iter().copied().filter(|set| needed.contains(set)).collect()
 }

@@ -75,10 +75,7 @@ fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(budget);
         budget -= rollouts;
-        (rollouts > 0).then_some(Request {
-            rollouts,
-            ..request
-        })
+        (rollouts > 0).then_some(Request { rollouts, ..request })
     };
     batch.into_iter().map_while(cut).collect()
 }
@@ -86,13 +83,8 @@ fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
 impl Lattice {
     /// Returns the largest number of rollouts that may still be requested.
     pub fn most_further_rollouts(&self) -> u32 {
-        let sets = self
-            .full()
-            .subsets()
-            .into_iter()
-            .filter(|set| !set.is_empty());
-        sets.map(|set| self.evidence().remaining(&self.tally(set), self.role(set)))
-            .sum()
+        let sets = self.full().subsets().into_iter().filter(|set| !set.is_empty());
+        sets.map(|set| self.evidence().remaining(&self.tally(set), self.role(set))).sum()
     }
 }
 
@@ -127,11 +119,7 @@ mod tests {
     }
 
     fn sample(budget: u32, seed: u64) -> Sample {
-        Sample {
-            budget,
-            seed,
-            strategy: Strategy::Adaptive,
-        }
+        Sample { budget, seed, strategy: Strategy::Adaptive }
     }
 
     /// Runs planned batches until none is left, and returns the largest number of
@@ -139,10 +127,8 @@ mod tests {
     fn spend(lattices: &mut BTreeMap<RolloutId, Lattice>, sample: &Sample) -> usize {
         let mut widest = 0;
         loop {
-            let batches: Vec<_> = plan(lattices, sample)
-                .into_iter()
-                .map(|(name, batch)| (*name, batch))
-                .collect();
+            let batches: Vec<_> =
+                plan(lattices, sample).into_iter().map(|(name, batch)| (*name, batch)).collect();
             if batches.is_empty() {
                 return widest;
             }
@@ -175,10 +161,7 @@ mod tests {
             assert_eq!(spent, budget.min(30 * 17));
             let expected = (budget / 17).min(30) as usize;
             assert_eq!(finished(&lattices).len(), expected, "budget {budget}");
-            assert!(
-                budget < 300 || widest >= 5,
-                "configurations run concurrently"
-            );
+            assert!(budget < 300 || widest >= 5, "configurations run concurrently");
         }
     }
 
@@ -234,16 +217,12 @@ mod tests {
     fn pending_rollouts_reserve_the_budget() {
         let mut lattices = transitions(30);
         let sample = sample(120, 7);
-        let first: Vec<_> = plan(&lattices, &sample)
-            .into_iter()
-            .map(|(name, batch)| (*name, batch))
-            .collect();
+        let first: Vec<_> =
+            plan(&lattices, &sample).into_iter().map(|(name, batch)| (*name, batch)).collect();
         for (name, batch) in &first {
             for request in batch {
                 let lattice = lattices.get_mut(name).expect("a planned configuration");
-                lattice
-                    .record(request.set, Outcome::Missing)
-                    .expect("a subset");
+                lattice.record(request.set, Outcome::Missing).expect("a subset");
             }
         }
         assert_eq!(first.len(), 2, "of 120 rollouts, 56 are reserved for each");

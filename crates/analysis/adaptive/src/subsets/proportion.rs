@@ -65,10 +65,7 @@ mod tests {
         for n in [1, 5, 8, 400] {
             let end = 0.025_f64.powf(1.0 / n as f64);
             let [low, high] = interval(n, n, 0.95);
-            assert!(
-                (low - end).abs() < 1e-12 && high == 1.0,
-                "{n}: {low} {high}"
-            );
+            assert!((low - end).abs() < 1e-12 && high == 1.0, "{n}: {low} {high}");
             let [low, high] = interval(0, n, 0.95);
             assert!(low == 0.0 && (high - (1.0 - end)).abs() < 1e-12, "{n}");
         }

@@ -114,15 +114,13 @@ pub fn occurrences(explained: &[Explained]) -> Vec<Occurrence> {
     }
     let counts = counts.into_iter();
     let mut occurrences: Vec<Occurrence> = counts
-        .map(
-            |((transition, start, set), (configurations, established))| Occurrence {
-                transition,
-                start,
-                set,
-                configurations,
-                established,
-            },
-        )
+        .map(|((transition, start, set), (configurations, established))| Occurrence {
+            transition,
+            start,
+            set,
+            configurations,
+            established,
+        })
         .collect();
     occurrences.sort_by_key(|o| (o.transition, Reverse(o.configurations), o.set, o.start));
     occurrences

@@ -22,12 +22,7 @@ fn thresholds(tolerance: f64, max_radius: f64) -> Thresholds {
 
 /// Returns a record of replicate 0. Configuration j begins at initial state j.
 fn record(id: RolloutId, outcome: Outcome) -> Record {
-    Record {
-        id,
-        init_id: id.number(),
-        replicate: 0,
-        outcome,
-    }
+    Record { id, init_id: id.number(), replicate: 0, outcome }
 }
 
 /// Runs the planned rollouts until none is left, and returns their records.

@@ -49,17 +49,13 @@ impl Components {
     /// Source: S. R. Searle, G. Casella and C. E. McCulloch, Variance Components (1992),
     /// section 3.5.
     pub(crate) fn of_each(matched: &[Matched]) -> Vec<Self> {
-        let replicates: BTreeSet<u32> = matched
-            .iter()
-            .map(|configuration| configuration.replicate)
-            .collect();
+        let replicates: BTreeSet<u32> =
+            matched.iter().map(|configuration| configuration.replicate).collect();
         let mut levels: BTreeMap<Level, BTreeMap<(TaskRef, u16), Vec<f64>>> = BTreeMap::new();
         for matched in matched {
             if let Some(success) = matched.simultaneous.success() {
                 let configurations = levels.entry(matched.level).or_default();
-                let outcomes = configurations
-                    .entry((matched.task, matched.config))
-                    .or_default();
+                let outcomes = configurations.entry((matched.task, matched.config)).or_default();
                 outcomes.push(f64::from(u8::from(success)));
             }
         }
@@ -96,10 +92,8 @@ impl Components {
         for means in tasks.values() {
             let task_mean = means.iter().sum::<f64>() / means.len() as f64;
             between_tasks += means.len() as f64 * (task_mean - mean).powi(2);
-            between_configurations += means
-                .iter()
-                .map(|mean| (mean - task_mean).powi(2))
-                .sum::<f64>();
+            between_configurations +=
+                means.iter().map(|mean| (mean - task_mean).powi(2)).sum::<f64>();
         }
         let m = n / t;
         let chance = within / (n * (k - 1.0));
@@ -131,27 +125,17 @@ mod tests {
     #[test]
     fn variance_only_between_replicates_is_attributed_to_chance() {
         let components = |outcomes: [[f64; 2]; 4]| {
-            let keys = TaskRef::all()
-                .take(2)
-                .flat_map(|task| [(task, 0), (task, 1)]);
-            let configurations = keys
-                .zip(outcomes)
-                .map(|(key, outcomes)| (key, outcomes.to_vec()));
+            let keys = TaskRef::all().take(2).flat_map(|task| [(task, 0), (task, 1)]);
+            let configurations = keys.zip(outcomes).map(|(key, outcomes)| (key, outcomes.to_vec()));
             Components::new(Level::L2, 2, configurations).expect("two tasks and replicates")
         };
         let chance = components([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]);
-        assert_eq!(
-            (chance.tasks, chance.configurations, chance.replicate),
-            (0.0, 0.0, 0.5)
-        );
+        assert_eq!((chance.tasks, chance.configurations, chance.replicate), (0.0, 0.0, 0.5));
         // A variance of 0.5 over eight outcomes, or over twelve with a third replicate.
         assert!((chance.standard_error.powi(2) - 0.5 / 8.0).abs() < 1e-12);
         assert!((chance.one_more_replicate.powi(2) - 0.5 / 12.0).abs() < 1e-12);
         let tasks = components([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]);
-        assert_eq!(
-            (tasks.tasks, tasks.configurations, tasks.replicate),
-            (0.5, 0.0, 0.0)
-        );
+        assert_eq!((tasks.tasks, tasks.configurations, tasks.replicate), (0.5, 0.0, 0.0));
         assert_eq!(tasks.one_more_replicate, tasks.standard_error);
     }
 }

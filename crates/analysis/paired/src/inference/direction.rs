@@ -66,10 +66,7 @@ impl DirectionTest {
             let task_indices = outcomes.iter().map(|(number, _)| index_of(*number));
             indices.push((
                 task_indices.clone().collect(),
-                outcomes
-                    .iter()
-                    .filter(|(_, success)| *success == rarer)
-                    .count(),
+                outcomes.iter().filter(|(_, success)| *success == rarer).count(),
             ));
             for (direction_index, (_, success)) in task_indices.zip(outcomes) {
                 sizes[direction_index] += 1.0;
@@ -107,10 +104,7 @@ impl DirectionTest {
     /// Returns the lowest and the highest rate.
     pub fn range(&self) -> [f64; 2] {
         let rates = self.rates.values().copied();
-        [
-            rates.clone().fold(f64::INFINITY, f64::min),
-            rates.fold(f64::NEG_INFINITY, f64::max),
-        ]
+        [rates.clone().fold(f64::INFINITY, f64::min), rates.fold(f64::NEG_INFINITY, f64::max)]
     }
 }
 

@@ -111,13 +111,7 @@ impl Estimate {
 }
 
 /// Returns value ± t·√V; `None` without variance.
-fn around(
-    value: f64,
-    Variance {
-        value: variance,
-        df,
-    }: Variance,
-) -> Option<Interval> {
+fn around(value: f64, Variance { value: variance, df }: Variance) -> Option<Interval> {
     if variance <= NO_VARIANCE {
         return None;
     }
@@ -131,13 +125,7 @@ fn around(
 ///
 /// Source: J. D. Kalbfleisch and R. L. Prentice, The Statistical Analysis of Failure Time
 /// Data (1980), section 1.3, for survival curves, which are also products of shares.
-fn around_product(
-    value: f64,
-    Variance {
-        value: variance,
-        df,
-    }: Variance,
-) -> Option<Interval> {
+fn around_product(value: f64, Variance { value: variance, df }: Variance) -> Option<Interval> {
     if variance <= NO_VARIANCE || value <= 0.0 || value >= 1.0 {
         return None;
     }
@@ -152,14 +140,7 @@ fn around_product(
 /// Sources: E. B. Wilson, Journal of the American Statistical Association 22 (1927),
 /// 209–212; effective numbers under clustering: E. L. Korn and B. I. Graubard, Survey
 /// Methodology 24 (1998), 193–201.
-fn wilson(
-    p: f64,
-    Variance {
-        value: variance,
-        df,
-    }: Variance,
-    units: f64,
-) -> Option<Interval> {
+fn wilson(p: f64, Variance { value: variance, df }: Variance, units: f64) -> Option<Interval> {
     let t2 = two_sided_quantile(ALPHA, df).powi(2);
     let is_extreme = p <= 0.0 || p >= 1.0;
     if variance <= NO_VARIANCE && !is_extreme {
@@ -192,20 +173,14 @@ mod tests {
     #[test]
     fn an_interval_of_a_product_is_wider_towards_the_far_bound() {
         let distances = |value| {
-            let variance = Variance {
-                value: 0.0025,
-                df: 9.0,
-            };
+            let variance = Variance { value: 0.0025, df: 9.0 };
             let [low, high] = around_product(value, variance).expect("a spread");
             assert!(0.0 < low && low < value && value < high && high < 1.0);
             [value - low, high - value]
         };
         let [[low_below, low_above], [high_below, high_above]] = [distances(0.1), distances(0.9)];
         assert!(low_above > low_below && high_below > high_above);
-        let no_variance = Variance {
-            value: 0.0,
-            df: 9.0,
-        };
+        let no_variance = Variance { value: 0.0, df: 9.0 };
         assert_eq!(around_product(0.5, no_variance), None);
     }
 }

@@ -80,9 +80,7 @@ impl Excess {
                 };
                 let row = rows.entry((matched.task, matched.config));
                 let row = row.or_insert_with(|| vec![0.0; 6]);
-                for (column, value) in columns[source]
-                    .into_iter()
-                    .zip([1.0, emergent, compensated])
+                for (column, value) in columns[source].into_iter().zip([1.0, emergent, compensated])
                 {
                     row[column] = value;
                 }
@@ -91,11 +89,7 @@ impl Excess {
         }
         let rows: Vec<Row> = rows
             .into_iter()
-            .map(|((task, direction), values)| Row {
-                task,
-                direction,
-                values,
-            })
+            .map(|((task, direction), values)| Row { task, direction, values })
             .collect();
         let sample = Sample::new(&rows, directions)?;
         let simultaneity = |scale, statistic: &dyn Fn(&[f64], [f64; 2]) -> f64| {

@@ -84,11 +84,7 @@ impl Loss {
             Some(Row {
                 task: matched.task,
                 direction: matched.config,
-                values: vec![
-                    1.0,
-                    f64::from(u8::from(nominal)),
-                    f64::from(u8::from(success)),
-                ],
+                values: vec![1.0, f64::from(u8::from(nominal)), f64::from(u8::from(success))],
             })
         });
         let rows: Vec<Row> = rows.collect();

@@ -45,9 +45,8 @@ pub fn max_t(pseudo_values: &[Vec<f64>], strata: &[usize], bootstrap: &Bootstrap
     let mut rng = ChaCha12Rng::seed_from_u64(bootstrap.seed);
     let mut greatest: Vec<f64> = (0..bootstrap.replicates)
         .map(|_| {
-            let signs: Vec<f64> = (0..tasks)
-                .map(|_| if rng.next_u32() & 1 == 1 { 1.0 } else { -1.0 })
-                .collect();
+            let signs: Vec<f64> =
+                (0..tasks).map(|_| if rng.next_u32() & 1 == 1 { 1.0 } else { -1.0 }).collect();
             let t_values = statistics.iter().map(|values| {
                 let (sum, variance) = under_signs(values, &signs, strata);
                 match variance > 0.0 {
@@ -100,9 +99,8 @@ mod tests {
     fn the_half_width_of_one_statistic_is_that_of_students_t_and_of_many_is_greater() {
         let mut rng = ChaCha12Rng::seed_from_u64(1);
         let mut column = || -> Vec<f64> {
-            let values: Vec<f64> = (0..40)
-                .map(|_| rng.next_u32() as f64 / f64::from(u32::MAX))
-                .collect();
+            let values: Vec<f64> =
+                (0..40).map(|_| rng.next_u32() as f64 / f64::from(u32::MAX)).collect();
             let mean = values.iter().sum::<f64>() / 40.0;
             values.iter().map(|value| value - mean).collect()
         };
@@ -119,9 +117,8 @@ mod tests {
         let mut rng = ChaCha12Rng::seed_from_u64(2);
         let mut values = Vec::new();
         for _ in 0..4 {
-            let stratum: Vec<f64> = (0..3)
-                .map(|_| rng.next_u32() as f64 / f64::from(u32::MAX))
-                .collect();
+            let stratum: Vec<f64> =
+                (0..3).map(|_| rng.next_u32() as f64 / f64::from(u32::MAX)).collect();
             let mean = stratum.iter().sum::<f64>() / 3.0;
             values.extend(stratum.iter().map(|value| value - mean));
         }

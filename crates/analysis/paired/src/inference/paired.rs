@@ -84,18 +84,13 @@ fn row(matched: &Matched, configuration: &Configuration) -> Row {
         number(!conjunction && simultaneous),
     ];
     values.extend(configuration.alone.values().copied().map(number));
-    Row {
-        task: matched.task,
-        direction: matched.config,
-        values,
-    }
+    Row { task: matched.task, direction: matched.config, values }
 }
 
 /// Returns a row for each complete configuration.
 fn complete_rows(matched: &[Matched]) -> Vec<Row> {
     let rows = matched.iter();
-    rows.filter_map(|matched| Some(row(matched, &matched.configuration()?)))
-        .collect()
+    rows.filter_map(|matched| Some(row(matched, &matched.configuration()?))).collect()
 }
 
 fn axis_product(sums: &[f64]) -> f64 {
@@ -115,12 +110,8 @@ impl PairedEstimates {
             s_indep: estimate(Scale::Product, &axis_product),
             s_conj: estimate(Scale::Share, &share(CONJUNCTION, N)),
             s_sim: estimate(Scale::Share, &share(SIMULTANEOUS, N)),
-            d: estimate(Scale::Difference, &|s| {
-                s[CONJUNCTION] / s[N] - axis_product(s)
-            }),
-            i: estimate(Scale::Difference, &|s| {
-                (s[SIMULTANEOUS] - s[CONJUNCTION]) / s[N]
-            }),
+            d: estimate(Scale::Difference, &|s| s[CONJUNCTION] / s[N] - axis_product(s)),
+            i: estimate(Scale::Difference, &|s| (s[SIMULTANEOUS] - s[CONJUNCTION]) / s[N]),
             r_e: estimate(Scale::Share, &share(EMERGENT, N)),
             r_c: estimate(Scale::Share, &share(COMPENSATED, N)),
             r_d: estimate(Scale::Share, &|s| (s[EMERGENT] + s[COMPENSATED]) / s[N]),

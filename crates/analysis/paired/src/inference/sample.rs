@@ -46,10 +46,7 @@ struct Stratum {
 
 impl Stratum {
     fn new(groups: Vec<Vec<f64>>) -> Self {
-        Self {
-            whole: sums(groups.iter()),
-            groups,
-        }
+        Self { whole: sums(groups.iter()), groups }
     }
 }
 
@@ -143,11 +140,7 @@ impl Sample {
                 Some(crossed(tasks, directions, cells))
             }),
         };
-        Variances {
-            these_tasks,
-            new_tasks,
-            new_tasks_and_directions,
-        }
+        Variances { these_tasks, new_tasks, new_tasks_and_directions }
     }
 
     /// Returns Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)² for G_h groups in stratum h, with θ_(hi)
@@ -188,9 +181,8 @@ impl Sample {
 
 /// Returns the two-way clustered variance V_T + V_D − V_TD, at least max(V_T, V_D).
 fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
-    let value = (tasks.value + directions.value - cells.value)
-        .max(tasks.value)
-        .max(directions.value);
+    let value =
+        (tasks.value + directions.value - cells.value).max(tasks.value).max(directions.value);
     let part = |variance: Variance| variance.value.powi(2) / variance.df;
     let df = match value > NO_VARIANCE {
         true => value.powi(2) / (part(tasks) + part(directions) + part(cells)),
@@ -207,10 +199,8 @@ fn tasks_in_suites(rows: &[Row]) -> Vec<Vec<Vec<&Row>>> {
         let tasks = suites.entry(row.task.suite()).or_default();
         tasks.entry(row.task).or_default().push(row);
     }
-    let strata: Vec<Vec<Vec<&Row>>> = suites
-        .into_values()
-        .map(|tasks| tasks.into_values().collect())
-        .collect();
+    let strata: Vec<Vec<Vec<&Row>>> =
+        suites.into_values().map(|tasks| tasks.into_values().collect()).collect();
     match strata.iter().any(|tasks| tasks.len() < 2) {
         true => vec![strata.into_iter().flatten().collect()],
         false => strata,

@@ -11,10 +11,7 @@
 /// Source: R. A. Fisher, The Design of Experiments (1935), section 21; for clusters:
 /// I. A. Canay, J. P. Romano and A. M. Shaikh, Econometrica 85 (2017), 1013–1030.
 pub fn sign_flip_p(net: &[i64]) -> f64 {
-    let reach = net
-        .iter()
-        .map(|change| change.unsigned_abs() as usize)
-        .sum::<usize>();
+    let reach = net.iter().map(|change| change.unsigned_abs() as usize).sum::<usize>();
     // Index `reach + s` has the probability of the sum s.
     let mut probabilities = vec![0.0; 2 * reach + 1];
     probabilities[reach] = 1.0;
@@ -48,13 +45,7 @@ mod tests {
             let sum: i64 = net
                 .iter()
                 .enumerate()
-                .map(|(at, change)| {
-                    if signs >> at & 1 == 1 {
-                        -change
-                    } else {
-                        *change
-                    }
-                })
+                .map(|(at, change)| if signs >> at & 1 == 1 { -change } else { *change })
                 .sum();
             sum.abs() >= observed
         });

@@ -65,11 +65,7 @@ fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
 /// Returns the value of the continued fraction of [`incomplete_beta`].
 fn fraction(x: f64, a: f64, b: f64) -> f64 {
     let nonzero = |value: f64| {
-        if value.abs() < f64::MIN_POSITIVE {
-            f64::MIN_POSITIVE
-        } else {
-            value
-        }
+        if value.abs() < f64::MIN_POSITIVE { f64::MIN_POSITIVE } else { value }
     };
     let mut c = 1.0;
     let mut d = 1.0 / nonzero(1.0 - (a + b) * x / (a + 1.0));

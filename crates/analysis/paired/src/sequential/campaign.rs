@@ -170,9 +170,7 @@ impl<'a> Walk<'a> {
             return None;
         }
         let order = drawn_order(stop, units);
-        let open = configurations
-            .iter()
-            .filter(|(_, matched)| records.is_open(matched));
+        let open = configurations.iter().filter(|(_, matched)| records.is_open(matched));
         let open = open.map(|((_, unit), _)| *unit).collect();
         let sequence = |level| (level, Sequences::new(&order, stop));
         let sequences: BTreeMap<_, _> = levels.into_iter().map(sequence).collect();
@@ -217,7 +215,5 @@ impl<'a> Walk<'a> {
 
 fn looks(sequences: &BTreeMap<Level, Sequences>) -> BTreeMap<Level, Look> {
     let looks = sequences.iter();
-    looks
-        .map(|(&level, sequences)| (level, sequences.look()))
-        .collect()
+    looks.map(|(&level, sequences)| (level, sequences.look())).collect()
 }

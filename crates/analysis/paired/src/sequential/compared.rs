@@ -74,12 +74,7 @@ pub fn compared_looks(
                 met_after = Some(look.used);
             }
         }
-        looks.push(ComparedLook {
-            level,
-            condition,
-            look: difference.look(),
-            met_after,
-        });
+        looks.push(ComparedLook { level, condition, look: difference.look(), met_after });
     }
     Ok(looks)
 }

@@ -71,10 +71,7 @@ struct Bet {
 impl Stratum {
     /// Returns the least and greatest total that is still possible.
     fn totals(&self, [least, greatest]: [i64; 2]) -> [i64; 2] {
-        [
-            self.sum[0] + least * self.remaining,
-            self.sum[1] + greatest * self.remaining,
-        ]
+        [self.sum[0] + least * self.remaining, self.sum[1] + greatest * self.remaining]
     }
 
     /// Returns the mean of the drawn units, shrunk towards the mean over all strata.
@@ -96,11 +93,8 @@ impl EProcess {
     /// Creates the process before the first draw; `sizes` are the numbers of units of the
     /// strata.
     pub(crate) fn new(sizes: &[usize], range: [i64; 2]) -> Self {
-        let strata = sizes.iter().map(|&size| Stratum {
-            remaining: size as i64,
-            drawn: 0,
-            sum: [0, 0],
-        });
+        let strata =
+            sizes.iter().map(|&size| Stratum { remaining: size as i64, drawn: 0, sum: [0, 0] });
         let totals = |&size: &usize| size * (range[1] - range[0]) as usize + 1;
         let bet = |size: f64| Bet {
             size,
@@ -158,9 +152,7 @@ impl EProcess {
 
     /// Returns the e-values of all candidates.
     pub(crate) fn e_values(&self) -> EValues {
-        EValues {
-            logs: self.bets.iter().map(|bet| self.log_capital(bet)).collect(),
-        }
+        EValues { logs: self.bets.iter().map(|bet| self.log_capital(bet)).collect() }
     }
 
     /// Returns the log of one bet's capital, by candidate, minimised over the strata's
@@ -175,15 +167,10 @@ impl EProcess {
         let mut steps = Vec::new();
         for (stratum, costs) in self.strata.iter().zip(&bet.costs) {
             let initial_least = self.range[0] * (stratum.drawn + stratum.remaining);
-            let [lowest, highest] = stratum
-                .totals(self.range)
-                .map(|t| (t - initial_least) as usize);
+            let [lowest, highest] =
+                stratum.totals(self.range).map(|t| (t - initial_least) as usize);
             log += costs[lowest];
-            steps.extend(
-                costs[lowest..=highest]
-                    .windows(2)
-                    .map(|pair| pair[1] - pair[0]),
-            );
+            steps.extend(costs[lowest..=highest].windows(2).map(|pair| pair[1] - pair[0]));
         }
         // The steps of each stratum are already sorted, which makes the stable sort fast.
         steps.sort_by(f64::total_cmp);

@@ -60,11 +60,7 @@ impl CampaignLook {
         let has_equal_weights = stop.rule.is_about_new_tasks();
         let level_estimates = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
             let weight = |stratum: &Stratum| {
-                if has_equal_weights {
-                    1.0
-                } else {
-                    stratum.units
-                }
+                if has_equal_weights { 1.0 } else { stratum.units }
             };
             let total_weight: f64 = strata.values().map(weight).sum();
             let intervals = self.levels[&level].intervals.iter();

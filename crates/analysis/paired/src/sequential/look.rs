@@ -85,11 +85,7 @@ mod tests {
     /// Creates a look with intervals over a population of 400 units.
     fn look(intervals: &[(Measure, [i64; 2])]) -> Look {
         let interval = |&(measure, [least, greatest]): &(Measure, [i64; 2])| {
-            let interval = RateInterval {
-                least,
-                greatest,
-                units: 400,
-            };
+            let interval = RateInterval { least, greatest, units: 400 };
             (measure, interval)
         };
         Look {
@@ -111,12 +107,7 @@ mod tests {
     #[test]
     fn the_ends_of_an_interval_are_not_excluded() {
         let look = look(&[(Measure::I, [0, 40])]);
-        for (value, excluded) in [
-            ("0", false),
-            ("0.1", false),
-            ("-0.001", true),
-            ("0.101", true),
-        ] {
+        for (value, excluded) in [("0", false), ("0.1", false), ("-0.001", true), ("0.101", true)] {
             let rule = rule(&format!("I excludes {value}"));
             assert_eq!(look.meets(&rule), excluded, "{value}");
         }

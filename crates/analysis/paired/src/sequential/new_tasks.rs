@@ -162,9 +162,7 @@ impl NewTasks {
             used: self.used,
             waiting: 0,
             units: self.units,
-            intervals: intervals
-                .map(|(measure, mean)| (*measure, mean.interval()))
-                .collect(),
+            intervals: intervals.map(|(measure, mean)| (*measure, mean.interval())).collect(),
         }
     }
 }
@@ -174,11 +172,7 @@ impl Mean {
         let range = values(measure, &Transition::ALL);
         let kept = range.map(|end| end * CANDIDATES);
         let candidates = (kept[1] - kept[0] + 1) as usize;
-        let bet = |size| Bet {
-            size,
-            gains: 0.0,
-            costs: vec![0.0; candidates],
-        };
+        let bet = |size| Bet { size, gains: 0.0, costs: vec![0.0; candidates] };
         Self {
             alpha,
             range,
@@ -209,9 +203,7 @@ impl Mean {
             };
             // A mean known only as a range counts as the value that minimises the bet's gain.
             let worst = usize::from(stake < 0.0);
-            let gains = round
-                .iter()
-                .map(|mean| (stake * (mean[worst] - centre)).ln_1p());
+            let gains = round.iter().map(|mean| (stake * (mean[worst] - centre)).ln_1p());
             bet.gains += gains.sum::<f64>();
             for (index, cost) in (first..).zip(&mut bet.costs) {
                 let candidate = index as f64 / CANDIDATES as f64;
@@ -257,10 +249,8 @@ mod tests {
     /// Draws an order of tasks with one configuration each, in rounds of two suites.
     fn order() -> Order<Unit> {
         let suites = [0, 10].map(|first| TaskRef::all().skip(first).take(ROUNDS));
-        Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
-            task.suite()
-        })
-        .expand(|task| vec![(*task, 0)])
+        Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| task.suite())
+            .expand(|task| vec![(*task, 0)])
     }
 
     /// Computes the exact probability that an interval ever excludes the mean, over all outcomes of
@@ -308,10 +298,8 @@ mod tests {
     #[test]
     fn a_round_that_lacks_a_suite_is_ignored() {
         let suites = [(0, 1), (10, 3)].map(|(first, tasks)| TaskRef::all().skip(first).take(tasks));
-        let order = Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
-            task.suite()
-        })
-        .expand(|task| vec![(*task, 0), (*task, 1)]);
+        let order = Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| task.suite())
+            .expand(|task| vec![(*task, 0), (*task, 1)]);
         let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), 0.9);
         let looks: Vec<_> = order
             .units()
@@ -320,10 +308,7 @@ mod tests {
                 sequence.look().intervals[&Measure::SSim]
             })
             .collect();
-        assert_eq!(
-            looks[0], looks[2],
-            "an incomplete task or round changes no interval"
-        );
+        assert_eq!(looks[0], looks[2], "an incomplete task or round changes no interval");
         assert_ne!(looks[2], looks[3], "a complete round narrows the interval");
         assert_eq!(looks[3], looks[7]);
     }

@@ -163,9 +163,7 @@ mod tests {
         let expected = f64::from(total) / cells as f64;
         let unseen = (cells - counts.len()) as f64 * expected;
         let seen = counts.values();
-        seen.map(|&n| (f64::from(n) - expected).powi(2) / expected)
-            .sum::<f64>()
-            + unseen
+        seen.map(|&n| (f64::from(n) - expected).powi(2) / expected).sum::<f64>() + unseen
     }
 
     #[test]

@@ -33,9 +33,7 @@ impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
         let order: Vec<Drawn<U>> = order.rounds().iter().flatten().cloned().collect();
         let positions = order.iter().enumerate();
         Self {
-            positions: positions
-                .map(|(i, drawn)| (drawn.unit.clone(), i))
-                .collect(),
+            positions: positions.map(|(i, drawn)| (drawn.unit.clone(), i)).collect(),
             values: vec![None; order.len()],
             order,
             used: 0,
@@ -45,10 +43,10 @@ impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
 
     /// Stores the value of a unit. Later values for the same unit are ignored.
     pub(crate) fn store(&mut self, unit: &U, value: V) -> Result<(), NotInOrder> {
-        let position = self.positions.get(unit).ok_or_else(|| NotInOrder {
-            unit: format!("{unit:?}"),
-            units: self.order.len(),
-        })?;
+        let position = self
+            .positions
+            .get(unit)
+            .ok_or_else(|| NotInOrder { unit: format!("{unit:?}"), units: self.order.len() })?;
         let slot = &mut self.values[*position];
         if slot.is_none() {
             *slot = Some(value);

@@ -152,10 +152,7 @@ mod tests {
         let mut least = sizes.iter().sum::<usize>() as i64 * range[0];
         let after = |round: Vec<(usize, [i64; 2])>| {
             process.draw_round(&round);
-            least += round
-                .iter()
-                .map(|(_, value)| value[0] - range[0])
-                .sum::<i64>();
+            least += round.iter().map(|(_, value)| value[0] - range[0]).sum::<i64>();
             process.e_values().at((total(strata) - least) as usize)
         };
         rounds(strata).into_iter().map(after).collect()
@@ -193,16 +190,10 @@ mod tests {
                 sums.iter_mut().zip(e_values).for_each(|(sum, e)| *sum += e);
             }
             for sum in sums {
-                assert!(
-                    sum / count <= 1.0 + 1e-12,
-                    "{population:?}: {}",
-                    sum / count
-                );
+                assert!(sum / count <= 1.0 + 1e-12, "{population:?}: {}", sum / count);
             }
             for alpha in ALPHAS {
-                let missed = orders
-                    .iter()
-                    .filter(|order| !holds(order, sizes, range, alpha));
+                let missed = orders.iter().filter(|order| !holds(order, sizes, range, alpha));
                 let missed = missed.count() as f64 / count;
                 assert!(missed <= alpha, "{population:?}: {missed} at {alpha}");
                 greatest = greatest.max(missed);

@@ -58,11 +58,7 @@ impl<U: Ord + Clone + fmt::Debug, const N: usize> SimultaneousSequences<U, N> {
         let units = self.prefix.units();
         let interval = |sequence: &ConfidenceSequence| {
             let [least, greatest] = sequence.totals();
-            RateInterval {
-                least,
-                greatest,
-                units: units as u64,
-            }
+            RateInterval { least, greatest, units: units as u64 }
         };
         let sequences = self.sequences.iter();
         Look {

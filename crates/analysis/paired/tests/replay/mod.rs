@@ -49,15 +49,11 @@ impl Population {
         });
         let records = Records::new(&rows.collect::<Vec<_>>()).expect("no duplicates");
         let matched = records.configurations().iter();
-        let units = matched
-            .filter(|configuration| configuration.level == level)
-            .map(|matched| {
-                let transition = matched.transition().expect("published outcomes are known");
-                ((matched.task, matched.config), transition)
-            });
-        Self {
-            units: units.collect(),
-        }
+        let units = matched.filter(|configuration| configuration.level == level).map(|matched| {
+            let transition = matched.transition().expect("published outcomes are known");
+            ((matched.task, matched.config), transition)
+        });
+        Self { units: units.collect() }
     }
 
     pub(crate) fn order(&self, seed: u64, design: Design) -> Order<Unit> {
@@ -76,9 +72,7 @@ impl Population {
 
     /// Iterates over the values of a measure, one per configuration.
     pub(crate) fn values(&self, measure: Measure) -> impl Iterator<Item = i64> {
-        self.units
-            .iter()
-            .map(move |(_, transition)| value(measure, *transition))
+        self.units.iter().map(move |(_, transition)| value(measure, *transition))
     }
 
     /// Returns the total of a measure over all configurations.

@@ -48,12 +48,7 @@ pub(crate) fn record(
         Condition::Clean => RolloutId::clean(task, config),
         _ => RolloutId::perturbed(task, condition, level, config).expect("a perturbed rollout"),
     };
-    Record {
-        id,
-        init_id: config,
-        replicate: 0,
-        outcome: Outcome::from(success),
-    }
+    Record { id, init_id: config, replicate: 0, outcome: Outcome::from(success) }
 }
 
 /// Returns the conditions at a level: each axis alone, then simultaneous.
@@ -191,12 +186,8 @@ impl Population {
         let mut sums = [0.0; 7 + CONDITIONS];
         for (task_index, task) in tasks.iter().enumerate() {
             for direction in directions {
-                let terms = self
-                    .probabilities(task_index % suites, task, direction)
-                    .sums();
-                sums.iter_mut()
-                    .zip(terms)
-                    .for_each(|(sum, term)| *sum += term);
+                let terms = self.probabilities(task_index % suites, task, direction).sums();
+                sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
             }
         }
         figures(&sums)
@@ -234,10 +225,7 @@ impl Population {
                         let p = logistic(logit + condition_deviation * z);
                         let [e, c] = floor(p);
                         let values = [p, e, c];
-                        nominal
-                            .iter_mut()
-                            .zip(values)
-                            .for_each(|(sum, p)| *sum += w * p);
+                        nominal.iter_mut().zip(values).for_each(|(sum, p)| *sum += w * p);
                     }
                     let probabilities = Probabilities {
                         nominal: nominal[0],
@@ -247,9 +235,7 @@ impl Population {
                         }),
                     };
                     let terms = probabilities.sums().map(|term| weight * term);
-                    sums.iter_mut()
-                        .zip(terms)
-                        .for_each(|(sum, term)| *sum += term);
+                    sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
                 }
             }
         }
@@ -271,22 +257,10 @@ impl Population {
             for (config, direction) in (0..).zip(directions) {
                 let p = self.probabilities(task_index % suites, effects, direction);
                 let mut coin = |p: f64| chance.uniform() < p;
-                records.push(record(
-                    task,
-                    Condition::Clean,
-                    Level::L0,
-                    config,
-                    coin(p.nominal),
-                ));
+                records.push(record(task, Condition::Clean, Level::L0, config, coin(p.nominal)));
                 for (condition, p_perturbed) in conditions().zip(p.perturbed) {
                     records.push(record(task, condition, Level::L0, config, coin(p.nominal)));
-                    records.push(record(
-                        task,
-                        condition,
-                        Level::L2,
-                        config,
-                        coin(p_perturbed),
-                    ));
+                    records.push(record(task, condition, Level::L2, config, coin(p_perturbed)));
                 }
             }
         }
@@ -332,10 +306,7 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
 pub(crate) fn task(task_index: usize, suites: usize) -> TaskRef {
     let suite = Suite::ALL[task_index % suites];
     let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);
-    suite_tasks
-        .into_iter()
-        .nth(task_index / suites)
-        .expect("ten tasks a suite")
+    suite_tasks.into_iter().nth(task_index / suites).expect("ten tasks a suite")
 }
 
 /// Returns all figures of a cell that have an interval for each target, by the names of
@@ -413,13 +384,7 @@ impl Planted {
                     Self::Directions => [has_failing_directions && config < 3, false],
                 };
                 let mut coin = |fails: bool| !fails && chance.uniform() < self.base_success();
-                records.push(record(
-                    task,
-                    Condition::Clean,
-                    Level::L0,
-                    config,
-                    coin(false),
-                ));
+                records.push(record(task, Condition::Clean, Level::L0, config, coin(false)));
                 for condition in conditions() {
                     let fails = match condition {
                         Condition::Single(Axis::Camera) => camera,
@@ -456,12 +421,7 @@ impl NetEffect {
             let task = task(task_index, 4);
             let sign = if chance.uniform() < 0.5 { 1.0 } else { -1.0 };
             let has_deviation = chance.uniform() < self.share;
-            let effect = self.mean
-                + if has_deviation {
-                    sign * self.spread
-                } else {
-                    0.0
-                };
+            let effect = self.mean + if has_deviation { sign * self.spread } else { 0.0 };
             for config in 0..CONFIGURATIONS {
                 let coin = chance.uniform();
                 let change = match coin {

@@ -64,11 +64,7 @@ impl Policy {
             }
             false => BUDGET,
         };
-        let goal = GoalProgress {
-            predicates: 2,
-            at_end: at_most,
-            at_most,
-        };
+        let goal = GoalProgress { predicates: 2, at_end: at_most, at_most };
         (succeeds, steps as u32, goal)
     }
 }
@@ -88,11 +84,7 @@ impl TwoPolicies {
     /// Returns two policies that differ in the difficulty of suites, the costs of axes, and
     /// progress.
     pub(crate) const fn standard() -> Self {
-        let first = Policy {
-            population: Population::standard(),
-            half_done: 0.5,
-            steps: 120.0,
-        };
+        let first = Policy { population: Population::standard(), half_done: 0.5, steps: 120.0 };
         let second = Policy {
             population: Population {
                 ease: [2.4, 3.3, 2.0, 1.5],
@@ -138,10 +130,7 @@ impl TwoPolicies {
             });
             sum.collect()
         };
-        PairedEffects {
-            effects: [sum(first), sum(second)],
-            lengths: Vec::new(),
-        }
+        PairedEffects { effects: [sum(first), sum(second)], lengths: Vec::new() }
     }
 
     /// Returns A − B over tasks and directions. Tasks take the suites in turn: those of suite k are
@@ -195,9 +184,7 @@ impl TwoPolicies {
                     None if row < CONDITIONS => direction_deviation,
                     _ => 0.0,
                 };
-                let spread = task_deviation
-                    .hypot(condition_deviation)
-                    .hypot(direction_spread);
+                let spread = task_deviation.hypot(condition_deviation).hypot(direction_spread);
                 let mut success = 0.0;
                 for suite in 0..suites {
                     for direction in directions {

@@ -40,12 +40,7 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
         "Success expected of independent axes, under every axis alone, and under simultaneous \
          perturbation, at {level}"
     );
-    Some(Figure::new(
-        &format!("decomposition-{level}"),
-        title,
-        bottom + AXIS,
-        body,
-    ))
+    Some(Figure::new(&format!("decomposition-{level}"), title, bottom + AXIS, body))
 }
 
 fn legend() -> Markup {
@@ -74,16 +69,10 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
         words::percent(m.s_conj),
         words::percent(m.s_sim)
     );
-    let d_text = format!(
-        "D {}{}",
-        words::points(m.d),
-        words::points_interval(m.d_ci95, m.no_interval)
-    );
-    let i_text = format!(
-        "I {}{}",
-        words::points(m.i),
-        words::points_interval(m.i_ci95, m.no_interval)
-    );
+    let d_text =
+        format!("D {}{}", words::points(m.d), words::points_interval(m.d_ci95, m.no_interval));
+    let i_text =
+        format!("I {}{}", words::points(m.i), words::points_interval(m.i_ci95, m.no_interval));
     html! {
         g {
             title { (tooltip) }

@@ -25,9 +25,8 @@ const MAX_TICKS: f64 = 3.0;
 pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let cells = comparison.statistics.cells.iter();
     let cells = cells.filter(|cell| cell.replicate == 0);
-    let rows: Vec<(&ComparedCell, &Difference)> = cells
-        .filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
-        .collect();
+    let rows: Vec<(&ComparedCell, &Difference)> =
+        cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?))).collect();
     if rows.is_empty() {
         return None;
     }
@@ -37,10 +36,7 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
     });
     let largest = ends.fold(0.01, f64::max);
     let fits = |step: &&f64| largest / **step <= MAX_TICKS;
-    let step = *TICK_STEPS
-        .iter()
-        .find(fits)
-        .unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
+    let step = *TICK_STEPS.iter().find(fits).unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
     let end = (largest / step - 1e-9).ceil() * step;
     let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 14.0]);
     let mut y = HEAD + 22.0;

@@ -45,12 +45,7 @@ pub fn directions(document: &Document, level: Level) -> Option<Figure> {
         (line("zero", [middle, top], [middle, bottom]))
     };
     let title = format!("Emergent failures and compensated successes at {level}, by policy");
-    Some(Figure::new(
-        &format!("directions-{level}"),
-        title,
-        bottom + AXIS,
-        body,
-    ))
+    Some(Figure::new(&format!("directions-{level}"), title, bottom + AXIS, body))
 }
 
 /// Returns the largest upper bound of R_e and R_c in the document; all panels share one
@@ -67,10 +62,7 @@ fn largest_rate(document: &Document) -> f64 {
 
 fn end_and_step(largest: f64) -> (f64, f64) {
     let fits = |step: &&f64| largest / **step <= MAX_TICKS;
-    let step = *TICK_STEPS
-        .iter()
-        .find(fits)
-        .unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
+    let step = *TICK_STEPS.iter().find(fits).unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
     ((largest / step - 1e-9).ceil() * step, step)
 }
 
@@ -78,20 +70,11 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     let (zero, y) = (scale.at(0.0), top + 22.0);
     let (left, right) = (scale.at(-m.r_e), scale.at(m.r_c));
     let mirrored = m.r_e_ci95.map(|[low, high]| [-high, -low]);
-    let tooltip = format!(
-        "{name}: {} emergent failures, {} compensated successes",
-        m.b, m.c
-    );
-    let emergent = format!(
-        "{}{}",
-        words::percent(m.r_e),
-        words::rate_interval(m.r_e_ci95, m.no_interval)
-    );
-    let compensated = format!(
-        "{}{}",
-        words::percent(m.r_c),
-        words::rate_interval(m.r_c_ci95, m.no_interval)
-    );
+    let tooltip = format!("{name}: {} emergent failures, {} compensated successes", m.b, m.c);
+    let emergent =
+        format!("{}{}", words::percent(m.r_e), words::rate_interval(m.r_e_ci95, m.no_interval));
+    let compensated =
+        format!("{}{}", words::percent(m.r_c), words::rate_interval(m.r_c_ci95, m.no_interval));
     html! {
         g {
             title { (tooltip) }

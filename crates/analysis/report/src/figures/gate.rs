@@ -64,13 +64,11 @@ fn row(scale: &Scale, name: &str, gate: &Gate, top: f64) -> Markup {
         GateVerdict::Failed => "FAILED",
         GateVerdict::Undecided => "undecided",
     };
-    let difference = gate.difference.map_or_else(String::new, |difference| {
-        format!("{} points: ", words::points(difference))
-    });
-    let (left, right) = (
-        scale.at(gate.published - GATE_TOLERANCE),
-        scale.at(gate.published + GATE_TOLERANCE),
-    );
+    let difference = gate
+        .difference
+        .map_or_else(String::new, |difference| format!("{} points: ", words::points(difference)));
+    let (left, right) =
+        (scale.at(gate.published - GATE_TOLERANCE), scale.at(gate.published + GATE_TOLERANCE));
     let published = scale.at(gate.published);
     html! {
         (text(0.0, top + 15.0, "name", &shortened(name, 30)))

@@ -45,17 +45,13 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
         return None;
     }
     let all = Axis::ALL.map(Condition::Single).into_iter();
-    let is_run = |condition: &Condition| {
-        rows.iter()
-            .any(|(_, cell)| count(cell, *condition).is_some())
-    };
+    let is_run =
+        |condition: &Condition| rows.iter().any(|(_, cell)| count(cell, *condition).is_some());
     let last = [Condition::Latency, Condition::Combination];
     let columns: Vec<Condition> = all.chain(last).filter(is_run).collect();
     let width = (WIDTH - LABEL_WIDTH - 6.0) / columns.len().max(1) as f64;
     let counts = rows.iter().flat_map(|(_, cell)| {
-        let counts = columns
-            .iter()
-            .filter_map(|condition| count(cell, *condition));
+        let counts = columns.iter().filter_map(|condition| count(cell, *condition));
         counts.map(|count| count.n).filter(|n| *n > 0)
     });
     let counts = words::counts(counts);
@@ -81,12 +77,7 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
     };
     let title = format!("Success under each axis alone and simultaneous at {level}, by policy");
     let name = format!("single-axis-{level}");
-    Some(Figure::new(
-        &name,
-        title,
-        bottom + NAME_HEIGHT + LEGEND_HEIGHT,
-        body,
-    ))
+    Some(Figure::new(&name, title, bottom + NAME_HEIGHT + LEGEND_HEIGHT, body))
 }
 
 /// Returns the results under a condition; `None` if the campaign does not run it.
@@ -156,10 +147,7 @@ fn colour(rate: f64) -> String {
     let mixed: Vec<String> = (0..3)
         .map(|i| {
             let (from, to) = (f64::from(COLOURS[below][i]), f64::from(COLOURS[above][i]));
-            format!(
-                "{:02x}",
-                (from + (to - from) * position.fract()).round() as u8
-            )
+            format!("{:02x}", (from + (to - from) * position.fract()).round() as u8)
         })
         .collect();
     format!("#{}", mixed.concat())

@@ -29,20 +29,12 @@ const STEP_HEIGHT: f64 = 26.0;
 pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     let interactions = &level.interactions;
     let axes: Vec<Axis> = interactions.full.axes().collect();
-    let all = interactions
-        .shapley
-        .values()
-        .chain(interactions.pairs.values());
-    let largest = all
-        .map(|estimate| estimate.value.abs())
-        .fold(0.01, f64::max);
+    let all = interactions.shapley.values().chain(interactions.pairs.values());
+    let largest = all.map(|estimate| estimate.value.abs()).fold(0.01, f64::max);
     let side = (WIDTH - LABEL_WIDTH) / axes.len().max(1) as f64;
     let bottom = TOP + ROW_HEIGHT * axes.len() as f64;
     let place = |row: usize, column: usize| {
-        [
-            LABEL_WIDTH + side * column as f64,
-            TOP + ROW_HEIGHT * row as f64,
-        ]
+        [LABEL_WIDTH + side * column as f64, TOP + ROW_HEIGHT * row as f64]
     };
     let pair = |row: usize, column: usize| {
         let set: AxisSet = [axes[row], axes[column]].into_iter().collect();
@@ -92,19 +84,9 @@ fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
 /// size relative to `largest`.
 fn cell(name: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
     let share = estimate.value.abs() / largest;
-    let class = if estimate.value < 0.0 {
-        "emergent"
-    } else {
-        "compensated"
-    };
-    let ink = if share > DARK_ABOVE {
-        "bare on-dark"
-    } else {
-        "bare"
-    };
-    let excludes_zero = estimate
-        .ci95
-        .is_some_and(|[low, high]| low > 0.0 || high < 0.0);
+    let class = if estimate.value < 0.0 { "emergent" } else { "compensated" };
+    let ink = if share > DARK_ABOVE { "bare on-dark" } else { "bare" };
+    let excludes_zero = estimate.ci95.is_some_and(|[low, high]| low > 0.0 || high < 0.0);
     let weight = if excludes_zero { "name" } else { "" };
     html! {
         g {
@@ -146,14 +128,10 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
         })
         .collect();
     let ends = steps.iter().flat_map(|(.., ends)| *ends);
-    let (low, high) = ends.fold((0.0_f64, 1.0_f64), |(low, high), end| {
-        (low.min(end), high.max(end))
-    });
+    let (low, high) =
+        ends.fold((0.0_f64, 1.0_f64), |(low, high), end| (low.min(end), high.max(end)));
     let grain = if high - low > 1.5 { 0.5 } else { 0.25 };
-    let domain = [
-        (low / grain + 1e-9).floor() * grain,
-        (high / grain - 1e-9).ceil() * grain,
-    ];
+    let domain = [(low / grain + 1e-9).floor() * grain, (high / grain - 1e-9).ceil() * grain];
     let scale = Scale::between(domain, [STEP_LABEL_WIDTH, WIDTH - NUMBER_WIDTH]);
     let rows = steps.len() + 2;
     let bottom = TOP + STEP_HEIGHT * rows as f64;

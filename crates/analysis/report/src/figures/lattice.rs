@@ -30,10 +30,8 @@ pub fn lattice(
     explanation: Option<&Explanation>,
     link: SubsetLink,
 ) -> Figure {
-    let verdicts: BTreeMap<AxisSet, Verdict> = outcomes
-        .iter()
-        .map(|outcome| (outcome.set, outcome.verdict))
-        .collect();
+    let verdicts: BTreeMap<AxisSet, Verdict> =
+        outcomes.iter().map(|outcome| (outcome.set, outcome.verdict)).collect();
     let answers = explanation.map_or(&[][..], |explanation| explanation.answers.as_slice());
     let minimal: Vec<AxisSet> = answers
         .iter()
@@ -42,10 +40,7 @@ pub fn lattice(
     let subsets = full.subsets();
     let places = places(full, &subsets);
     let bottom = HEAD + LAYER_HEIGHT * (full.len() + 1) as f64;
-    let with_outcome = verdicts
-        .values()
-        .filter(|verdict| verdict.success().is_some())
-        .count();
+    let with_outcome = verdicts.values().filter(|verdict| verdict.success().is_some()).count();
     let node = |set: AxisSet| {
         let verdict = verdicts.get(&set).copied().unwrap_or(Verdict::NotRun);
         let is_minimal = minimal.contains(&set);

@@ -41,20 +41,12 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
         let height = |suite: &Suite| tasks.keys().filter(|t| t.suite() == *suite).count();
         let rows = pair.iter().map(height).max().unwrap_or_default();
         for (column, suite) in pair.iter().enumerate() {
-            blocks.push(block(
-                *suite,
-                &tasks,
-                link,
-                [BLOCK_WIDTH * column as f64, y],
-            ));
+            blocks.push(block(*suite, &tasks, link, [BLOCK_WIDTH * column as f64, y]));
         }
         y += BLOCK_HEAD_HEIGHT + SQUARE_PITCH * rows as f64 + 8.0;
     }
     let all = tasks.values().flatten();
-    let complete = all
-        .clone()
-        .filter(|matched| matched.transition().is_some())
-        .count();
+    let complete = all.clone().filter(|matched| matched.transition().is_some()).count();
     let shown = match all.count() {
         all if complete < all => format!("n = {complete} of {all}"),
         all => format!("n = {all}"),
@@ -66,10 +58,7 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
         @for block in blocks { (block) }
         (legend(y + 8.0))
     };
-    let title = format!(
-        "{}, {level}: outcome of every configuration",
-        analysis.label
-    );
+    let title = format!("{}, {level}: outcome of every configuration", analysis.label);
     let name = format!("matrix-{}-{level}", analysis.label);
     let mut figure = Figure::new(&name, title, y + LEGEND_HEIGHT, body);
     figure.has_links = link.is_some();
@@ -80,25 +69,10 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
 fn legend(top: f64) -> Markup {
     let entries = [
         (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),
-        (
-            130.0,
-            0.0,
-            Some(Transition::Compensated),
-            "compensated success",
-        ),
+        (130.0, 0.0, Some(Transition::Compensated), "compensated success"),
         (292.0, 0.0, None, "incomplete"),
-        (
-            0.0,
-            22.0,
-            Some(Transition::StillSucceeds),
-            "succeeds either way",
-        ),
-        (
-            150.0,
-            22.0,
-            Some(Transition::StillFails),
-            "fails either way",
-        ),
+        (0.0, 22.0, Some(Transition::StillSucceeds), "succeeds either way"),
+        (150.0, 22.0, Some(Transition::StillFails), "fails either way"),
     ];
     html! {
         @for (x, offset, transition, meaning) in entries {
@@ -116,11 +90,7 @@ fn block(
     [x, y]: [f64; 2],
 ) -> Markup {
     let rows = tasks.iter().filter(|(task, _)| task.suite() == suite);
-    let columns = rows
-        .clone()
-        .map(|(_, row)| row.len())
-        .max()
-        .unwrap_or_default();
+    let columns = rows.clone().map(|(_, row)| row.len()).max().unwrap_or_default();
     let top = y + BLOCK_HEAD_HEIGHT;
     html! {
         (text(x, y + 14.0, "name", suite.name()))
@@ -164,13 +134,8 @@ fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
 
 /// Returns the simultaneous rollout, which identifies a configuration in links.
 fn simultaneous_rollout(matched: &Matched) -> RolloutId {
-    RolloutId::perturbed(
-        matched.task,
-        Condition::Combination,
-        matched.level,
-        matched.config,
-    )
-    .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
+    RolloutId::perturbed(matched.task, Condition::Combination, matched.level, matched.config)
+        .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
 /// Draws a square, with a cross for an emergent failure or a plus for a compensated success. A

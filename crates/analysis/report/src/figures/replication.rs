@@ -23,24 +23,14 @@ const BAR_ROW_HEIGHT: f64 = 24.0;
 /// or no complete configuration.
 pub fn replicates(analysis: &Analysis) -> Option<Figure> {
     let mut levels: BTreeMap<Level, Vec<&Cell>> = BTreeMap::new();
-    for cell in analysis
-        .report
-        .cells
-        .iter()
-        .filter(|cell| cell.paired.is_some())
-    {
+    for cell in analysis.report.cells.iter().filter(|cell| cell.paired.is_some()) {
         levels.entry(cell.level).or_default().push(cell);
     }
     if analysis.report.replication.is_empty() || levels.is_empty() {
         return None;
     }
-    let measures = levels
-        .values()
-        .flatten()
-        .filter_map(|cell| cell.paired.as_ref());
-    let ends = measures
-        .clone()
-        .flat_map(|m| m.i_ci95.unwrap_or([m.i, m.i]));
+    let measures = levels.values().flatten().filter_map(|cell| cell.paired.as_ref());
+    let ends = measures.clone().flat_map(|m| m.i_ci95.unwrap_or([m.i, m.i]));
     let largest = ends.fold(0.05, |most: f64, end| most.max(end.abs()));
     let step = if largest > 0.2 { 0.1 } else { 0.05 };
     let end = (largest / step).ceil() * step;
@@ -63,10 +53,7 @@ pub fn replicates(analysis: &Analysis) -> Option<Figure> {
             ({ y += REPLICATE_HEIGHT * cells.len() as f64 + LEVEL_GAP; html! {} })
         }
     };
-    let title = format!(
-        "{}: net effect of simultaneity in every replicate",
-        analysis.label
-    );
+    let title = format!("{}: net effect of simultaneity in every replicate", analysis.label);
     let name = format!("replicates-{}", analysis.label);
     Some(Figure::new(&name, title, bottom + AXIS, body))
 }
@@ -97,10 +84,7 @@ pub fn flips(analysis: &Analysis) -> Option<Figure> {
             sum.flipped += flips.flipped;
         }
     }
-    let largest = conditions
-        .values()
-        .filter_map(Flips::rate)
-        .fold(0.0, f64::max);
+    let largest = conditions.values().filter_map(Flips::rate).fold(0.0, f64::max);
     if conditions.is_empty() {
         return None;
     }
@@ -122,10 +106,7 @@ pub fn flips(analysis: &Analysis) -> Option<Figure> {
             }
         }
     };
-    let title = format!(
-        "{}: share of outcomes that another policy seed changes",
-        analysis.label
-    );
+    let title = format!("{}: share of outcomes that another policy seed changes", analysis.label);
     let name = format!("flips-{}", analysis.label);
     Some(Figure::new(&name, title, bottom + AXIS, body))
 }

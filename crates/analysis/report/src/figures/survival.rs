@@ -25,10 +25,7 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         return None;
     }
     let scale = Scale::between([0.0, curve.largest_radius], [LABEL_WIDTH, WIDTH - MARGIN]);
-    let (top, bottom) = (
-        HEAD + LEVEL_ROW_HEIGHT,
-        HEAD + LEVEL_ROW_HEIGHT + PLOT_HEIGHT,
-    );
+    let (top, bottom) = (HEAD + LEVEL_ROW_HEIGHT, HEAD + LEVEL_ROW_HEIGHT + PLOT_HEIGHT);
     let place = Place { scale, bottom };
     let name = curve.condition.label();
     let body = html! {
@@ -63,12 +60,7 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
     };
     let title = format!("Share of configurations that still succeed, by radius: {name}");
     let height = bottom + AXIS + LEGEND_HEIGHT;
-    Some(Figure::new(
-        &format!("survival-{name}"),
-        title,
-        height,
-        body,
-    ))
+    Some(Figure::new(&format!("survival-{name}"), title, height, body))
 }
 
 /// Describes the radius at which half of the configurations still succeed, with its interval if
@@ -114,14 +106,9 @@ fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
 /// Returns the protocol's levels whose labels fit on the axis, each with the curve's point at that
 /// level.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
-    let named_points = curve
-        .points
-        .iter()
-        .filter_map(|point| Some((point.level?, point)));
+    let named_points = curve.points.iter().filter_map(|point| Some((point.level?, point)));
     let labelled = spaced(scale, named_points.clone().map(|(level, _)| level.radius()));
-    named_points
-        .filter(|(level, _)| labelled.contains(&level.radius()))
-        .collect()
+    named_points.filter(|(level, _)| labelled.contains(&level.radius())).collect()
 }
 
 /// Drops each value that is closer than [`MIN_LABEL_DISTANCE`] to the next larger kept value.
@@ -143,13 +130,8 @@ fn spaced(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
 /// an interval.
 fn intervals(place: &Place, points: &[Point]) -> Markup {
     let ends = |point: &Point| point.ci95.unwrap_or([point.survival; 2]);
-    let low = points
-        .iter()
-        .map(|point| place.point(point.radius, ends(point)[0]));
-    let high = points
-        .iter()
-        .rev()
-        .map(|point| place.point(point.radius, ends(point)[1]));
+    let low = points.iter().map(|point| place.point(point.radius, ends(point)[0]));
+    let high = points.iter().rev().map(|point| place.point(point.radius, ends(point)[1]));
     html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
 }
 
@@ -160,11 +142,7 @@ fn brackets(place: &Place, points: &[Point]) -> Markup {
     let low = pairs().flat_map(|(a, b)| [(a.radius, b.band[0]), (b.radius, b.band[0])]);
     let high = pairs().flat_map(|(a, b)| [(a.radius, a.band[1]), (b.radius, a.band[1])]);
     let to_path = |steps: Vec<(f64, f64)>| {
-        path(
-            steps
-                .into_iter()
-                .map(|(radius, share)| place.point(radius, share)),
-        )
+        path(steps.into_iter().map(|(radius, share)| place.point(radius, share)))
     };
     html! {
         path class="bracket" d=(to_path(low.collect())) {}

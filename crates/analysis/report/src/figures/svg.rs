@@ -74,9 +74,7 @@ pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64, signed: bool) -> Ve
         (true, false) => format!("{:+}", (100.0 * value).round()).replace('-', "−"),
         _ => format!("{}", (100.0 * value).round().abs()),
     };
-    (first..=last)
-        .map(|k| (k as f64 * step, label(k as f64 * step)))
-        .collect()
+    (first..=last).map(|k| (k as f64 * step, label(k as f64 * step))).collect()
 }
 
 pub(super) fn text(x: f64, y: f64, class: &str, content: &str) -> Markup {

@@ -25,16 +25,10 @@ const MAX_COLUMNS: usize = ((WIDTH - LABEL_WIDTH) / COLUMN_WIDTH) as usize;
 
 /// Draws the panel of one transition; `None` if no minimal subset explains such a transition.
 pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
-    let occurrences: Vec<&Occurrence> = findings
-        .subsets
-        .iter()
-        .filter(|occurrence| occurrence.transition == transition)
-        .collect();
+    let occurrences: Vec<&Occurrence> =
+        findings.subsets.iter().filter(|occurrence| occurrence.transition == transition).collect();
     let full = findings.configurations.first()?.full;
-    let most = occurrences
-        .iter()
-        .map(|occurrence| occurrence.configurations)
-        .max()?;
+    let most = occurrences.iter().map(|occurrence| occurrence.configurations).max()?;
     let (shown, further) = occurrences.split_at(occurrences.len().min(MAX_COLUMNS));
     let configurations = findings.configurations.iter();
     let n = configurations.filter(|explained| explained.explanation.transition == transition);
@@ -81,10 +75,7 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
 /// for the axis that fails alone.
 fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f64; 3]) -> Markup {
     let height = |count: u64| MAX_BAR_HEIGHT * count as f64 / most as f64;
-    let (all, established) = (
-        height(occurrence.configurations),
-        height(occurrence.established),
-    );
+    let (all, established) = (height(occurrence.configurations), height(occurrence.established));
     let class = match occurrence.transition {
         Transition::Compensated => "compensated",
         _ => "emergent",
@@ -96,9 +87,8 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
         occurrence.established
     );
     let y = |row: usize| rows + ROW_HEIGHT * (row as f64 + 0.5);
-    let perturbed: Vec<usize> = (0..axes.len())
-        .filter(|&row| occurrence.set.contains(axes[row]))
-        .collect();
+    let perturbed: Vec<usize> =
+        (0..axes.len()).filter(|&row| occurrence.set.contains(axes[row])).collect();
     html! {
         g {
             title { (tooltip) }
@@ -122,20 +112,12 @@ fn dot([x, y]: [f64; 2], is_perturbed: bool, is_start: bool) -> Markup {
         (true, false) => "mark",
         (false, false) => "absent",
     };
-    let radius = if class == "absent" {
-        DOT_RADIUS / 2.0
-    } else {
-        DOT_RADIUS
-    };
+    let radius = if class == "absent" { DOT_RADIUS / 2.0 } else { DOT_RADIUS };
     html! { circle class=(class) cx=(number(x)) cy=(number(y)) r=(number(radius)) {} }
 }
 
 fn legend(top: f64, is_compensated: bool) -> Markup {
-    let class = if is_compensated {
-        "compensated"
-    } else {
-        "emergent"
-    };
+    let class = if is_compensated { "compensated" } else { "emergent" };
     html! {
         (rect(0.0, top, 10.0, 10.0, class))
         (text(16.0, top + 9.0, "small", "established"))

@@ -17,10 +17,8 @@ use crate::words::{self, percent, points};
 
 /// Renders the section with every pair of policies.
 pub(super) fn section(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
-    let panels: Vec<_> = pairs
-        .iter()
-        .filter_map(|pair| figures::differences(pair.as_ref().ok()?))
-        .collect();
+    let panels: Vec<_> =
+        pairs.iter().filter_map(|pair| figures::differences(pair.as_ref().ok()?)).collect();
     html! {
         section {
             h2 { "Differences between policies" }
@@ -48,11 +46,7 @@ pub(super) fn section(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
 
 /// Renders one comparison, for a page of its own.
 pub(super) fn comparison(comparison: &Comparison) -> Markup {
-    let notes: Vec<&String> = comparison
-        .warnings
-        .iter()
-        .chain(&comparison.notes)
-        .collect();
+    let notes: Vec<&String> = comparison.warnings.iter().chain(&comparison.notes).collect();
     html! {
         @if !notes.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
@@ -87,16 +81,8 @@ fn cells(comparison: &Comparison) -> Markup {
     let (a, b) = (&comparison.a.label, &comparison.b.label);
     let (rate_a, rate_b) = (format!("{a} %"), format!("{b} %"));
     let (only_a, only_b) = (format!("only {a}"), format!("only {b}"));
-    let mut heads = vec![
-        "rollouts",
-        "n",
-        &rate_a,
-        &rate_b,
-        "A − B points",
-        &only_a,
-        &only_b,
-        "Holm p",
-    ];
+    let mut heads =
+        vec!["rollouts", "n", &rate_a, &rate_b, "A − B points", &only_a, &only_b, "Holm p"];
     let cells = comparison.statistics.cells.iter();
     let cells: Vec<&ComparedCell> = cells.filter(|cell| cell.replicate == 0).collect();
     let has_bounds = cells.iter().any(|cell| cell.bounds.is_some());
@@ -133,10 +119,7 @@ fn profiles(comparison: &Comparison) -> Markup {
             interval(delta.simultaneous_ci95, points),
             or_dash(delta.equivalence_p.map(words::p_value)),
             plain(format!("{}:{}", profile.a_better, profile.b_better)),
-            with_note(
-                percent(better.value),
-                &words::rate_interval(better.new_tasks, None),
-            ),
+            with_note(percent(better.value), &words::rate_interval(better.new_tasks, None)),
             or_dash(least),
             or_dash(most),
         ]
@@ -170,9 +153,8 @@ fn tasks(comparison: &Comparison) -> Markup {
         |condition| matches!(condition, Condition::Clean | Condition::Combination);
     let columns =
         compared(comparison).filter(|(cell, _)| is_nominal_or_simultaneous(cell.condition));
-    let columns: Vec<(String, &Profile)> = columns
-        .map(|(cell, delta)| (cell.name(), &delta.profile))
-        .collect();
+    let columns: Vec<(String, &Profile)> =
+        columns.map(|(cell, delta)| (cell.name(), &delta.profile)).collect();
     let mut heads = vec!["task"];
     heads.extend(columns.iter().map(|(name, _)| name.as_str()));
     let tasks = columns.iter().flat_map(|(_, profile)| profile.tasks.keys());

@@ -25,9 +25,7 @@ pub(super) fn findings(document: &Document, link: Option<Link>) -> Markup {
 
 fn campaign_sections(findings: &Findings, link: Option<Link>) -> Markup {
     let transitions = [Transition::Emergent, Transition::Compensated];
-    let panels = transitions
-        .iter()
-        .filter_map(|transition| figures::upset(findings, *transition));
+    let panels = transitions.iter().filter_map(|transition| figures::upset(findings, *transition));
     html! {
         section {
             h2 { "Minimal subsets of the axes" }
@@ -54,28 +52,16 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
     let is_of_kind = |explained: &&Explained| explained.explanation.transition == transition;
     let all: Vec<&Explained> = findings.configurations.iter().filter(is_of_kind).collect();
     let is_established = |explained: &&&Explained| {
-        let mut minimal = explained
-            .explanation
-            .answers
-            .iter()
-            .flat_map(|answer| &answer.minimal);
+        let mut minimal = explained.explanation.answers.iter().flat_map(|answer| &answer.minimal);
         minimal.all(adaptive::subsets::MinimalSubset::is_established)
     };
     let established = all.iter().filter(is_established).count();
-    let subsets: Vec<&Occurrence> = findings
-        .subsets
-        .iter()
-        .filter(|occurrence| occurrence.transition == transition)
-        .collect();
-    let most = subsets
-        .iter()
-        .map(|occurrence| occurrence.configurations)
-        .max();
+    let subsets: Vec<&Occurrence> =
+        findings.subsets.iter().filter(|occurrence| occurrence.transition == transition).collect();
+    let most = subsets.iter().map(|occurrence| occurrence.configurations).max();
     // Several subsets can explain the same, largest number of configurations.
-    let most_frequent: Vec<&Occurrence> = subsets
-        .into_iter()
-        .filter(|occurrence| Some(occurrence.configurations) == most)
-        .collect();
+    let most_frequent: Vec<&Occurrence> =
+        subsets.into_iter().filter(|occurrence| Some(occurrence.configurations) == most).collect();
     let n = all.len();
     let (class, one, several) = match transition {
         Transition::Compensated => (
@@ -83,11 +69,7 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
             "compensated success was explained",
             "compensated successes were explained",
         ),
-        _ => (
-            "emergent",
-            "emergent failure was explained",
-            "emergent failures were explained",
-        ),
+        _ => ("emergent", "emergent failure was explained", "emergent failures were explained"),
     };
     html! {
         @if let Some(most) = most {
@@ -120,15 +102,10 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
 fn non_monotone(findings: &Findings) -> Markup {
     let pairs = |explained: &Explained| {
         let answers = explained.explanation.answers.iter();
-        answers
-            .map(|answer| answer.non_monotone.len())
-            .sum::<usize>()
+        answers.map(|answer| answer.non_monotone.len()).sum::<usize>()
     };
     let all: usize = findings.configurations.iter().map(pairs).sum();
-    let affected = findings
-        .configurations
-        .iter()
-        .filter(|explained| pairs(explained) > 0);
+    let affected = findings.configurations.iter().filter(|explained| pairs(explained) > 0);
     html! {
         @if all > 0 {
             li {
@@ -204,11 +181,7 @@ fn minimal(answer: &Answer) -> Markup {
 }
 
 fn unflipped(answer: &Answer) -> Markup {
-    let names: Vec<&str> = answer
-        .largest_unflipped
-        .iter()
-        .map(|set| set.name())
-        .collect();
+    let names: Vec<&str> = answer.largest_unflipped.iter().map(|set| set.name()).collect();
     html! { div { (names.join(", ")) } }
 }
 
@@ -241,20 +214,18 @@ pub(super) fn interactions(document: &Document) -> Markup {
 
 fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
     let interactions = &level.interactions;
-    let row =
-        |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
-            let moebius = interactions.moebius.get(set);
-            vec![
-                plain(set),
-                with_note(
-                    percent(success.value),
-                    &rate_interval(success.ci95, success.no_interval),
-                ),
-                super::tables::or_dash(moebius.map(|estimate| {
+    let row = |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
+        let moebius = interactions.moebius.get(set);
+        vec![
+            plain(set),
+            with_note(percent(success.value), &rate_interval(success.ci95, success.no_interval)),
+            super::tables::or_dash(
+                moebius.map(|estimate| {
                     difference(estimate.value, estimate.ci95, estimate.no_interval)
-                })),
-            ]
-        };
+                }),
+            ),
+        ]
+    };
     let rows: Vec<Vec<Markup>> = interactions.success.iter().map(row).collect();
     html! {
         (figure("Left, framed on the diagonal: each axis's share of the change from nominal to \

@@ -12,9 +12,7 @@ use crate::words;
 pub(super) fn subtitle(document: &Document) -> Markup {
     let rollouts = document.analyses.iter().map(|analysis| {
         let records = analysis.counted().iter();
-        records
-            .filter(|record| record.outcome.success().is_some())
-            .count()
+        records.filter(|record| record.outcome.success().is_some()).count()
     });
     let rollouts: usize = rollouts.sum();
     html! {
@@ -84,11 +82,7 @@ pub(super) fn warnings(document: &Document) -> Markup {
 pub(super) fn sentence(warning: &str) -> Markup {
     let mut letters = warning.chars();
     let first = letters.next().map(|c| c.to_uppercase().to_string());
-    in_code(&format!(
-        "{}{}.",
-        first.unwrap_or_default(),
-        letters.as_str()
-    ))
+    in_code(&format!("{}{}.", first.unwrap_or_default(), letters.as_str()))
 }
 
 fn in_code(text: &str) -> Markup {

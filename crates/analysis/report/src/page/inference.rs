@@ -69,27 +69,11 @@ fn targets(cells: &Cells<'_>, directions: Option<Directions>) -> Markup {
         add("R_d", Some(&inference.paired.r_d), true);
         add("I", Some(&inference.paired.i), false);
         add("b / S_conj", inference.eligible.emergent.as_ref(), true);
-        add(
-            "c / (1 − S_conj)",
-            inference.eligible.compensated.as_ref(),
-            true,
-        );
+        add("c / (1 − S_conj)", inference.eligible.compensated.as_ref(), true);
         let relative = inference.relative.as_ref();
-        add(
-            "nominal, matched",
-            relative.map(|relative| &relative.nominal),
-            true,
-        );
-        add(
-            "relative independence",
-            relative.map(|relative| &relative.prediction),
-            true,
-        );
-        add(
-            "S_sim − relative",
-            relative.map(|relative| &relative.difference),
-            false,
-        );
+        add("nominal, matched", relative.map(|relative| &relative.nominal), true);
+        add("relative independence", relative.map(|relative| &relative.prediction), true);
+        add("S_sim − relative", relative.map(|relative| &relative.difference), false);
     }
     html! {
         (table("Intervals for each target", &heads, rows))

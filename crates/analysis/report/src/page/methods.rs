@@ -13,10 +13,7 @@ use crate::document::Document;
 use crate::subject::{BeyondRange, Origin};
 
 pub(super) fn methods(document: &Document) -> Markup {
-    let bootstrap = document
-        .analyses
-        .first()
-        .map(|analysis| analysis.report.bootstrap);
+    let bootstrap = document.analyses.first().map(|analysis| analysis.report.bootstrap);
     let is_paired = document.analyses.iter().any(Analysis::is_paired);
     html! {
         section {
@@ -65,10 +62,7 @@ fn policy_methods(analysis: &Analysis) -> Markup {
     let subject = &analysis.subject;
     let distinct = |property: fn(&Provenance) -> String| -> Option<String> {
         let values: BTreeSet<String> = subject.provenances.iter().map(property).collect();
-        let values: Vec<String> = values
-            .into_iter()
-            .filter(|value| !value.is_empty())
-            .collect();
+        let values: Vec<String> = values.into_iter().filter(|value| !value.is_empty()).collect();
         (!values.is_empty()).then(|| values.join("; "))
     };
     let with_digest = |name: &str, digest: &str| match digest {
@@ -79,21 +73,10 @@ fn policy_methods(analysis: &Analysis) -> Markup {
         ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
         ("renderer", distinct(|p| p.pin.renderer.clone())),
         ("fingerprint", distinct(|p| p.fingerprint.clone())),
-        (
-            "policy settings",
-            distinct(Provenance::policy_settings_in_words),
-        ),
-        (
-            "actions beyond ±1",
-            subject
-                .beyond
-                .map(|range| beyond(range, subject.realisation)),
-        ),
+        ("policy settings", distinct(Provenance::policy_settings_in_words)),
+        ("actions beyond ±1", subject.beyond.map(|range| beyond(range, subject.realisation))),
         ("batch mode", distinct(|p| p.batch_mode.clone())),
-        (
-            "worker",
-            distinct(|p| format!("rollout {}", p.program_version)),
-        ),
+        ("worker", distinct(|p| format!("rollout {}", p.program_version))),
         ("machines", distinct(|p| p.host.clone())),
     ];
     let packs: BTreeSet<String> = subject
@@ -140,11 +123,7 @@ fn policy_methods(analysis: &Analysis) -> Markup {
 /// Describes the number of clipped actions, which bounds the effect of clipping before or after
 /// the actuation axis.
 fn beyond(range: BeyondRange, realisation: Option<Realisation>) -> String {
-    let BeyondRange {
-        actions,
-        of_actions,
-        rollouts,
-    } = range;
+    let BeyondRange { actions, of_actions, rollouts } = range;
     let when = match realisation {
         Some(Realisation::Reference) => "after",
         _ => "before",

@@ -25,11 +25,7 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
     document.analyses.iter().flat_map(|analysis| {
         let policy = analysis.label.as_str();
         let overstated = &analysis.report.overstated;
-        let row = move |cell| Row {
-            policy,
-            cell,
-            overstated,
-        };
+        let row = move |cell| Row { policy, cell, overstated };
         analysis.cells().map(row)
     })
 }
@@ -106,9 +102,7 @@ const PAIRED: [Column; 12] = [
     ("R_e %", |m| rate(m.r_e, m.r_e_ci95, m.no_interval)),
     ("R_c %", |m| rate(m.r_c, m.r_c_ci95, m.no_interval)),
     ("R_d %", |m| rate(m.r_d, m.r_d_ci95, m.no_interval)),
-    ("emergent share %", |m| {
-        or_dash(m.emergent_share.map(percent))
-    }),
+    ("emergent share %", |m| or_dash(m.emergent_share.map(percent))),
     ("McNemar p", |m| plain(words::p_value(m.mcnemar_p))),
 ];
 
@@ -122,26 +116,18 @@ pub(super) fn paired(document: &Document) -> Markup {
     heads.extend(PAIRED.map(|(head, _)| head));
     heads.push("detectable |I|");
     let values = |row: Row| {
-        let Row {
-            policy,
-            cell,
-            overstated,
-        } = row;
+        let Row { policy, cell, overstated } = row;
         let completeness = &cell.completeness;
         let expected = match completeness.complete < completeness.expected {
             true => format!("of {}", completeness.expected),
             false => String::new(),
         };
-        let mut values = vec![
-            plain(policy),
-            plain(cell.level),
-            with_note(completeness.complete, &expected),
-        ];
+        let mut values =
+            vec![plain(policy), plain(cell.level), with_note(completeness.complete, &expected)];
         let measures = cell.paired.as_ref();
         values.extend(PAIRED.map(|(head, value)| {
-            let is_overstated = overstated
-                .iter()
-                .any(|measure| head.split(' ').next() == Some(measure.name()));
+            let is_overstated =
+                overstated.iter().any(|measure| head.split(' ').next() == Some(measure.name()));
             html! {
                 @if is_overstated { abbr title=(OVERSTATED) { "*" } }
                 (or_dash(measures.map(value)))
@@ -233,12 +219,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
             let count = latency.map(|latency| latency.count);
             success(cell, Condition::Latency, count, loss)
         }));
-        values.push(success(
-            cell,
-            Condition::Combination,
-            cell.simultaneous,
-            None,
-        ));
+        values.push(success(cell, Condition::Combination, cell.simultaneous, None));
         values
     };
     html! {
@@ -279,15 +260,8 @@ pub(super) fn subsets(document: &Document) -> Markup {
 }
 
 fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option<f64>) -> Markup {
-    let Gap {
-        missing,
-        quarantined,
-    } = cell
-        .completeness
-        .gaps
-        .get(&condition)
-        .copied()
-        .unwrap_or_default();
+    let Gap { missing, quarantined } =
+        cell.completeness.gaps.get(&condition).copied().unwrap_or_default();
     html! {
         (or_dash(count.and_then(|count| count.rate()).map(percent)))
         @if let Some(Count { successes, n }) = count { small { (successes) "/" (n) } }
@@ -312,10 +286,7 @@ pub(super) fn replication(analysis: &Analysis) -> Markup {
     let mut rows = Vec::new();
     let mut flips = Vec::new();
     for replication in &analysis.report.replication {
-        let rate = replication
-            .flips
-            .rate()
-            .map_or_else(|| "–".to_owned(), percent);
+        let rate = replication.flips.rate().map_or_else(|| "–".to_owned(), percent);
         let (compared, replicate) = (replication.flips.compared, replication.replicate);
         flips.push(format!("{rate} % of {compared} in replicate {replicate}"));
         for (level, change) in &replication.changes {
@@ -363,17 +334,7 @@ pub(super) fn solvable(document: &Document) -> Markup {
         ])
     };
     let rows: Vec<Vec<Markup>> = rows(document).filter_map(values).collect();
-    let heads = [
-        "policy",
-        "level",
-        "n",
-        "b",
-        "c",
-        "I points",
-        "R_e %",
-        "R_c %",
-        "McNemar p",
-    ];
+    let heads = ["policy", "level", "n", "b", "c", "I points", "R_e %", "R_c %", "McNemar p"];
     html! {
         @if !rows.is_empty() {
             section {
@@ -405,9 +366,8 @@ pub(super) fn bounds(document: &Document) -> Markup {
     };
     let values = |row: Row| Some(bounds_row(row.policy, row.cell, row.cell.bounds.as_ref()?));
     let rows: Vec<Vec<Markup>> = rows(document).filter_map(values).collect();
-    let heads = [
-        "policy", "level", "n", "affected", "I points", "R_e %", "R_c %", "S_conj %", "S_sim %",
-    ];
+    let heads =
+        ["policy", "level", "n", "affected", "I points", "R_e %", "R_c %", "S_conj %", "S_sim %"];
     html! {
         @if !rows.is_empty() {
             section {
@@ -428,11 +388,7 @@ pub(super) fn quarantine(document: &Document) -> Markup {
         let errors = analysis.subject.errors.iter();
         let row = errors.map(|quarantined| {
             let rollout = html! { code { (quarantined.rollout) } };
-            vec![
-                rollout,
-                plain(&analysis.label),
-                plain(&quarantined.last_error),
-            ]
+            vec![rollout, plain(&analysis.label), plain(&quarantined.last_error)]
         });
         row.collect()
     };

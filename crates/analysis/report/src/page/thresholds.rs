@@ -67,13 +67,7 @@ fn half_success(curves: &[Curve]) -> Markup {
 
 /// Renders the table of configurations that succeed again beyond a failure.
 fn not_monotone(thresholds: &[Measured]) -> Markup {
-    let heads = [
-        "task.",
-        "condition.",
-        "configuration",
-        "succeeds at.",
-        "fails at.",
-    ];
+    let heads = ["task.", "condition.", "configuration", "succeeds at.", "fails at."];
     let row = |measured: &Measured| {
         vec![
             plain(measured.task),
@@ -83,9 +77,7 @@ fn not_monotone(thresholds: &[Measured]) -> Markup {
             plain(measured.radii(false)),
         ]
     };
-    let not_monotone = thresholds
-        .iter()
-        .filter(|measured| !measured.recovers_at.is_empty());
+    let not_monotone = thresholds.iter().filter(|measured| !measured.recovers_at.is_empty());
     let rows: Vec<Vec<Markup>> = not_monotone.map(row).collect();
     html! {
         @if !rows.is_empty() {

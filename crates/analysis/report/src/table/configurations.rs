@@ -19,11 +19,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
         let configurations = analysis.records.configurations().iter();
         configurations.map(move |matched| (analysis, matched))
     });
-    Table {
-        name: "configurations",
-        columns: columns().into(),
-        rows: rows.collect(),
-    }
+    Table { name: "configurations", columns: columns().into(), rows: rows.collect() }
 }
 
 fn columns<'a>() -> [Column<Row<'a>>; 36] {
@@ -31,14 +27,10 @@ fn columns<'a>() -> [Column<Row<'a>>; 36] {
     [
         ("policy", Text, |(a, _)| text(&a.label)),
         ("origin", Text, |(a, _)| text(a.subject.origin_name())),
-        ("replicate", Number, |(_, m)| {
-            Value::Number(m.replicate.into())
-        }),
+        ("replicate", Number, |(_, m)| Value::Number(m.replicate.into())),
         ("level", Text, |(_, m)| text(&m.level.to_string())),
         ("suite", Text, |(_, m)| text(m.task.suite().name())),
-        ("task", Number, |(_, m)| {
-            Value::Number(m.task.index().into())
-        }),
+        ("task", Number, |(_, m)| Value::Number(m.task.index().into())),
         ("config", Number, |(_, m)| Value::Number(m.config.into())),
         ("init_id", Number, |(_, m)| Value::Number(m.init_id.into())),
         ("nominal", Bool, |(_, m)| Value::Bool(m.nominal.success())),
@@ -48,66 +40,29 @@ fn columns<'a>() -> [Column<Row<'a>>; 36] {
         ("sensor", Bool, |(_, m)| alone(m, Axis::Sensor)),
         ("actuation", Bool, |(_, m)| alone(m, Axis::Actuation)),
         ("language", Bool, |(_, m)| alone(m, Axis::Language)),
-        ("latency", Bool, |(_, m)| {
-            Value::Bool(m.latency.and_then(Outcome::success))
-        }),
-        ("conjunction", Bool, |(_, m)| {
-            Value::Bool(m.configuration().map(|c| c.conjunction()))
-        }),
-        ("combination", Bool, |(_, m)| {
-            Value::Bool(m.simultaneous.success())
-        }),
+        ("latency", Bool, |(_, m)| Value::Bool(m.latency.and_then(Outcome::success))),
+        ("conjunction", Bool, |(_, m)| Value::Bool(m.configuration().map(|c| c.conjunction()))),
+        ("combination", Bool, |(_, m)| Value::Bool(m.simultaneous.success())),
         ("transition", Text, |(_, m)| {
-            Value::Text(
-                m.transition()
-                    .map(|transition| transition.name().to_owned()),
-            )
+            Value::Text(m.transition().map(|transition| transition.name().to_owned()))
         }),
         ("unresolved", Text, unresolved),
         ("nominal_goal", Real, |row| goal(row, Condition::Clean)),
         ("nominal_steps", Integer, |row| steps(row, Condition::Clean)),
-        ("camera_goal", Real, |row| {
-            goal(row, Condition::Single(Axis::Camera))
-        }),
-        ("camera_steps", Integer, |row| {
-            steps(row, Condition::Single(Axis::Camera))
-        }),
-        ("lighting_goal", Real, |row| {
-            goal(row, Condition::Single(Axis::Lighting))
-        }),
-        ("lighting_steps", Integer, |row| {
-            steps(row, Condition::Single(Axis::Lighting))
-        }),
-        ("robot_goal", Real, |row| {
-            goal(row, Condition::Single(Axis::Robot))
-        }),
-        ("robot_steps", Integer, |row| {
-            steps(row, Condition::Single(Axis::Robot))
-        }),
-        ("sensor_goal", Real, |row| {
-            goal(row, Condition::Single(Axis::Sensor))
-        }),
-        ("sensor_steps", Integer, |row| {
-            steps(row, Condition::Single(Axis::Sensor))
-        }),
-        ("actuation_goal", Real, |row| {
-            goal(row, Condition::Single(Axis::Actuation))
-        }),
-        ("actuation_steps", Integer, |row| {
-            steps(row, Condition::Single(Axis::Actuation))
-        }),
-        ("language_goal", Real, |row| {
-            goal(row, Condition::Single(Axis::Language))
-        }),
-        ("language_steps", Integer, |row| {
-            steps(row, Condition::Single(Axis::Language))
-        }),
-        ("combination_goal", Real, |row| {
-            goal(row, Condition::Combination)
-        }),
-        ("combination_steps", Integer, |row| {
-            steps(row, Condition::Combination)
-        }),
+        ("camera_goal", Real, |row| goal(row, Condition::Single(Axis::Camera))),
+        ("camera_steps", Integer, |row| steps(row, Condition::Single(Axis::Camera))),
+        ("lighting_goal", Real, |row| goal(row, Condition::Single(Axis::Lighting))),
+        ("lighting_steps", Integer, |row| steps(row, Condition::Single(Axis::Lighting))),
+        ("robot_goal", Real, |row| goal(row, Condition::Single(Axis::Robot))),
+        ("robot_steps", Integer, |row| steps(row, Condition::Single(Axis::Robot))),
+        ("sensor_goal", Real, |row| goal(row, Condition::Single(Axis::Sensor))),
+        ("sensor_steps", Integer, |row| steps(row, Condition::Single(Axis::Sensor))),
+        ("actuation_goal", Real, |row| goal(row, Condition::Single(Axis::Actuation))),
+        ("actuation_steps", Integer, |row| steps(row, Condition::Single(Axis::Actuation))),
+        ("language_goal", Real, |row| goal(row, Condition::Single(Axis::Language))),
+        ("language_steps", Integer, |row| steps(row, Condition::Single(Axis::Language))),
+        ("combination_goal", Real, |row| goal(row, Condition::Combination)),
+        ("combination_steps", Integer, |row| steps(row, Condition::Combination)),
     ]
 }
 

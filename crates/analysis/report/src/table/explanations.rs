@@ -29,11 +29,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
             })
         })
     });
-    Table {
-        name: "explanations",
-        columns: columns().into(),
-        rows: rows.collect(),
-    }
+    Table { name: "explanations", columns: columns().into(), rows: rows.collect() }
 }
 
 fn columns<'a>() -> [Column<Row<'a>>; 15] {
@@ -42,36 +38,18 @@ fn columns<'a>() -> [Column<Row<'a>>; 15] {
         ("policy", Text, |row| text(&row.findings.policy)),
         ("campaign", Text, |row| text(&row.findings.campaign)),
         ("explained_by", Text, |row| text(&row.findings.explained_by)),
-        ("level", Text, |row| {
-            text(&row.explained.configuration.level().to_string())
-        }),
-        ("suite", Text, |row| {
-            text(row.explained.configuration.task().suite().name())
-        }),
-        ("task", Number, |row| {
-            Value::Number(row.explained.configuration.task().index().into())
-        }),
-        ("config", Number, |row| {
-            Value::Number(row.explained.configuration.number().into())
-        }),
-        ("transition", Text, |row| {
-            text(row.explained.explanation.transition.name())
-        }),
+        ("level", Text, |row| text(&row.explained.configuration.level().to_string())),
+        ("suite", Text, |row| text(row.explained.configuration.task().suite().name())),
+        ("task", Number, |row| Value::Number(row.explained.configuration.task().index().into())),
+        ("config", Number, |row| Value::Number(row.explained.configuration.number().into())),
+        ("transition", Text, |row| text(row.explained.explanation.transition.name())),
         ("start", Text, |row| text(row.answer.start.name())),
         ("subset", Text, |row| text(row.minimal.set.name())),
-        ("axes", Number, |row| {
-            Value::Number(row.minimal.set.len() as i64)
-        }),
-        ("established", Bool, |row| {
-            Value::Bool(Some(row.minimal.is_established()))
-        }),
-        ("open", Number, |row| {
-            Value::Number(row.minimal.open.len() as i64)
-        }),
+        ("axes", Number, |row| Value::Number(row.minimal.set.len() as i64)),
+        ("established", Bool, |row| Value::Bool(Some(row.minimal.is_established()))),
+        ("open", Number, |row| Value::Number(row.minimal.open.len() as i64)),
         ("undone_by", Text, |row| undone_by(row)),
-        ("rollouts", Number, |row| {
-            Value::Number(row.explained.rollouts.into())
-        }),
+        ("rollouts", Number, |row| Value::Number(row.explained.rollouts.into())),
     ]
 }
 

@@ -62,10 +62,7 @@ impl<R> Table<R> {
         let mut csv = csv::Writer::from_writer(out);
         csv.write_record(self.columns.iter().map(|(name, ..)| name))?;
         for row in &self.rows {
-            let values = self
-                .columns
-                .iter()
-                .map(|(.., value)| value(row).into_text());
+            let values = self.columns.iter().map(|(.., value)| value(row).into_text());
             csv.write_record(values)?;
         }
         Ok(csv.flush()?)
@@ -78,10 +75,7 @@ impl<R> Table<R> {
         let fields = fields.map(|(name, kind, _)| field(name, *kind).map(Arc::new));
         let fields: Result<Vec<_>, _> = fields.collect();
         let schema = Type::group_type_builder(self.name).with_fields(fields?);
-        let pandas = KeyValue::new(
-            "pandas".to_owned(),
-            pandas_metadata(&self.columns).to_string(),
-        );
+        let pandas = KeyValue::new("pandas".to_owned(), pandas_metadata(&self.columns).to_string());
         let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![pandas]));
         let properties = Arc::new(properties.build());
         let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
@@ -162,11 +156,7 @@ fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
         Kind::Number => (Physical::INT64, Repetition::REQUIRED, None),
         Kind::Integer => (Physical::INT64, Repetition::OPTIONAL, None),
         Kind::Real => (Physical::DOUBLE, Repetition::OPTIONAL, None),
-        Kind::Text => (
-            Physical::BYTE_ARRAY,
-            Repetition::OPTIONAL,
-            Some(LogicalType::String),
-        ),
+        Kind::Text => (Physical::BYTE_ARRAY, Repetition::OPTIONAL, Some(LogicalType::String)),
         Kind::Bool => (Physical::BOOLEAN, Repetition::OPTIONAL, None),
     };
     let field = Type::primitive_type_builder(name, physical).with_repetition(repetition);

@@ -53,11 +53,7 @@ pub fn write_results_parquet(
     out: impl Write + Send,
 ) -> Result<(), TableError> {
     let columns = columns().into();
-    let table = Table {
-        name: "results",
-        columns,
-        rows,
-    };
+    let table = Table { name: "results", columns, rows };
     table.parquet(out)
 }
 
@@ -65,9 +61,7 @@ fn columns() -> [Column<ResultRow>; 20] {
     use Kind::{Bool, Integer, Number, Real, Text};
     [
         ("rollout_id", Text, |row| text(&row.rollout_id)),
-        ("replicate", Number, |row| {
-            Value::Number(row.replicate.into())
-        }),
+        ("replicate", Number, |row| Value::Number(row.replicate.into())),
         ("success", Bool, |row| Value::Bool(Some(row.success))),
         ("steps", Number, |row| Value::Number(row.steps.into())),
         ("axis", Text, |row| text(&row.axis)),
@@ -75,25 +69,15 @@ fn columns() -> [Column<ResultRow>; 20] {
         ("suite", Text, |row| text(&row.suite)),
         ("task_id", Number, |row| Value::Number(row.task_id.into())),
         ("init_id", Number, |row| Value::Number(row.init_id.into())),
-        ("config", Integer, |row| {
-            Value::Integer(row.config.map(i64::from))
-        }),
+        ("config", Integer, |row| Value::Integer(row.config.map(i64::from))),
         ("policy", Text, |row| text(&row.policy)),
         ("wall_s", Real, |row| Value::Real(Some(row.wall_s))),
         ("ik_res_mm", Real, |row| Value::Real(row.ik_res_mm)),
-        ("placebo_radius", Real, |row| {
-            Value::Real(row.placebo_radius)
-        }),
+        ("placebo_radius", Real, |row| Value::Real(row.placebo_radius)),
         ("execution", Text, |row| text(&row.execution.to_string())),
-        ("goal_predicates", Integer, |row| {
-            Value::Integer(row.goal_predicates.map(i64::from))
-        }),
-        ("goal_at_end", Integer, |row| {
-            Value::Integer(row.goal_at_end.map(i64::from))
-        }),
-        ("goal_at_most", Integer, |row| {
-            Value::Integer(row.goal_at_most.map(i64::from))
-        }),
+        ("goal_predicates", Integer, |row| Value::Integer(row.goal_predicates.map(i64::from))),
+        ("goal_at_end", Integer, |row| Value::Integer(row.goal_at_end.map(i64::from))),
+        ("goal_at_most", Integer, |row| Value::Integer(row.goal_at_most.map(i64::from))),
         ("protocol", Text, |row| Value::Text(row.protocol.clone())),
         ("prompt", Text, |row| Value::Text(row.prompt.clone())),
     ]

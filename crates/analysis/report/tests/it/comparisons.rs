@@ -70,48 +70,34 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
     let pairs = a.records.iter().zip(&b.records);
     let pairs = pairs.filter(|(a, _)| is_cell(&a.id));
     let count = |outcome_a: Outcome, outcome_b: Outcome| {
-        let matching = pairs
-            .clone()
-            .filter(|(a, b)| (a.outcome, b.outcome) == (outcome_a, outcome_b));
+        let matching =
+            pairs.clone().filter(|(a, b)| (a.outcome, b.outcome) == (outcome_a, outcome_b));
         matching.count()
     };
-    let (a_only, b_only) = (
-        count(Outcome::Success, Outcome::Failure),
-        count(Outcome::Failure, Outcome::Success),
-    );
+    let (a_only, b_only) =
+        (count(Outcome::Success, Outcome::Failure), count(Outcome::Failure, Outcome::Success));
     assert!(a_only > 0 && b_only > 0);
     let comparison = compare(a, b).expect("comparable");
     let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
     assert_eq!(json["a"]["label"], "first");
     assert_eq!(json["b"]["origin"]["campaign"]["name"], "of-second");
-    assert_eq!(
-        (&json["warnings"], &json["notes"]),
-        (&json!([]), &json!([]))
-    );
+    assert_eq!((&json["warnings"], &json["notes"]), (&json!([]), &json!([])));
     assert_eq!(json["min_tasks"], 10);
     let cells = json["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 3 * 7);
     let is_expected = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
     let cell = cells.iter().find(is_expected).expect("a cell");
     let difference_json = &cell["difference"];
-    assert_eq!(
-        (&difference_json["n"], &difference_json["tasks"]),
-        (&json!(400), &json!(40))
-    );
+    assert_eq!((&difference_json["n"], &difference_json["tasks"]), (&json!(400), &json!(40)));
     assert_eq!(
         (&difference_json["a_only"], &difference_json["b_only"]),
         (&json!(a_only), &json!(b_only))
     );
     let difference = (a_only as f64 - b_only as f64) / 400.0;
     assert!((difference_json["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
-    let ends = difference_json["difference_ci95"]
-        .as_array()
-        .expect("an interval");
+    let ends = difference_json["difference_ci95"].as_array().expect("an interval");
     let ends: Vec<f64> = ends.iter().filter_map(Value::as_f64).collect();
-    assert!(
-        ends[0] < difference && difference < ends[1],
-        "{difference_json}"
-    );
+    assert!(ends[0] < difference && difference < ends[1], "{difference_json}");
     assert_eq!(difference_json["no_interval"], Value::Null);
 }
 
@@ -124,14 +110,8 @@ fn a_policy_against_itself_differs_nowhere_and_has_no_interval() {
     );
     for cell in &comparison.statistics.cells {
         let difference = cell.difference.as_ref().expect("outcomes");
-        assert_eq!(
-            (difference.a_only, difference.b_only, difference.mcnemar_p),
-            (0, 0, 1.0)
-        );
-        assert_eq!(
-            (difference.difference, difference.difference_ci95),
-            (0.0, None)
-        );
+        assert_eq!((difference.a_only, difference.b_only, difference.mcnemar_p), (0, 0, 1.0));
+        assert_eq!((difference.difference, difference.difference_ci95), (0.0, None));
     }
     assert!(comparison.text().contains("no spread"));
 }
@@ -162,10 +142,7 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
     let message = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
     assert!(message.contains("more than one renderer"), "{message}");
     let message = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
-    assert!(
-        message.contains("more than one MuJoCo version"),
-        "{message}"
-    );
+    assert!(message.contains("more than one MuJoCo version"), "{message}");
     let mut reference = altered("second");
     reference.realisation = Some("reference".parse().expect("a mode"));
     let message = reasons(campaign("first"), reference);
@@ -197,11 +174,8 @@ fn result_files_are_compared_with_a_warning_of_unknown_properties() {
     let mut file = altered("second");
     file.provenances.clear();
     file.realisation = None;
-    file.origin = Origin::File {
-        name: "second".to_owned(),
-        digest: "0".repeat(64),
-        source: String::new(),
-    };
+    file.origin =
+        Origin::File { name: "second".to_owned(), digest: "0".repeat(64), source: String::new() };
     let comparison = compare(campaign("first"), file).expect("comparable");
     let message = comparison.warnings.join("\n");
     let expected = "`second`: asset pack, MuJoCo version, renderer, realisation mode not known";
@@ -221,10 +195,7 @@ fn a_campaign_without_results_is_compared_without_warning_and_reported_as_incomp
     assert_eq!(comparison.warnings, [""; 0]);
     assert_eq!(comparison.statistics.compared(), 0);
     let text = comparison.text();
-    assert!(
-        text.contains("8400 of 8400 rollouts have no result yet"),
-        "{text}"
-    );
+    assert!(text.contains("8400 of 8400 rollouts have no result yet"), "{text}");
 }
 
 #[test]
@@ -236,10 +207,7 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
     let from_state =
         from_state.filter(|record| record.id.task() == id.task() && record.init_id == init_id);
     let from_state = from_state.count();
-    let perturbed = a
-        .records
-        .iter()
-        .find(|record| record.id.task() != id.task());
+    let perturbed = a.records.iter().find(|record| record.id.task() != id.task());
     let perturbed = perturbed.expect("forty tasks").id;
     let setups = |scene: &str, row: &str| Setups {
         rollouts: [(perturbed, row.to_owned())].into(),
@@ -303,12 +271,7 @@ fn quarantined_rollouts_of_either_policy_are_excluded_from_rates_and_counted_in_
     assert!((bounds.difference[1] - bounds.difference[0] - 1.0 / bounds.n as f64).abs() < 1e-12);
     assert_eq!(cell(cells[1]).missing, 1);
     let text = comparison.text();
-    for words in [
-        "worst and best A - B: ",
-        "incomplete: ",
-        "1 quarantined",
-        "1 missing",
-    ] {
+    for words in ["worst and best A - B: ", "incomplete: ", "1 quarantined", "1 missing"] {
         assert!(text.contains(words), "{words}: {text}");
     }
     assert_fits_a_terminal(&text);
@@ -341,33 +304,17 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
     let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
     for cell in json["cells"].as_array().expect("cells") {
         let (goal, steps) = (&cell["progress"]["goal"], &cell["progress"]["steps"]);
-        assert_eq!(
-            (&goal["n"], &steps["n"]),
-            (&cell["difference"]["n"], &cell["difference"]["n"])
-        );
+        assert_eq!((&goal["n"], &steps["n"]), (&cell["difference"]["n"], &cell["difference"]["n"]));
         assert_eq!(goal["difference"]["value"], 0.25);
-        assert!(
-            steps["difference"]["value"].as_f64() < Some(-4.0),
-            "{steps}"
-        );
-        assert!(
-            steps["difference"]["new_tasks"][1].as_f64() < Some(0.0),
-            "{steps}"
-        );
+        assert!(steps["difference"]["value"].as_f64() < Some(-4.0), "{steps}");
+        assert!(steps["difference"]["new_tasks"][1].as_f64() < Some(0.0), "{steps}");
         assert!(steps["holm_p"].as_f64() < Some(0.01), "{steps}");
     }
     let text = comparison.text();
-    assert!(
-        text.contains("partial progress: steps until success"),
-        "{text}"
-    );
+    assert!(text.contains("partial progress: steps until success"), "{text}");
     assert_fits_a_terminal(&text);
     let page = report::page_comparison(&comparison).into_string();
-    for words in [
-        "Partial progress",
-        "A − B of each task, points",
-        "A better %",
-    ] {
+    for words in ["Partial progress", "A − B of each task, points", "A better %"] {
         assert!(page.contains(words), "{words}");
     }
 }
@@ -385,10 +332,7 @@ fn the_strata_of_a_sequential_comparison_are_named_in_words() {
         });
         subject
     };
-    let compared = compare(
-        with_stop_rule(campaign("first")),
-        with_stop_rule(altered("second")),
-    );
+    let compared = compare(with_stop_rule(campaign("first")), with_stop_rule(altered("second")));
     let text = compared.expect("comparable").text();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(text.contains("(rounds of whole tasks)"), "{text}");
@@ -401,27 +345,14 @@ fn differing_directions_or_placebos_give_a_warning() {
     assert_eq!(alike.warnings, [] as [String; 0]);
     a.directions = Directions::Own;
     a.placebo_radius = Some(0.02);
-    let same_settings = Subject {
-        directions: Directions::Own,
-        placebo_radius: Some(0.02),
-        ..b.clone()
-    };
+    let same_settings =
+        Subject { directions: Directions::Own, placebo_radius: Some(0.02), ..b.clone() };
     let comparable = compare(a.clone(), same_settings).expect("comparable");
     let json: Value = serde_json::from_str(&comparable.json().expect("written")).expect("JSON");
-    assert_eq!(
-        (&json["directions"], &json["warnings"]),
-        (&json!("own"), &json!([]))
-    );
-    let mixed = Subject {
-        placebo_radius: Some(0.05),
-        ..b
-    };
+    assert_eq!((&json["directions"], &json["warnings"]), (&json!("own"), &json!([])));
+    let mixed = Subject { placebo_radius: Some(0.05), ..b };
     let mixed = compare(a, mixed).expect("comparable");
-    let text = mixed
-        .text()
-        .split_whitespace()
-        .collect::<Vec<_>>()
-        .join(" ");
+    let text = mixed.text().split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(
         text.contains("the designs differ in their directions (`first`: directions of its own")
     );

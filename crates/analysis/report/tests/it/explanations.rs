@@ -120,14 +120,9 @@ fn an_upset_plot_counts_each_minimal_subset_and_its_established_share() {
     let compensated = figures::upset(findings, Transition::Compensated).expect("a figure");
     let expected = "robot with camera: 3 configurations, established in 3";
     assert!(texts(&compensated).contains(expected));
-    let names: Vec<String> = figures::all(&document)
-        .into_iter()
-        .map(|figure| figure.name)
-        .collect();
-    assert_eq!(
-        names,
-        ["minimal-subsets-emergent", "minimal-subsets-compensated"]
-    );
+    let names: Vec<String> =
+        figures::all(&document).into_iter().map(|figure| figure.name).collect();
+    assert_eq!(names, ["minimal-subsets-emergent", "minimal-subsets-compensated"]);
 }
 
 #[test]
@@ -156,23 +151,14 @@ fn a_lattice_has_a_node_for_every_subset_and_a_shape_for_every_outcome() {
     let file = figure.standalone();
     let count = |markup: &str| file.matches(markup).count();
     assert_eq!(count("<title>"), 1 + 64, "the figure, and its nodes");
-    assert_eq!(
-        count("class=\"edge\""),
-        6 * 32,
-        "a line for every added axis"
-    );
+    assert_eq!(count("class=\"edge\""), 6 * 32, "a line for every added axis");
     assert_eq!(count("<a href=\"/"), 15);
     // Each outcome has its own shape and colour; the legend adds one mark of each.
-    let fails = explained
-        .outcomes
-        .iter()
-        .filter(|outcome| outcome.verdict.success() == Some(false));
+    let fails =
+        explained.outcomes.iter().filter(|outcome| outcome.verdict.success() == Some(false));
     assert_eq!(count("class=\"fails\""), 1 + fails.count());
     assert_eq!(count("<rect class=\"fails\""), count("class=\"fails\""));
-    assert_eq!(
-        count("<circle class=\"succeeds\""),
-        count("class=\"succeeds\"")
-    );
+    assert_eq!(count("<circle class=\"succeeds\""), count("class=\"succeeds\""));
 }
 
 #[test]
@@ -209,10 +195,7 @@ fn rollouts_of_an_incomplete_configuration_count_as_waiting() {
     simultaneous.expect("a simultaneous rollout").outcome = Outcome::Quarantined;
     subject.records[0].outcome = Outcome::Missing;
     let findings = Findings::of(&subject).expect("two axes").expect("findings");
-    assert_eq!(
-        (findings.transitions, findings.waiting, findings.complete),
-        (11, 1, false)
-    );
+    assert_eq!((findings.transitions, findings.waiting, findings.complete), (11, 1, false));
     let text = findings.text();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(text.contains(", of which 1 has no outcome yet"), "{text}");
@@ -225,28 +208,15 @@ fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
     write_csv(&document, &mut bytes).expect("written");
     let mut csv = csv::Reader::from_reader(bytes.as_slice());
     let header = csv.headers().expect("names").clone();
-    let column = |name: &str| {
-        header
-            .iter()
-            .position(|head| head == name)
-            .expect("a column")
-    };
+    let column = |name: &str| header.iter().position(|head| head == name).expect("a column");
     let (subset, undone, open) = (column("subset"), column("undone_by"), column("open"));
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 12);
     for row in &rows {
         let is_undone = &row[subset] == "lighting+actuation";
-        let expected = if is_undone {
-            "lighting+sensor+actuation"
-        } else {
-            ""
-        };
+        let expected = if is_undone { "lighting+sensor+actuation" } else { "" };
         assert_eq!(&row[undone], expected);
-        let expected = if &row[subset] == "camera+lighting+sensor" {
-            "1"
-        } else {
-            "0"
-        };
+        let expected = if &row[subset] == "camera+lighting+sensor" { "1" } else { "0" };
         assert_eq!(&row[open], expected);
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -268,16 +238,10 @@ fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
         panic!("one level");
     };
     let interactions = &level.interactions;
-    let s_sim = analysis
-        .cell(Level::L2)
-        .and_then(|cell| cell.paired.as_ref());
+    let s_sim = analysis.cell(Level::L2).and_then(|cell| cell.paired.as_ref());
     let s_sim = s_sim.expect("measures").s_sim;
     let nominal = interactions.success[&AxisSet::EMPTY];
-    let all: i64 = interactions
-        .moebius
-        .values()
-        .map(|estimate| estimate.numerator)
-        .sum();
+    let all: i64 = interactions.moebius.values().map(|estimate| estimate.numerator).sum();
     let total = (nominal.numerator + all) as f64 / nominal.denominator as f64;
     assert_eq!(total, s_sim, "the sum is exact");
 
@@ -287,10 +251,7 @@ fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
     let expected = format!("camera+robot: {index:+.1} points").replace('-', "−");
     assert!(matrix.contains(&expected), "{expected}: {matrix}");
     let additive = texts(&figures::additive(analysis, level));
-    assert!(
-        additive.contains("+ triples") && additive.contains("n = 12"),
-        "{additive}"
-    );
+    assert!(additive.contains("+ triples") && additive.contains("n = 12"), "{additive}");
     let text = axis_interactions.text();
     assert_fits_a_terminal(&text);
     assert!(page(&document).contains("Interactions of the axes"));
@@ -299,36 +260,16 @@ fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
 #[test]
 fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
     let gap = set("robot+language");
-    let incomplete = Subject {
-        records: records(|_, axes| axes != gap),
-        ..complete_campaign()
-    };
+    let incomplete = Subject { records: records(|_, axes| axes != gap), ..complete_campaign() };
     let error = AxisInteractions::of(&incomplete).expect_err("no complete configuration");
-    assert!(matches!(
-        error,
-        NoInteractions::Incomplete {
-            configurations: 12,
-            ..
-        }
-    ));
+    assert!(matches!(error, NoInteractions::Incomplete { configurations: 12, .. }));
     let words = error.to_string();
-    assert!(
-        words.contains("robot+language") && words.contains("--subsets all"),
-        "{words}"
-    );
+    assert!(words.contains("robot+language") && words.contains("--subsets all"), "{words}");
     // A configuration with a gap is excluded.
-    let one_incomplete = Subject {
-        records: records(|index, axes| index > 0 || axes != gap),
-        ..complete_campaign()
-    };
+    let one_incomplete =
+        Subject { records: records(|index, axes| index > 0 || axes != gap), ..complete_campaign() };
     let remaining = AxisInteractions::of(&one_incomplete).expect("eleven configurations");
-    assert_eq!(
-        (
-            remaining.levels[0].interactions.n,
-            remaining.levels[0].left_out
-        ),
-        (11, 1)
-    );
+    assert_eq!((remaining.levels[0].interactions.n, remaining.levels[0].left_out), (11, 1));
 }
 
 /// Returns a campaign that repeats the first transition eight times; all axes together fail in
@@ -364,23 +305,16 @@ fn a_transition_that_its_repeats_do_not_show_is_reported_as_not_confirmed() {
     let (shown, chance) = (findings(8), findings(4));
     assert_eq!((shown.transitions, shown.not_confirmed), (12, 0));
     assert_eq!((chance.transitions, chance.not_confirmed), (12, 1));
-    let text = |findings: &Findings| {
-        findings
-            .text()
-            .split_whitespace()
-            .collect::<Vec<_>>()
-            .join(" ")
-    };
+    let text =
+        |findings: &Findings| findings.text().split_whitespace().collect::<Vec<_>>().join(" ");
     let words = "not confirmed by repeats, so that they may be due to chance: 1";
     assert!(text(&chance).contains(words) && !text(&shown).contains("not confirmed"));
 }
 
 #[test]
 fn the_prospect_has_the_repeats_of_every_subset_and_too_few_repeats_are_refused() {
-    let campaign = Subject {
-        records: records(|_, axes| is_of_campaign(axes)),
-        ..complete_campaign()
-    };
+    let campaign =
+        Subject { records: records(|_, axes| is_of_campaign(axes)), ..complete_campaign() };
     let prospect = |repeats| {
         let explanation = Explanation {
             campaign: "first".to_owned(),

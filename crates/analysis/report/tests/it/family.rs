@@ -67,24 +67,14 @@ fn family(subject: Subject) -> Family {
 #[test]
 fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
     let family = family(subject(Suite::ALL.to_vec(), by_dimension));
-    let names: Vec<&str> = family
-        .groups
-        .iter()
-        .map(|line| line.name.as_str())
-        .collect();
+    let names: Vec<&str> = family.groups.iter().map(|line| line.name.as_str()).collect();
     // In the order of the benchmark's table.
     assert_eq!(names, ["robot", "noise"]);
     let [robot, noise] = family.groups.as_slice() else {
         panic!("{names:?}");
     };
-    assert_eq!(
-        (robot.rollouts, robot.successes, robot.pairs),
-        (1550, 1550, 1550)
-    );
-    assert_eq!(
-        (noise.rollouts, noise.successes, noise.tasks),
-        (1601, 0, 40)
-    );
+    assert_eq!((robot.rollouts, robot.successes, robot.pairs), (1550, 1550, 1550));
+    assert_eq!((noise.rollouts, noise.successes, noise.tasks), (1601, 0, 40));
     assert_eq!((robot.broken, noise.gained), (0, 0));
     assert!(robot.gained > 0 && robot.gained < 1550);
     assert_eq!(noise.loss, Some(100.0 * noise.broken as f64 / 1601.0));
@@ -95,17 +85,11 @@ fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
     let all = &family.all;
     assert_eq!((all.rollouts, all.successes), (3151, 1550));
     let [low, high] = all.interval.expect("an interval");
-    assert!(
-        low < 49.2 && 49.2 < high && high - low < 10.0,
-        "{low} {high}"
-    );
+    assert!(low < 49.2 && 49.2 < high && high - low < 10.0, "{low} {high}");
     let of_difficulties: u64 = family.difficulties.iter().map(|line| line.rollouts).sum();
     let of_cells: u64 = family.cells.iter().map(|line| line.rollouts).sum();
     assert_eq!((of_difficulties, of_cells), (3151, 3151));
-    assert_eq!(
-        (family.unperturbed.rollouts, family.unperturbed.successes),
-        (40, 20)
-    );
+    assert_eq!((family.unperturbed.rollouts, family.unperturbed.successes), (40, 20));
 }
 
 #[test]
@@ -123,10 +107,7 @@ fn rollouts_without_an_outcome_are_reported_and_in_no_figure() {
     let text = family.text(true);
     assert!(text.contains("have no outcome so far"), "{text}");
     assert!(text.contains("are quarantined"), "{text}");
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
 }
 
 #[test]
@@ -134,10 +115,7 @@ fn every_form_has_the_dimensions_and_no_measure_of_libero_ctrl() {
     let document = document(vec![subject(Suite::ALL.to_vec(), by_dimension)]);
     let json = document.json().expect("JSON");
     for form in [&document.brief(), &document.text(), &page(&document), &json] {
-        assert!(
-            form.contains("noise") && form.contains("plus-official"),
-            "{form}"
-        );
+        assert!(form.contains("noise") && form.contains("plus-official"), "{form}");
         assert!(!form.contains("R_e") && !form.contains("S_sim"), "{form}");
     }
     let text = document.text();
@@ -148,18 +126,9 @@ fn every_form_has_the_dimensions_and_no_measure_of_libero_ctrl() {
         row.split_whitespace().rev().take(7).collect()
     };
     // In reverse: light, layout, noise, language, camera, robot, background.
-    assert_eq!(
-        percents("this campaign"),
-        ["-", "-", "0.0", "-", "-", "100.0", "-"]
-    );
-    assert_eq!(
-        percents("OpenVLA-OFT "),
-        ["88.7", "74.2", "75.8", "79.5", "56.4", "31.9", "93.3"]
-    );
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    assert_eq!(percents("this campaign"), ["-", "-", "0.0", "-", "-", "100.0", "-"]);
+    assert_eq!(percents("OpenVLA-OFT "), ["88.7", "74.2", "75.8", "79.5", "56.4", "31.9", "93.3"]);
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
     assert!(page(&document).contains("OpenVLA-OFT+") && json.contains("OpenVLA-OFT+"));
 }
 
@@ -223,10 +192,7 @@ fn sentences_are_counted_by_type_and_paired_with_the_unperturbed_rollout() {
     }
     let text = document.text();
     assert!(text.contains("comp contextual+subordination"), "{text}");
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
 }
 
 /// Figures of the benchmark's own code for the log that it ships.
@@ -251,9 +217,7 @@ fn the_shipped_log_of_libero_para_has_the_scores_of_its_own_code() {
     }
     assert_eq!(successes.len(), 4092);
     let found = family(para(|case| {
-        successes
-            .get(&case.name())
-            .map_or(Outcome::Missing, |success| Outcome::from(*success))
+        successes.get(&case.name()).map_or(Outcome::Missing, |success| Outcome::from(*success))
     }));
     assert_eq!((found.all.rollouts, found.missing), (4092, 10));
     let percents = found.pride.iter().map(|pride| pride.percent);
@@ -268,22 +232,12 @@ fn the_shipped_log_of_libero_para_has_the_scores_of_its_own_code() {
 #[test]
 fn the_family_is_never_pooled_with_other_rollouts() {
     let plus = || subject(vec![Suite::Goal], by_dimension);
-    let exported = Subject {
-        protocol: None,
-        ..plus()
-    };
-    for subjects in [
-        vec![plus(), plus()],
-        vec![example(), plus()],
-        vec![exported],
-    ] {
+    let exported = Subject { protocol: None, ..plus() };
+    for subjects in [vec![plus(), plus()], vec![example(), plus()], vec![exported]] {
         let error = Document::new(subjects).expect_err("pooled");
         assert!(matches!(error, DocumentError::Pooled { .. }), "{error}");
     }
-    let unknown = Subject {
-        protocol: Some("plus-unheard-of".to_owned()),
-        ..plus()
-    };
+    let unknown = Subject { protocol: Some("plus-unheard-of".to_owned()), ..plus() };
     let error = Document::new(vec![unknown]).expect_err("no such protocol");
     assert!(matches!(error, DocumentError::Family(_)), "{error}");
 }
@@ -307,10 +261,7 @@ fn two_protocols_are_compared_variant_by_variant() {
     let [robot, noise] = compared.groups.as_slice() else {
         panic!("{:?}", compared.groups);
     };
-    assert_eq!(
-        (robot.name.as_str(), noise.name.as_str()),
-        ("robot", "noise")
-    );
+    assert_eq!((robot.name.as_str(), noise.name.as_str()), ("robot", "noise"));
     assert_eq!((robot.pairs, robot.a_successes), (409, 409));
     assert_eq!(robot.only_a, robot.pairs - robot.b_successes);
     assert!(robot.only_a > 0 && robot.only_b == 0, "{robot:?}");
@@ -322,10 +273,7 @@ fn two_protocols_are_compared_variant_by_variant() {
     assert_eq!(compared.unperturbed.pairs, 10);
     assert_eq!(compared.unpaired, [0, 0]);
     let text = compared.text();
-    assert!(
-        text.contains("under plus-official") && text.contains("under plus-rlinf"),
-        "{text}"
-    );
+    assert!(text.contains("under plus-official") && text.contains("under plus-rlinf"), "{text}");
     assert!(text.lines().all(|line| line.len() <= 80), "{text}");
 }
 
@@ -334,21 +282,12 @@ fn campaigns_without_a_common_rollout_or_benchmark_are_not_compared() {
     let goal = subject(vec![Suite::Goal], by_dimension);
     let spatial = subject(vec![Suite::Spatial], by_dimension);
     let error = FamilyComparison::of(&goal, &spatial).expect_err("other tasks");
-    assert!(
-        error.to_string().contains("no rollout in common"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("no rollout in common"), "{error}");
     let pro = Subject {
         protocol: Some("pro-official".to_owned()),
         ..subject(vec![Suite::Goal], by_dimension)
     };
     let error = FamilyComparison::of(&goal, &pro).expect_err("other benchmark");
-    assert!(
-        error.to_string().contains("run both with the same"),
-        "{error}"
-    );
-    assert_eq!(
-        FamilyComparison::of(&goal, &example()).expect("no comparison"),
-        None
-    );
+    assert!(error.to_string().contains("run both with the same"), "{error}");
+    assert_eq!(FamilyComparison::of(&goal, &example()).expect("no comparison"), None);
 }

@@ -14,15 +14,9 @@ fn json_has_the_measures_of_each_policy_and_level() {
     let levels = json["paired"]["OpenVLA-OFT"].as_object().expect("levels");
     assert_eq!(levels.keys().collect::<Vec<_>>(), ["L1", "L2", "L3"]);
     let l2 = &levels["L2"];
-    assert_eq!(
-        (&l2["n"], &l2["b"], &l2["c"]),
-        (&400.into(), &54.into(), &55.into())
-    );
+    assert_eq!((&l2["n"], &l2["b"], &l2["c"]), (&400.into(), &54.into(), &55.into()));
     assert_eq!(l2["s_axis"]["camera"], 0.875);
-    assert_eq!(
-        (&l2["s_conj"], &l2["s_sim"]),
-        (&0.575.into(), &0.5775.into())
-    );
+    assert_eq!((&l2["s_conj"], &l2["s_sim"]), (&0.575.into(), &0.5775.into()));
     for key in ["s_indep", "d", "i", "r_e", "r_c", "r_d", "mcnemar_p"] {
         assert!(l2[key].is_f64(), "{key}: {l2}");
     }
@@ -31,24 +25,14 @@ fn json_has_the_measures_of_each_policy_and_level() {
     }
     // The paper's interval, within Monte-Carlo error.
     let end = |k: usize| 100.0 * l2["i_ci95"][k].as_f64().expect("a number");
-    assert!(
-        (end(0) + 6.0).abs() < 0.6 && (end(1) - 6.51).abs() < 0.6,
-        "{l2}"
-    );
+    assert!((end(0) + 6.0).abs() < 0.6 && (end(1) - 6.51).abs() < 0.6, "{l2}");
 }
 
 #[test]
 fn policies_with_the_same_name_get_distinct_labels() {
     let document = document(vec![example(), broken(), example()]);
     let labels: Vec<&str> = document.analyses.iter().map(|a| a.label.as_str()).collect();
-    assert_eq!(
-        labels,
-        [
-            "OpenVLA-OFT (openvla_oft)",
-            "servo <b>",
-            "OpenVLA-OFT (openvla_oft) 2"
-        ]
-    );
+    assert_eq!(labels, ["OpenVLA-OFT (openvla_oft)", "servo <b>", "OpenVLA-OFT (openvla_oft) 2"]);
 }
 
 #[test]
@@ -68,19 +52,10 @@ fn a_page_loads_no_other_resource() {
     let addresses = page.match_indices("http").map(|(at, _)| &page[at..at + 26]);
     for address in addresses {
         let allowed = ["http://www.w3.org/2000/svg", "http://127.0.0.1:1"];
-        assert!(
-            allowed.iter().any(|allowed| address.starts_with(allowed)),
-            "{address}"
-        );
+        assert!(allowed.iter().any(|allowed| address.starts_with(allowed)), "{address}");
     }
-    assert!(
-        !page.contains("<b>") && page.contains("servo &lt;b&gt;"),
-        "names are escaped"
-    );
-    assert!(
-        !page.contains("NaN") && !page.contains(">inf"),
-        "every number is finite"
-    );
+    assert!(!page.contains("<b>") && page.contains("servo &lt;b&gt;"), "names are escaped");
+    assert!(!page.contains("NaN") && !page.contains(">inf"), "every number is finite");
 }
 
 #[test]
@@ -100,10 +75,7 @@ fn warnings_of_a_faulty_campaign_come_before_the_figures() {
         let at = page.find(warning);
         assert!(at.is_some_and(|at| at < figures), "{warning}");
     }
-    assert!(
-        !page.contains("The policies were measured with"),
-        "there is one policy"
-    );
+    assert!(!page.contains("The policies were measured with"), "there is one policy");
     assert!(page.contains("failed: robustness is not to be interpreted"));
     assert!(page.contains("Worst and best case"));
     assert!(page.contains("the simulator said &lt;nothing&gt;"));
@@ -129,19 +101,11 @@ fn the_page_of_a_campaign_without_results_warns_of_missing_results() {
 #[test]
 fn figures_are_well_formed_files_with_counts() {
     // A label that differs from that of `broken` but maps to the same file name.
-    let twin = Subject {
-        policy: "servo {b}".to_owned(),
-        ..broken()
-    };
+    let twin = Subject { policy: "servo {b}".to_owned(), ..broken() };
     let document = document(vec![example(), broken(), twin, replicated()]);
     let figures = figures::all(&document);
     let mut names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
-    for expected in [
-        "single-axis-l1",
-        "decomposition-l2",
-        "directions-l3",
-        "reproduction-gate",
-    ] {
+    for expected in ["single-axis-l1", "decomposition-l2", "directions-l3", "reproduction-gate"] {
         assert!(names.contains(&expected), "{names:?}");
     }
     for kind in ["matrix-", "replicates-", "flips-"] {
@@ -154,11 +118,7 @@ fn figures_are_well_formed_files_with_counts() {
         let texts = svg.descendants().filter_map(|node| node.text());
         let texts: String = texts.collect();
         assert!(!figure.title.is_empty());
-        assert!(
-            texts.contains("n = ") || texts.contains(" of "),
-            "{}",
-            figure.name
-        );
+        assert!(texts.contains("n = ") || texts.contains(" of "), "{}", figure.name);
         assert!(!file.contains("NaN"), "{}", figure.name);
     }
     names.sort_unstable();

@@ -38,12 +38,7 @@ fn the_example_is_read_with_its_about_file() {
     assert_eq!(subject.records.len(), 8400);
     assert_eq!(subject.published_nominal, Some(0.971));
     assert_eq!(subject.reported_nominal.expect("counts").n, 2000);
-    let Origin::File {
-        name,
-        digest,
-        source,
-    } = &subject.origin
-    else {
+    let Origin::File { name, digest, source } = &subject.origin else {
         panic!("results of a file");
     };
     assert_eq!((name.as_str(), digest.len()), ("openvla_oft", 64));
@@ -75,9 +70,7 @@ fn a_file_has_one_execution_model() {
     assert_eq!(subject.execution.to_string(), "overlap:4");
     let waited = import(file(&[ROW]).path()).expect("read");
     assert!(waited.execution.is_wait());
-    let second = overlapped
-        .replace("c01", "c02")
-        .replace("\"config\": 1", "\"config\": 2");
+    let second = overlapped.replace("c01", "c02").replace("\"config\": 1", "\"config\": 2");
     let message = refused(&[ROW, &second]);
     assert!(
         message.contains(
@@ -154,10 +147,7 @@ fn bad_lines_are_named_by_their_numbers_and_nothing_is_imported() {
 #[test]
 fn many_bad_lines_are_counted() {
     let message = refused(&["[]"; 25]);
-    assert!(
-        message.contains("25 lines are bad") && message.ends_with("and 15 more"),
-        "{message}"
-    );
+    assert!(message.contains("25 lines are bad") && message.ends_with("and 15 more"), "{message}");
 }
 
 #[test]
@@ -165,41 +155,19 @@ fn a_row_that_contradicts_itself_or_another_is_bad() {
     let wrong = |from: &str, to: &str| ROW.replace(from, to);
     for (from, to, expected) in [
         ("\"L2\",", "\"L3\",", "`level` contradicts the rollout id"),
-        (
-            "\"camera\",",
-            "\"robot\",",
-            "`axis` contradicts the rollout id",
-        ),
-        (
-            "libero_goal",
-            "libero_object",
-            "`suite` contradicts the rollout id",
-        ),
-        (
-            "\"task_id\": 0",
-            "\"task_id\": 7",
-            "`task_id` contradicts the rollout id",
-        ),
-        (
-            "\"config\": 1",
-            "\"config\": 2",
-            "`config` contradicts the rollout id",
-        ),
+        ("\"camera\",", "\"robot\",", "`axis` contradicts the rollout id"),
+        ("libero_goal", "libero_object", "`suite` contradicts the rollout id"),
+        ("\"task_id\": 0", "\"task_id\": 7", "`task_id` contradicts the rollout id"),
+        ("\"config\": 1", "\"config\": 2", "`config` contradicts the rollout id"),
     ] {
         let message = refused(&[&wrong(from, to)]);
         assert!(message.contains(expected), "{expected}: {message}");
     }
     let message = refused(&[ROW, ROW]);
-    assert!(
-        message.contains("line 2: goal/t0/camera/L2/c01 is on line 1 too"),
-        "{message}"
-    );
+    assert!(message.contains("line 2: goal/t0/camera/L2/c01 is on line 1 too"), "{message}");
     let other = wrong("c01", "c02").replace("\"config\": 1", "\"config\": 2");
     let message = refused(&[ROW, &other.replace("oft", "pi05")]);
-    assert!(
-        message.contains("line 2: it is of policy `pi05`"),
-        "{message}"
-    );
+    assert!(message.contains("line 2: it is of policy `pi05`"), "{message}");
     let message = refused(&[r#"{"rollout_id": "goal/t0/camera/L2/c12", "success": true}"#]);
     assert!(message.contains("has no `init_id`"), "{message}");
 }
@@ -208,11 +176,7 @@ fn a_row_that_contradicts_itself_or_another_is_bad() {
 fn a_line_longer_than_the_limit_is_refused() {
     let long = format!("{{\"rollout_id\": \"{}", "x".repeat(200_000));
     let message = refused(&[&long, "{"]);
-    for expected in [
-        "2 lines are bad",
-        "line 1: it is longer than 65536 bytes",
-        "line 2: ",
-    ] {
+    for expected in ["2 lines are bad", "line 1: it is longer than 65536 bytes", "line 2: "] {
         assert!(message.contains(expected), "{expected}: {message}");
     }
     // With its newline, the line is as long as the limit.
@@ -227,17 +191,9 @@ fn a_line_longer_than_the_limit_is_refused() {
 fn an_empty_or_absent_file_is_refused_by_its_name() {
     let folder = file(&[""]);
     let error = import(folder.path()).expect_err("no row");
-    assert!(
-        error.to_string().ends_with("rollouts.jsonl: it has no row"),
-        "{error}"
-    );
+    assert!(error.to_string().ends_with("rollouts.jsonl: it has no row"), "{error}");
     let error = import(&folder.path().join("nowhere")).expect_err("no such folder");
-    assert!(
-        error
-            .to_string()
-            .contains("nowhere: name a folder that holds"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("nowhere: name a folder that holds"), "{error}");
 }
 
 #[test]

@@ -12,11 +12,7 @@ use crate::subjects::example;
 fn early(rule: &str, has_stopped: bool) -> Subject {
     Subject {
         early_stop: Some(EarlyStop {
-            stop: Stop {
-                rule: rule.parse().expect("a rule"),
-                seed: 3,
-                strata: Strata::Suites,
-            },
+            stop: Stop { rule: rule.parse().expect("a rule"), seed: 3, strata: Strata::Suites },
             has_stopped,
         }),
         ..example()
@@ -44,11 +40,7 @@ fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
     let sequential = &report["reports"][0]["sequential"];
     let used = &sequential["used"];
     assert!(used.as_u64().is_some_and(|used| used < 400), "{used}");
-    let policy = report["paired"]
-        .as_object()
-        .expect("policies")
-        .keys()
-        .next();
+    let policy = report["paired"].as_object().expect("policies").keys().next();
     let measures = &report["paired"][policy.expect("a policy")];
     for level in ["L1", "L2", "L3"] {
         assert_eq!(&measures[level]["n"], used, "{level}");
@@ -69,11 +61,7 @@ fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
             (matched.task, Some(matched.config)) == (record.id.task(), record.id.config())
         };
         let is_perturbed = record.id.level() != Level::L0;
-        let used = analysis
-            .records
-            .configurations()
-            .iter()
-            .any(|matched| is_used(&matched));
+        let used = analysis.records.configurations().iter().any(|matched| is_used(&matched));
         if is_perturbed && !used {
             record.outcome = Outcome::Success;
         }
@@ -93,10 +81,7 @@ fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
         let estimate = number(&sequential["estimates"][level]["I"]);
         let ends = &sequential["levels"][level]["I"];
         assert!(number(&ends[0]) <= estimate && estimate <= number(&ends[1]));
-        assert!(
-            text.contains(&format!("{:+.1}*", 100.0 * estimate)),
-            "{text}"
-        );
+        assert!(text.contains(&format!("{:+.1}*", 100.0 * estimate)), "{text}");
     }
     assert!(text.contains("* is overstated"), "{text}");
     assert!(text.contains("I = S_sim-S_conj * +"), "{text}");
@@ -106,10 +91,7 @@ fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
     let page = report::page(&stopped);
     assert!(page.contains(">*</abbr>") && page.contains("estimates of I are overstated"));
     let width = document(early("width(I) < 0.2", true)).text();
-    assert!(
-        !width.contains("overstated") && !width.contains("* "),
-        "{width}"
-    );
+    assert!(!width.contains("overstated") && !width.contains("* "), "{width}");
 }
 
 #[test]
@@ -122,10 +104,7 @@ fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_names_their_pop
     let level = &json(&document)["reports"][0]["sequential"]["levels"]["L2"];
     let measures: Vec<&String> = level.as_object().expect("measures").keys().collect();
     assert_eq!(measures, ["I"]);
-    assert_ne!(
-        level["I"][0], level["I"][1],
-        "the interval for new tasks has a width"
-    );
+    assert_ne!(level["I"][0], level["I"][1], "the interval for new tasks has a width");
     assert!(text.contains("new tasks of these suites"), "{text}");
     assert!(report::page(&document).contains("new tasks of these suites"));
 }
@@ -137,11 +116,7 @@ fn the_confidence_sequences_of_a_complete_campaign_are_points() {
     let report = ended["reports"][0].as_object_mut().expect("a report");
     let sequential = report.remove("sequential").expect("confidence sequences");
     assert_eq!(sequential["used"], 400);
-    for interval in sequential["levels"]["L2"]
-        .as_object()
-        .expect("measures")
-        .values()
-    {
+    for interval in sequential["levels"]["L2"].as_object().expect("measures").values() {
         assert_eq!(interval[0], interval[1]);
     }
     assert_eq!(ended, plain, "the rest of the report is the same");

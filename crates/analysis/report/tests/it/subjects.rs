@@ -48,10 +48,7 @@ pub(crate) fn broken() -> Subject {
             _ => {}
         }
     }
-    let quarantined = subject
-        .records
-        .iter()
-        .filter(|r| r.outcome == Outcome::Quarantined);
+    let quarantined = subject.records.iter().filter(|r| r.outcome == Outcome::Quarantined);
     Subject {
         policy: "servo <b>".to_owned(),
         origin: Origin::Campaign {
@@ -67,28 +64,16 @@ pub(crate) fn broken() -> Subject {
             })
             .collect(),
         left_out: 3,
-        beyond: Some(BeyondRange {
-            actions: 1_234,
-            of_actions: 1_800_000,
-            rollouts: 17,
-        }),
+        beyond: Some(BeyondRange { actions: 1_234, of_actions: 1_800_000, rollouts: 17 }),
         fingerprints: Some(Fingerprints {
             results: [("f".repeat(64), 8_000), ("e".repeat(64), 3)].into(),
-            mixed: (0..7)
-                .map(|state| format!("libero_goal/3 from state {state}"))
-                .collect(),
+            mixed: (0..7).map(|state| format!("libero_goal/3 from state {state}")).collect(),
         }),
-        provenances: vec![
-            provenance("3.3.7", "single"),
-            provenance("3.2.3", "dynamic 8"),
-        ],
+        provenances: vec![provenance("3.3.7", "single"), provenance("3.2.3", "dynamic 8")],
         published_nominal: Some(0.9),
         published_by_suite: Vec::new(),
         directions: libero_ctrl::Directions::default(),
-        reported_nominal: Some(Count {
-            successes: 100,
-            n: 2000,
-        }),
+        reported_nominal: Some(Count { successes: 100, n: 2000 }),
         ..subject
     }
 }

@@ -18,9 +18,7 @@ fn the_csv_table_has_a_row_per_configuration() {
     let (level, unresolved) = (column("level"), column("unresolved"));
     let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 2 * 1200);
-    let cell_rows = rows
-        .iter()
-        .filter(|r| &r[policy] == "OpenVLA-OFT" && &r[level] == "L2");
+    let cell_rows = rows.iter().filter(|r| &r[policy] == "OpenVLA-OFT" && &r[level] == "L2");
     let count = |name: &str| cell_rows.clone().filter(|r| &r[transition] == name).count();
     assert_eq!((count("emergent"), count("compensated")), (54, 55));
     let incomplete = rows.iter().filter(|r| r[transition].is_empty());
@@ -33,9 +31,7 @@ fn the_csv_table_has_a_row_per_configuration() {
 #[test]
 fn a_campaign_without_simultaneous_rollouts_misses_none() {
     let mut subject = example();
-    subject
-        .records
-        .retain(|record| record.id.condition() != Condition::Combination);
+    subject.records.retain(|record| record.id.condition() != Condition::Combination);
     let mut bytes = Vec::new();
     write_csv(&document(vec![subject]), &mut bytes).expect("written");
     let mut reader = csv::Reader::from_reader(bytes.as_slice());
@@ -43,10 +39,7 @@ fn a_campaign_without_simultaneous_rollouts_misses_none() {
     let unresolved = names.iter().position(|name| name == "unresolved");
     let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 1200);
-    assert!(
-        rows.iter()
-            .all(|row| row[unresolved.expect("a column")].is_empty())
-    );
+    assert!(rows.iter().all(|row| row[unresolved.expect("a column")].is_empty()));
 }
 
 #[test]
@@ -97,18 +90,14 @@ fn parquet_columns_have_types_and_pandas_metadata() {
     let metadata = reader.metadata().file_metadata();
     let entries = metadata.key_value_metadata().expect("metadata");
     let pandas = entries.iter().find(|entry| entry.key == "pandas");
-    let pandas = pandas
-        .and_then(|entry| entry.value.as_ref())
-        .expect("a text");
+    let pandas = pandas.and_then(|entry| entry.value.as_ref()).expect("a text");
     let pandas: Value = serde_json::from_str(pandas).expect("JSON");
     let documented = pandas["columns"].as_array().expect("columns");
     let columns = metadata.schema_descr().columns();
     assert_eq!(documented.len(), columns.len());
     for (column, documented) in columns.iter().zip(documented) {
-        let (name, is_text) = (
-            column.name(),
-            column.logical_type_ref() == Some(&LogicalType::String),
-        );
+        let (name, is_text) =
+            (column.name(), column.logical_type_ref() == Some(&LogicalType::String));
         assert_eq!(documented["name"], name);
         let expected = match (column.physical_type(), is_text) {
             (Physical::BOOLEAN, false) => "boolean",
@@ -120,16 +109,9 @@ fn parquet_columns_have_types_and_pandas_metadata() {
         };
         assert_eq!(documented["numpy_type"], expected, "{name}");
     }
-    let count = |kind: &str| {
-        documented
-            .iter()
-            .filter(|column| column["numpy_type"] == kind)
-            .count()
-    };
-    assert_eq!(
-        (count("boolean"), count("int64"), count("string")),
-        (10, 4, 6)
-    );
+    let count =
+        |kind: &str| documented.iter().filter(|column| column["numpy_type"] == kind).count();
+    assert_eq!((count("boolean"), count("int64"), count("string")), (10, 4, 6));
     assert_eq!((count("float64"), count("Int64")), (8, 8));
 }
 
@@ -153,41 +135,28 @@ fn a_table_of_results_has_a_column_for_the_execution_model() {
     let models = reader.get_row_iter(None).expect("rows").map(|row| {
         let row = row.expect("a row");
         let mut columns = row.get_column_iter();
-        let (_, model) = columns
-            .find(|(name, _)| *name == "execution")
-            .expect("a column");
+        let (_, model) = columns.find(|(name, _)| *name == "execution").expect("a column");
         model.to_string()
     });
-    assert_eq!(
-        models.collect::<Vec<_>>(),
-        ["\"wait\"", "\"overlap:4,rtc\""]
-    );
+    assert_eq!(models.collect::<Vec<_>>(), ["\"wait\"", "\"overlap:4,rtc\""]);
 }
 
 #[test]
 fn pandas_reads_no_parquet_column_as_objects() {
-    let probe = std::process::Command::new("python3")
-        .args(["-c", "import pandas, pyarrow"])
-        .output();
+    let probe =
+        std::process::Command::new("python3").args(["-c", "import pandas, pyarrow"]).output();
     if !probe.is_ok_and(|output| output.status.success()) {
         println!("skipped: no python3 with pandas and pyarrow is on the path");
         return;
     }
     let (_folder, path) = parquet_of(&document(vec![broken()]));
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/columns.py");
-    let output = std::process::Command::new("python3")
-        .arg(script)
-        .arg(&path)
-        .output()
-        .expect("python3");
+    let output =
+        std::process::Command::new("python3").arg(script).arg(&path).output().expect("python3");
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{error}");
     let output_json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    assert_eq!(
-        output_json["objects"],
-        serde_json::json!([]),
-        "{output_json}"
-    );
+    assert_eq!(output_json["objects"], serde_json::json!([]), "{output_json}");
     let columns = output_json["columns"].as_object().expect("columns");
     assert_eq!(columns.len(), 36);
     let kinds = |name: &str| columns[name].to_string();
@@ -196,8 +165,5 @@ fn pandas_reads_no_parquet_column_as_objects() {
     assert_eq!(kinds("level"), r#"["string",["str"]]"#);
     assert_eq!(kinds("transition"), r#"["string",["str"]]"#);
     // Outcomes that are missing or in quarantine are gaps, not values.
-    assert!(
-        output_json["gaps"]["camera"].as_u64() > Some(0),
-        "{output_json}"
-    );
+    assert!(output_json["gaps"]["camera"].as_u64() > Some(0), "{output_json}");
 }

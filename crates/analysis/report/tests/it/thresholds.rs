@@ -15,10 +15,7 @@ use crate::subjects::{document, example};
 /// has no nominal rollouts.
 fn nominal() -> Subject {
     let mut subject = example();
-    let states = subject
-        .records
-        .iter()
-        .map(|record| (record.id.task(), record.init_id));
+    let states = subject.records.iter().map(|record| (record.id.task(), record.init_id));
     let states: BTreeSet<_> = states.collect();
     let clean = |(task, init_id)| Record {
         id: RolloutId::clean(task, init_id),
@@ -71,10 +68,7 @@ fn survival_is_the_success_rate_less_the_share_that_recovers() {
     let report = at_levels();
     let document = document(vec![nominal()]);
     assert_eq!(report.curves.len(), 7);
-    assert!(
-        !report.complete,
-        "brackets between the levels exceed the tolerance"
-    );
+    assert!(!report.complete, "brackets between the levels exceed the tolerance");
     for curve in &report.curves {
         assert_eq!((curve.n, curve.tasks), (400, 40));
         for level in Level::PERTURBED {
@@ -91,10 +85,7 @@ fn survival_is_the_success_rate_less_the_share_that_recovers() {
             };
             let recover = report.thresholds.iter().filter(recovers).count() as f64;
             let expected = rate - recover / 400.0;
-            assert!(
-                (survival - expected).abs() < 1e-12,
-                "{level}: {survival} {expected}"
-            );
+            assert!((survival - expected).abs() < 1e-12, "{level}: {survival} {expected}");
         }
     }
 }
@@ -105,10 +96,7 @@ fn the_text_fits_a_terminal_and_names_wordings_and_recoveries() {
     for line in text.lines() {
         assert!(line.chars().count() <= 80, "{line}");
     }
-    assert!(
-        text.contains("there are wordings at L1, L2 and L3"),
-        "{text}"
-    );
+    assert!(text.contains("there are wordings at L1, L2 and L3"), "{text}");
     assert!(text.contains("not monotone: configurations that succeed again beyond a failure"));
     let large_radius = report_of(&nominal(), nominal().records, 100.0).text();
     for line in large_radius.lines() {
@@ -122,27 +110,18 @@ fn every_condition_has_a_standalone_figure() {
     let figures = figures::of_thresholds(&report);
     let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
     assert_eq!(names.len(), 7);
-    assert_eq!(
-        (names[0], names[6]),
-        ("survival-camera", "survival-simultaneous")
-    );
+    assert_eq!((names[0], names[6]), ("survival-camera", "survival-simultaneous"));
     for figure in &figures {
         let svg = figure.standalone();
         let parsed = roxmltree::Document::parse(&svg).expect("XML");
-        let texts = parsed
-            .descendants()
-            .filter(|node| node.has_tag_name("text"));
+        let texts = parsed.descendants().filter(|node| node.has_tag_name("text"));
         let texts: Vec<&str> = texts.filter_map(|node| node.text()).collect();
         for text in ["L1", "L2", "L3", "100 %", "radius of the perturbation"] {
             assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
         }
         let ends_a_text = |end: &str| texts.iter().any(|text| text.ends_with(end));
         assert!(ends_a_text(", n = 400"), "{}: {texts:?}", figure.name);
-        assert!(
-            !svg.contains("NaN") && !svg.contains("inf"),
-            "{}",
-            figure.name
-        );
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{}", figure.name);
     }
     let json: Value = serde_json::from_str(&report.json().expect("written")).expect("JSON");
     assert_eq!(json["curves"][0]["points"][1]["level"], "L1");
@@ -165,11 +144,7 @@ fn without_outcomes_there_is_no_curve() {
 fn the_report_of_a_measuring_campaign_shows_its_findings() {
     let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
     let html = page(&document);
-    for expected in [
-        "Thresholds of OpenVLA-OFT",
-        "class=\"curve\"",
-        "Half-success radius",
-    ] {
+    for expected in ["Thresholds of OpenVLA-OFT", "class=\"curve\"", "Half-success radius"] {
         assert!(html.contains(expected), "{expected}");
     }
     for absent in ["Paired outcomes", "Nominal success and single axes", "NaN"] {
@@ -181,13 +156,8 @@ fn the_report_of_a_measuring_campaign_shows_its_findings() {
     let expected = at_levels().json().expect("written");
     let expected: Value = serde_json::from_str(&expected).expect("JSON");
     assert_eq!(json["reports"][0]["thresholds"], expected);
-    let names = figures::all(&document)
-        .into_iter()
-        .map(|figure| figure.name);
-    assert_eq!(
-        names.filter(|name| name.starts_with("survival-")).count(),
-        7
-    );
+    let names = figures::all(&document).into_iter().map(|figure| figure.name);
+    assert_eq!(names.filter(|name| name.starts_with("survival-")).count(), 7);
 }
 
 #[test]
@@ -200,12 +170,7 @@ fn the_table_of_thresholds_has_a_row_for_each_threshold() {
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
     let report = at_levels();
     assert_eq!(rows.len(), report.thresholds.len());
-    let column = |name: &str| {
-        header
-            .iter()
-            .position(|head| head == name)
-            .expect("a column")
-    };
+    let column = |name: &str| header.iter().position(|head| head == name).expect("a column");
     let (kind, fails_at) = (column("threshold"), column("fails_at"));
     let number = |text: &str| (!text.is_empty()).then(|| text.parse::<f64>().expect("a radius"));
     for (row, measured) in rows.iter().zip(&report.thresholds) {

@@ -11,22 +11,15 @@ use crate::subjects::{broken, document, example, provenance, replicated};
 fn some_tasks(tasks: usize) -> Subject {
     let mut subject = example();
     let first: Vec<libero_ctrl::TaskRef> = libero_ctrl::TaskRef::all().take(tasks).collect();
-    subject
-        .records
-        .retain(|record| first.contains(&record.id.task()));
+    subject.records.retain(|record| first.contains(&record.id.task()));
     subject
 }
 
 #[test]
 fn intervals_about_new_directions_are_explained_by_the_assignment_of_directions() {
-    let own = Subject {
-        directions: Directions::Own,
-        ..example()
-    };
-    let [shared, of_tasks] = [
-        "a configuration has one direction in all tasks",
-        "every task has directions of its own",
-    ];
+    let own = Subject { directions: Directions::Own, ..example() };
+    let [shared, of_tasks] =
+        ["a configuration has one direction in all tasks", "every task has directions of its own"];
     for (subjects, words, foreign) in [
         (vec![example()], Some(shared), of_tasks),
         (vec![own.clone()], Some(of_tasks), shared),
@@ -49,20 +42,11 @@ fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
     assert_eq!((&l2["tasks"], &l2["i_ci95"]), (&9.into(), &Value::Null));
     assert_eq!(l2["no_interval"], "too_few_tasks");
     let text = few.text();
-    assert!(
-        text.contains("too few tasks for an interval by resampling, which needs 10"),
-        "{text}"
-    );
-    let paper = text
-        .split("95 % intervals about")
-        .next()
-        .expect("the paper's measures");
+    assert!(text.contains("too few tasks for an interval by resampling, which needs 10"), "{text}");
+    let paper = text.split("95 % intervals about").next().expect("the paper's measures");
     assert!(!paper.contains('['), "{text}");
     let html = page(&few);
-    assert!(
-        html.contains("(too few tasks)") && !html.contains("S_sim, ["),
-        "no interval"
-    );
+    assert!(html.contains("(too few tasks)") && !html.contains("S_sim, ["), "no interval");
     let drawn = figures::all(&few);
     for kind in ["decomposition-l2", "directions-l2"] {
         let figure = drawn.iter().find(|figure| figure.name == kind);
@@ -134,10 +118,7 @@ fn every_symbol_of_the_table_is_explained_below_it_once() {
         assert_eq!(lines.count(), 1, "{symbol}: {legend:#?}");
     }
     // The legend leaves out symbols that the table does not print.
-    assert!(
-        !legend.iter().any(|line| line.starts_with("solvable")),
-        "{legend:#?}"
-    );
+    assert!(!legend.iter().any(|line| line.starts_with("solvable")), "{legend:#?}");
     let one_rollout = {
         let mut subject = example();
         subject.records.truncate(1);
@@ -152,11 +133,7 @@ fn simultaneous_perturbation_has_one_name_in_every_form() {
     let document = document(vec![example(), replicated()]);
     let drawn = figures::all(&document);
     let drawn: String = drawn.iter().map(|figure| figure.standalone()).collect();
-    for (form, text) in [
-        ("text", document.text()),
-        ("page", page(&document)),
-        ("figures", drawn),
-    ] {
+    for (form, text) in [("text", document.text()), ("page", page(&document)), ("figures", drawn)] {
         let text = text.to_lowercase();
         assert!(text.contains("simultaneous"), "{form}");
         for other in ["at once", "combination", "all together"] {
@@ -170,9 +147,7 @@ fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
     let mut subject = example();
     assert!(!page(&document(vec![subject.clone()])).contains("policy-gateway doctor"));
     let failed = (0..3).map(|state| paired::Record {
-        id: format!("object/t0/clean/i{state:02}")
-            .parse()
-            .expect("an id"),
+        id: format!("object/t0/clean/i{state:02}").parse().expect("an id"),
         replicate: 0,
         init_id: state,
         outcome: Outcome::Failure,
@@ -193,10 +168,7 @@ fn a_policy_that_was_taught_on_another_asset_pack_gets_a_warning() {
         let mut provenance = provenance("3.3.7", "single");
         let setting = (rollout_types::TAUGHT_ON.to_owned(), pack.to_owned());
         provenance.policy_settings.extend([setting]);
-        let subject = Subject {
-            provenances: vec![provenance],
-            ..example()
-        };
+        let subject = Subject { provenances: vec![provenance], ..example() };
         let text = document(vec![subject]).text();
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };

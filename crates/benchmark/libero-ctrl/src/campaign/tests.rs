@@ -46,18 +46,10 @@ fn an_execution_model_other_than_wait_is_written_and_changes_the_version() {
     let text = serde_json::to_string(&waiting).expect("JSON");
     assert!(!text.contains("execution"), "{text}");
     let mut versions = vec![waiting.version()];
-    for model in [
-        "hold:4",
-        "overlap:4",
-        "overlap:4,rtc",
-        "overlap:3*812+4*188",
-    ] {
+    for model in ["hold:4", "overlap:4", "overlap:4,rtc", "overlap:3*812+4*188"] {
         let spec = spec(&[("execution", model.into())]).expect("a specification");
         let text = serde_json::to_string(&spec).expect("JSON");
-        assert!(
-            text.contains(&format!(r#""execution":"{model}""#)),
-            "{text}"
-        );
+        assert!(text.contains(&format!(r#""execution":"{model}""#)), "{text}");
         assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
         versions.push(spec.version());
     }
@@ -101,10 +93,7 @@ fn a_manifest_replaces_a_design() {
 
     json["configs"] = serde_json::json!([0]);
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(
-        error.to_string().contains("`configs` and `manifest`"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("`configs` and `manifest`"), "{error}");
 }
 
 #[test]
@@ -139,19 +128,12 @@ fn a_campaign_has_the_execution_model_of_its_manifest() {
     for part in ["`execution` is hold:2", "`overlap:4`", "remove `execution`"] {
         assert!(error.to_string().contains(part), "{error}");
     }
-    let without_model: Vec<ManifestRow> = rows
-        .iter()
-        .map(|row| row.clone().under(&Execution::Wait))
-        .collect();
+    let without_model: Vec<ManifestRow> =
+        rows.iter().map(|row| row.clone().under(&Execution::Wait)).collect();
     let given = imported(&without_model, Some("overlap:4")).expect("a specification");
     assert_eq!(given.expand().expect("rows"), rows);
     assert_eq!(given.version(), read.version());
-    assert_ne!(
-        imported(&without_model, None)
-            .expect("a specification")
-            .version(),
-        read.version()
-    );
+    assert_ne!(imported(&without_model, None).expect("a specification").version(), read.version());
 
     let mixed = [rows[0].clone(), without_model[1].clone()];
     let error = imported(&mixed, None).expect_err("two models");
@@ -167,10 +149,7 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
     let late = [("axes", axes), ("levels", levels)];
     let late = spec(&late).expect("a specification");
     let text = serde_json::to_string(&late).expect("JSON");
-    assert!(
-        text.contains(r#""axes":["camera","robot","latency"]"#),
-        "{text}"
-    );
+    assert!(text.contains(r#""axes":["camera","robot","latency"]"#), "{text}");
     assert_eq!(CampaignSpec::from_json(&text), Ok(late.clone()));
     let rows = late.expand().expect("rows");
     let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
@@ -193,9 +172,7 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
         assert_eq!(camera.expect("a row").init_id, row.init_id);
         assert_eq!(row_of(row.id).expect("a row"), **row);
     }
-    let combined = others
-        .iter()
-        .find(|row| row.id.condition() == Condition::Combination);
+    let combined = others.iter().find(|row| row.id.condition() == Condition::Combination);
     let camera_and_robot = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
     assert_eq!(combined.expect("a row").axes(), camera_and_robot);
     let other_rows: Vec<ManifestRow> = others.into_iter().cloned().collect();
@@ -214,41 +191,24 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
     let wrong = text.replace(r#""execution":"overlap:4""#, r#""execution":"overlap:2""#);
     let error = manifest::parse(&wrong).expect_err("a delay that differs from its level's");
-    assert!(
-        error.to_string().contains("its level: overlap:4"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("its level: overlap:4"), "{error}");
 }
 
 #[test]
 fn delays_of_fractional_steps_or_with_another_execution_model_are_refused() {
     let refused = |axes: serde_json::Value, levels: serde_json::Value, model: &str| {
-        let changes = [
-            ("axes", axes),
-            ("levels", levels),
-            ("execution", model.into()),
-        ];
+        let changes = [("axes", axes), ("levels", levels), ("execution", model.into())];
         spec(&changes).expect_err("refused").to_string()
     };
     let latency = serde_json::json!(["latency"]);
     let error = refused(latency.clone(), serde_json::json!(["r3"]), "wait");
-    assert!(
-        error.contains("half the radius in control steps"),
-        "{error}"
-    );
+    assert!(error.contains("half the radius in control steps"), "{error}");
     let error = refused(latency, serde_json::json!(["L1"]), "hold:2");
-    assert!(
-        error.contains("axis `latency` with `execution` hold:2"),
-        "{error}"
-    );
+    assert!(error.contains("axis `latency` with `execution` hold:2"), "{error}");
     for id in ["goal/t0/latency/L0/c00", "goal/t0/latency/r3/c00"] {
         assert!(row_of(id.parse().expect("an id")).is_err(), "{id}");
     }
-    assert!(
-        "goal/t0/camera+latency/L1/c00"
-            .parse::<RolloutId>()
-            .is_err()
-    );
+    assert!("goal/t0/camera+latency/L1/c00".parse::<RolloutId>().is_err());
 }
 
 #[test]
@@ -269,10 +229,7 @@ fn an_explanation_replaces_a_design_and_starts_without_rows() {
     assert!(error.to_string().contains("write matched"), "{error}");
     json["levels"] = serde_json::json!(["L2"]);
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(
-        error.to_string().contains("`levels` and `explains`"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("`levels` and `explains`"), "{error}");
 }
 
 #[test]
@@ -288,10 +245,7 @@ fn thresholds_replace_a_design_and_have_defaults() {
     assert!(spec.version().as_str().starts_with("thresholds-"));
     let text = serde_json::to_string(&spec).expect("JSON");
     assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
-    assert!(
-        text.contains(r#""tolerance":0.5,"max_radius":16.0"#),
-        "{text}"
-    );
+    assert!(text.contains(r#""tolerance":0.5,"max_radius":16.0"#), "{text}");
 
     let check = |field: &str, value: f64, expected: &str| {
         let mut json = json.clone();
@@ -303,10 +257,7 @@ fn thresholds_replace_a_design_and_have_defaults() {
     check("max_radius", 101.0, "is 101, valid are 2 to 100");
     json["explains"] = serde_json::json!({"campaign": "first"});
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(
-        error.to_string().contains("`thresholds` and `explains`"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("`thresholds` and `explains`"), "{error}");
 }
 
 #[test]
@@ -322,10 +273,7 @@ fn imported_rows_are_checked_like_those_of_a_file() {
     };
     let rows = Design::v0_1().expand().expect("rows");
     check(&[], "the manifest has no rows");
-    check(
-        &[rows[0].clone(), rows[0].clone()],
-        "line 2: spatial/t0/clean/i43 is already",
-    );
+    check(&[rows[0].clone(), rows[0].clone()], "line 2: spatial/t0/clean/i43 is already");
     // The row of camera L1 with the parameters of camera L2.
     let mut too_strong = rows[1].clone();
     too_strong.perturbation = rows[8].perturbation;
@@ -339,62 +287,22 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
         assert!(error.contains(expected), "{error}");
     };
     let json = |text: &str| serde_json::from_str(text).expect("JSON");
-    check(
-        "tasks",
-        json(r#"["libero_goat"]"#),
-        "suite `libero_goat`: valid are libero_spatial",
-    );
-    check(
-        "tasks",
-        json(r#"["libero_goal/10"]"#),
-        "libero_goal/0 to libero_goal/9",
-    );
+    check("tasks", json(r#"["libero_goat"]"#), "suite `libero_goat`: valid are libero_spatial");
+    check("tasks", json(r#"["libero_goal/10"]"#), "libero_goal/0 to libero_goal/9");
     check("tasks", json("[]"), "`tasks` is empty");
-    check(
-        "axes",
-        json(r#"["camrea"]"#),
-        "axis `camrea`: valid are camera",
-    );
+    check("axes", json(r#"["camrea"]"#), "axis `camrea`: valid are camera");
     check("axes", json("[]"), "go together");
-    check(
-        "levels",
-        json(r#"["L4"]"#),
-        "level `L4`: valid are L0, L1, L2, L3",
-    );
+    check("levels", json(r#"["L4"]"#), "level `L4`: valid are L0, L1, L2, L3");
     check("placebo_radius", json("0.05"), "add L0 to `levels`");
-    check(
-        "placebo_radius",
-        json("0"),
-        "`placebo_radius` is 0, valid are",
-    );
-    check(
-        "directions",
-        json(r#""mine""#),
-        "`mine` is not valid; write",
-    );
+    check("placebo_radius", json("0"), "`placebo_radius` is 0, valid are");
+    check("directions", json(r#""mine""#), "`mine` is not valid; write");
     check("levels", json("null"), "the field `levels` is missing");
-    check(
-        "configs",
-        json("[1000]"),
-        "`configs` has 1000, valid are 0 to 999",
-    );
+    check("configs", json("[1000]"), "`configs` has 1000, valid are 0 to 999");
     check("nominal", json(r#""some""#), "`some` is not valid; write");
-    check(
-        "replicates",
-        json("0"),
-        "`replicates` has 0, valid are 1 to 100",
-    );
+    check("replicates", json("0"), "`replicates` has 0, valid are 1 to 100");
     check("colour", json("1"), "there is no field `colour`");
-    check(
-        "policy",
-        json(r#"{"name": "p", "endpoint": "here"}"#),
-        "is `here`",
-    );
-    check(
-        "realisation",
-        json(r#""matchd""#),
-        "valid are matched, reference",
-    );
+    check("policy", json(r#"{"name": "p", "endpoint": "here"}"#), "is `here`");
+    check("realisation", json(r#""matchd""#), "valid are matched, reference");
 }
 
 #[test]
@@ -425,11 +333,7 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     let mut other = file.clone();
     other["waits"] = 2000.into();
     for (field, value, expected) in [
-        (
-            "tasks",
-            serde_json::json!(["all"]),
-            "`tasks` and `suite_file` both define the rollouts",
-        ),
+        ("tasks", serde_json::json!(["all"]), "`tasks` and `suite_file` both define the rollouts"),
         (
             "replicates",
             2.into(),
@@ -442,13 +346,7 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     }
     let rows = read.expand().expect("rows");
     let error = imported(&rows, None).expect_err("rows of a suite file");
-    assert!(
-        error.to_string().contains("`suite_file`: remove the row"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("`suite_file`: remove the row"), "{error}");
     let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
-    assert!(
-        error.to_string().contains("`worker variants --suite-file`"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("`worker variants --suite-file`"), "{error}");
 }

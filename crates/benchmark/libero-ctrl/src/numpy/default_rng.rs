@@ -22,10 +22,7 @@ impl DefaultRng {
     pub fn seed(seed: impl Into<u128>) -> Self {
         let [state_high, state_low, stream_high, stream_low] = seed_words(seed.into());
         let initial_state = join(state_high, state_low);
-        let mut rng = Self {
-            state: 0,
-            increment: (join(stream_high, stream_low) << 1) | 1,
-        };
+        let mut rng = Self { state: 0, increment: (join(stream_high, stream_low) << 1) | 1 };
         rng.step();
         rng.state = rng.state.wrapping_add(initial_state);
         rng.step();
@@ -59,10 +56,7 @@ impl DefaultRng {
     }
 
     fn step(&mut self) {
-        self.state = self
-            .state
-            .wrapping_mul(PCG_MULTIPLIER)
-            .wrapping_add(self.increment);
+        self.state = self.state.wrapping_mul(PCG_MULTIPLIER).wrapping_add(self.increment);
     }
 }
 
@@ -89,10 +83,7 @@ impl WordHash {
 /// `SeedSequence(seed).generate_state(4, uint64)`.
 fn seed_words(seed: u128) -> [u64; 4] {
     let pool = entropy_pool(seed);
-    let mut output = WordHash {
-        constant: 0x8b51_f9dd,
-        multiplier: 0x58f3_8ded,
-    };
+    let mut output = WordHash { constant: 0x8b51_f9dd, multiplier: 0x58f3_8ded };
     let mut next = |i: usize| u64::from(output.digest(pool[i % POOL_WORDS]));
     std::array::from_fn(|i| next(2 * i) | next(2 * i + 1) << 32)
 }
@@ -100,10 +91,7 @@ fn seed_words(seed: u128) -> [u64; 4] {
 /// Mixes the seed's 32-bit words into a pool of four words, which a seed of up to 128 bits
 /// does not overflow.
 fn entropy_pool(seed: u128) -> [u32; POOL_WORDS] {
-    let mut input = WordHash {
-        constant: 0x43b0_d7e5,
-        multiplier: 0x931e_8875,
-    };
+    let mut input = WordHash { constant: 0x43b0_d7e5, multiplier: 0x931e_8875 };
     let mut pool: [u32; POOL_WORDS] =
         std::array::from_fn(|i| input.digest((seed >> (32 * i)) as u32));
     for source in 0..POOL_WORDS {
@@ -118,9 +106,7 @@ fn entropy_pool(seed: u128) -> [u32; POOL_WORDS] {
 }
 
 fn mix(x: u32, y: u32) -> u32 {
-    let mixed = x
-        .wrapping_mul(0xca01_f9dd)
-        .wrapping_sub(y.wrapping_mul(0x4973_f715));
+    let mixed = x.wrapping_mul(0xca01_f9dd).wrapping_sub(y.wrapping_mul(0x4973_f715));
     mixed ^ (mixed >> 16)
 }
 

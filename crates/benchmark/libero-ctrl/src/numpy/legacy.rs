@@ -44,16 +44,10 @@ impl LegacyRng {
         words[0] = seed;
         for i in 1..STATE_WORDS {
             let previous = words[i - 1];
-            words[i] = 1_812_433_253_u32
-                .wrapping_mul(previous ^ (previous >> 30))
-                .wrapping_add(i as u32);
+            words[i] =
+                1_812_433_253_u32.wrapping_mul(previous ^ (previous >> 30)).wrapping_add(i as u32);
         }
-        Self(LegacyState {
-            words,
-            position: STATE_WORDS,
-            has_gauss: false,
-            gauss: 0.0,
-        })
+        Self(LegacyState { words, position: STATE_WORDS, has_gauss: false, gauss: 0.0 })
     }
 
     /// `random_sample()`: uniform in [0, 1), from two 32-bit words.
@@ -169,10 +163,7 @@ mod tests {
         assert_eq!(rng.randint(1), 0);
         assert_eq!(rng.uniform(0.4, -0.2), -0.17684886975590175);
         let samples: Vec<f64> = (0..3).map(|_| rng.random_sample()).collect();
-        assert_eq!(
-            samples,
-            [0.6148108535945562, 0.347154277697442, 0.2973511671059116]
-        );
+        assert_eq!(samples, [0.6148108535945562, 0.347154277697442, 0.2973511671059116]);
     }
 
     #[test]
@@ -237,9 +228,6 @@ mod tests {
         let mut rng = LegacyRng::from_state(synthetic_state(624, true, -0.5)).unwrap();
         assert_eq!(rng.randn(), -0.5);
         assert_eq!(*rng.state(), synthetic_state(624, false, 0.0));
-        assert_eq!(
-            LegacyRng::from_state(synthetic_state(625, false, 0.0)),
-            None
-        );
+        assert_eq!(LegacyRng::from_state(synthetic_state(625, false, 0.0)), None);
     }
 }

@@ -11,11 +11,7 @@ pub(super) struct Renderer<'r> {
 
 impl<'r> Renderer<'r> {
     pub(super) fn new(rules: &'r Rules, task: &'r Task, variant: usize) -> Self {
-        Self {
-            rules,
-            task,
-            variant,
-        }
+        Self { rules, task, variant }
     }
 
     /// Renders a template. Verbs without a fixed form take `form`.
@@ -45,18 +41,11 @@ impl<'r> Renderer<'r> {
     fn name(&self, name: &str, form: Form) -> String {
         let Self { rules, task, .. } = self;
         let construction = &rules.constructions[&task.construction];
-        let slots = [
-            &task.slots,
-            &construction.defaults,
-            &rules.numbers[&task.number],
-        ];
+        let slots = [&task.slots, &construction.defaults, &rules.numbers[&task.number]];
         if let Some(slot) = slots.into_iter().find_map(|slots| slots.get(name)) {
             return self.render(slot, form);
         }
-        let words = rules
-            .words
-            .get(name)
-            .unwrap_or_else(|| panic!("no slot and no word `{name}`"));
+        let words = rules.words.get(name).unwrap_or_else(|| panic!("no slot and no word `{name}`"));
         words.entry(self.variant).to_owned()
     }
 
@@ -76,11 +65,8 @@ impl<'r> Renderer<'r> {
             Some(slot) => self.name(slot, form),
             None => object.to_owned(),
         };
-        let verbs = self
-            .rules
-            .verbs
-            .get(name)
-            .unwrap_or_else(|| panic!("no verb `{name}` in <{mark}>"));
+        let verbs =
+            self.rules.verbs.get(name).unwrap_or_else(|| panic!("no verb `{name}` in <{mark}>"));
         let forms = verbs.entry(self.variant);
         let verb = forms
             .split('/')
@@ -106,7 +92,6 @@ impl<'r> Renderer<'r> {
         let name = names
             .filter_map(|name| Some((name.as_str(), mark.strip_prefix(name.as_str())?)))
             .filter(|(_, rest)| rest.is_empty() || rest.starts_with([' ', '+']));
-        name.max_by_key(|(name, _)| name.len())
-            .unwrap_or((mark, ""))
+        name.max_by_key(|(name, _)| name.len()).unwrap_or((mark, ""))
     }
 }

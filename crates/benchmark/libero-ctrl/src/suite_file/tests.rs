@@ -40,18 +40,12 @@ fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
         .iter()
         .step_by(2)
         .map(|row| (row.instruction.as_str(), row.settle_steps, row.max_steps));
-    let expected = [
-        ("close the drawer", 10, 300),
-        ("open the drawer", 10, 300),
-        ("push it", 10, 500),
-    ];
+    let expected =
+        [("close the drawer", 10, 300), ("open the drawer", 10, 300), ("push it", 10, 500)];
     assert_eq!(instructions_and_steps.collect::<Vec<_>>(), expected);
     for row in rows {
         let text = serde_json::to_string(&row).expect("JSON");
-        assert_eq!(
-            serde_json::from_str::<ManifestRow>(&text).expect(&text),
-            row
-        );
+        assert_eq!(serde_json::from_str::<ManifestRow>(&text).expect(&text), row);
         let outside = text.replace("suites/drawers", "../drawers");
         let error = serde_json::from_str::<ManifestRow>(&outside).expect_err(&outside);
         assert!(error.to_string().contains("without . and .."), "{error}");
@@ -90,59 +84,23 @@ fn malformed_files_are_refused_with_the_field_and_the_remedy() {
     check(r#""seed": 7"#, r#""seeds": 7"#, "no field `seeds`");
     check(r#""seed": 7"#, r#""seed": "#, "docs/FAMILY.md");
     check("initial-state", "middle", "`initial-state`");
-    check(
-        r#""drawers""#,
-        r#""Drawers""#,
-        "`name` is `Drawers`: write 1 to 31",
-    );
+    check(r#""drawers""#, r#""Drawers""#, "`name` is `Drawers`: write 1 to 31");
     check(r#""near""#, r#""unperturbed""#, "`suites[0].name`");
-    check(
-        r#""far""#,
-        r#""near""#,
-        "`suites[1].name` is `near`: another suite",
-    );
+    check(r#""far""#, r#""near""#, "`suites[1].name` is `near`: another suite");
     check("bddl/*.bddl", "/bddl/*.bddl", "`suites[0].bddl`");
     check("states/*.", "../*.", "without . and ..");
     check("states/*.", "states/one.", "write * in place");
-    check(
-        "open_it",
-        "a/b",
-        "`suites[0].tasks[1].name` is `a/b`: write the name",
-    );
-    check(
-        "open the drawer",
-        " ",
-        "`suites[0].tasks[1].prompt` is empty",
-    );
+    check("open_it", "a/b", "`suites[0].tasks[1].name` is `a/b`: write the name");
+    check("open the drawer", " ", "`suites[0].tasks[1].prompt` is empty");
     check("0, 350]", "0, 360]", "`suites[0].tasks[1].view`");
     check("-2.4, 0", "-24, 0", "`suites[0].tasks[1].posture`");
     check("-2.4, 0", "-2.4", "a task is its name, or a table");
     check(r#""noise": 30"#, r#""noise": 51"#, "write 1 to 50");
     check(r#""noise": 30"#, r#""sha256": "ab""#, "sha256sum");
-    check(
-        r#""trials": 2"#,
-        r#""trials": 51"#,
-        "`trials` is 51: write 1 to 50",
-    );
-    check(
-        r#""budget": 500"#,
-        r#""budget": 0"#,
-        "`suites[1].budget` is 0",
-    );
-    check(
-        "open the drawer",
-        r"open\nit",
-        "at most 4096 bytes on one line",
-    );
-    check(
-        r#""push_it""#,
-        r#""push_it", "push_it""#,
-        "would count twice",
-    );
+    check(r#""trials": 2"#, r#""trials": 51"#, "`trials` is 51: write 1 to 50");
+    check(r#""budget": 500"#, r#""budget": 0"#, "`suites[1].budget` is 0");
+    check("open the drawer", r"open\nit", "at most 4096 bytes on one line");
+    check(r#""push_it""#, r#""push_it", "push_it""#, "would count twice");
     let many = vec![r#""push_it""#; 255].join(",");
-    check(
-        r#""push_it""#,
-        &many,
-        "`suites` is 257 tasks: write 1 to 256",
-    );
+    check(r#""push_it""#, &many, "`suites` is 257 tasks: write 1 to 256");
 }

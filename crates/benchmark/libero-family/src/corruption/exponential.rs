@@ -43,9 +43,9 @@ pub(super) fn exp(x: f64) -> f64 {
     let reduced = Double(x / f64::from(1 << HALVINGS), 0.0);
     // 1 + x (1 + x/2 (1 + x/3 (…)))
     let one = Double(1.0, 0.0);
-    let series = (1..=TERMS).rev().fold(one, |sum, term| {
-        reduced.times(sum).over(f64::from(term)).plus_one()
-    });
+    let series = (1..=TERMS)
+        .rev()
+        .fold(one, |sum, term| reduced.times(sum).over(f64::from(term)).plus_one());
     let result = (0..HALVINGS).fold(series, |power, _| power.times(power));
     result.0 + result.1
 }

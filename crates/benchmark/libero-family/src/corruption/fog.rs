@@ -79,11 +79,7 @@ fn plasma(decay: f64, rng: &mut LegacyRng) -> Vec<f64> {
         for (row, column) in squares() {
             let centres = map[centre(row, column)] + map[centre(row, column + count - 1)];
             let corners = map[corner(row, column)] + map[corner(row + 1, column)];
-            fill(
-                &mut map,
-                corner(row, column) + half * SIDE,
-                centres + corners,
-            );
+            fill(&mut map, corner(row, column) + half * SIDE, centres + corners);
         }
         step /= 2;
         range /= decay;

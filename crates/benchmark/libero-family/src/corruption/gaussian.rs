@@ -11,12 +11,7 @@ const TRUNCATE: f64 = 4.0;
 
 /// Corrupts a picture.
 pub(super) fn blur_picture(picture: &mut Picture<'_>, severity: usize) {
-    let blurred = blur(
-        unit(picture),
-        picture.height,
-        picture.width,
-        SIGMAS[severity],
-    );
+    let blurred = blur(unit(picture), picture.height, picture.width, SIGMAS[severity]);
     for (byte, value) in picture.rgb.iter_mut().zip(blurred) {
         *byte = truncated(value.clamp(0.0, 1.0) * 255.0);
     }
@@ -66,9 +61,8 @@ fn filter_lines(
 fn weights(sigma: f64) -> Vec<f64> {
     let radius = (TRUNCATE * sigma + 0.5) as i32;
     let factor = -0.5 / (sigma * sigma);
-    let bell: Vec<f64> = (-radius..=radius)
-        .map(|offset| exp(factor * f64::from(offset * offset)))
-        .collect();
+    let bell: Vec<f64> =
+        (-radius..=radius).map(|offset| exp(factor * f64::from(offset * offset))).collect();
     let sum = pairwise_sum(&bell);
     let half = bell[radius as usize..].iter();
     half.map(|weight| weight / sum).collect()

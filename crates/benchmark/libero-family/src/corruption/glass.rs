@@ -31,9 +31,7 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     }
     displace(height, width, reach, rounds, rng, |from, to| {
         let from = from * CHANNELS;
-        picture
-            .rgb
-            .copy_within(from..from + CHANNELS, to * CHANNELS);
+        picture.rgb.copy_within(from..from + CHANNELS, to * CHANNELS);
     });
     let blurred = gaussian::blur(unit(picture), height, width, sigma);
     for (byte, value) in picture.rgb.iter_mut().zip(blurred) {

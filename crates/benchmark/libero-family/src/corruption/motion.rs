@@ -86,7 +86,5 @@ fn offsets(length: usize, angle: f64) -> Vec<(isize, isize)> {
     let (across, along) = (length as f64 * sin, length as f64 * cos);
     let hypotenuse = libm::hypot(across, along);
     let step = |index: usize, part: f64| (index as f64 * part / hypotenuse - 0.5).ceil() as isize;
-    (0..length)
-        .map(|index| (step(index, along), step(index, across)))
-        .collect()
+    (0..length).map(|index| (step(index, along), step(index, across))).collect()
 }

@@ -22,9 +22,7 @@ const SEVERITIES: [(f64, f64); 10] = [
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize) {
     let side = picture.height;
     let bytes = picture.rgb.iter();
-    let values: Vec<f32> = bytes
-        .map(|byte| (f64::from(*byte) / 255.0) as f32)
-        .collect();
+    let values: Vec<f32> = bytes.map(|byte| (f64::from(*byte) / 255.0) as f32).collect();
     let factors = factors(severity);
     let mut sum = vec![0.0_f32; values.len()];
     for factor in &factors {
@@ -41,9 +39,7 @@ fn factors(severity: usize) -> Vec<f64> {
     let (end, step) = SEVERITIES[severity];
     let count = ((end - 1.0) / step).ceil() as u32;
     let delta = (1.0 + step) - 1.0;
-    (0..count)
-        .map(|index| 1.0 + f64::from(index) * delta)
-        .collect()
+    (0..count).map(|index| 1.0 + f64::from(index) * delta).collect()
 }
 
 /// Adds the magnified centre of a picture to `sum`.

@@ -53,21 +53,10 @@ mod tests {
     /// Expected values computed by hand: distances 0.25 and 0.75 at α = 0.5.
     #[test]
     fn a_success_is_weighted_by_the_distance_of_its_sentence() {
-        let near = Paraphrased {
-            success: true,
-            keywords: 1.0,
-            structure: 0.5,
-        };
-        let far = Paraphrased {
-            success: false,
-            keywords: 0.5,
-            structure: 0.0,
-        };
+        let near = Paraphrased { success: true, keywords: 1.0, structure: 0.5 };
+        let far = Paraphrased { success: false, keywords: 0.5, structure: 0.0 };
         assert_eq!(pride(&[near, far], 0.5), Some(25.0));
-        let far_success = Paraphrased {
-            success: true,
-            ..far
-        };
+        let far_success = Paraphrased { success: true, ..far };
         assert_eq!(pride(&[near, far_success], 0.5), Some(100.0));
         // Content words alone: distances 0 and 0.5.
         assert_eq!(pride(&[near, far], 1.0), Some(0.0));

@@ -40,10 +40,7 @@ impl BddlPath {
                 corruption: None,
             });
         }
-        let invalid = |problem| InvalidBddlPath {
-            path: path.to_owned(),
-            problem,
-        };
+        let invalid = |problem| InvalidBddlPath { path: path.to_owned(), problem };
         let (stem, changes) = parts(path, VIEW).ok_or_else(|| invalid(Problem::Repeated))?;
         if !changes.contains(ROBOT) {
             return Err(invalid(Problem::Order));
@@ -150,10 +147,7 @@ mod tests {
         assert_eq!(all.robot, Some(19));
         assert_eq!(all.corruption, Corruption::new(50));
         let none = BddlPath::parse("a_initstate_b/c.bddl").expect("valid");
-        assert_eq!(
-            (none.file.as_str(), none.robot),
-            ("a_initstate_b/c.bddl", None)
-        );
+        assert_eq!((none.file.as_str(), none.robot), ("a_initstate_b/c.bddl", None));
         assert!(none.view.is_nominal());
     }
 
@@ -162,10 +156,7 @@ mod tests {
         for (path, words) in [
             ("a_view_b/c_view_0_0_100_0_0_initstate_0.bddl", "twice"),
             ("c_view_0_0_100_0_0_initstate_0_initstate_1.bddl", "twice"),
-            (
-                "c_initstate_0_view_0_0_100_0_0.bddl",
-                "_initstate_ occurs before _view_",
-            ),
+            ("c_initstate_0_view_0_0_100_0_0.bddl", "_initstate_ occurs before _view_"),
             ("c_view_0_0_100_0_initstate_0.bddl", "its view"),
             ("c_view_0_0_0_0_0_initstate_0.bddl", "its view"),
             ("c_view_0_0_100_0_0_initstate_501.bddl", "0 to 500"),

@@ -33,13 +33,7 @@ pub struct View {
 
 impl View {
     /// LIBERO's view, except for rounding.
-    pub const NOMINAL: Self = Self {
-        horizontal: 0,
-        vertical: 0,
-        scale: 100,
-        pan: 0,
-        tilt: 0,
-    };
+    pub const NOMINAL: Self = Self { horizontal: 0, vertical: 0, scale: 100, pan: 0, tilt: 0 };
 
     /// Returns true if the view is LIBERO's, except for rounding.
     pub fn is_nominal(&self) -> bool {
@@ -89,13 +83,7 @@ impl View {
 
 impl fmt::Display for View {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            horizontal,
-            vertical,
-            scale,
-            pan,
-            tilt,
-        } = self;
+        let Self { horizontal, vertical, scale, pan, tilt } = self;
         write!(f, "{horizontal}_{vertical}_{scale}_{pan}_{tilt}")
     }
 }
@@ -109,11 +97,7 @@ impl CameraPose {
         let [x, y, z] = self.pos;
         let height = z - PIVOT_HEIGHT;
         Self {
-            pos: [
-                x * cos + height * sin,
-                y,
-                -x * sin + height * cos + PIVOT_HEIGHT,
-            ],
+            pos: [x * cos + height * sin, y, -x * sin + height * cos + PIVOT_HEIGHT],
             quat: rotate(-degrees, 2, self.quat),
         }
     }
@@ -122,18 +106,12 @@ impl CameraPose {
     fn swing_around(self, degrees: f64) -> Self {
         let (sin, cos) = libm::sincos(degrees.to_radians());
         let [x, y, z] = self.pos;
-        Self {
-            pos: [x * cos - y * sin, x * sin + y * cos, z],
-            quat: rotate(degrees, 3, self.quat),
-        }
+        Self { pos: [x * cos - y * sin, x * sin + y * cos, z], quat: rotate(degrees, 3, self.quat) }
     }
 
     /// Rounds the pose to four decimals, like Python.
     fn rounded(self) -> Self {
-        Self {
-            pos: self.pos.map(round4),
-            quat: self.quat.map(round4),
-        }
+        Self { pos: self.pos.map(round4), quat: self.quat.map(round4) }
     }
 }
 

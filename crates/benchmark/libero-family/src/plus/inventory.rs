@@ -38,10 +38,7 @@ impl Entry {
     /// Returns true if the floor and wall textures that the variant uses in place of its parent's
     /// are LIBERO's own.
     pub fn uses_liberos_styles(&self) -> bool {
-        let styles = self
-            .class
-            .iter()
-            .flat_map(|class| [&class.floor, &class.wall]);
+        let styles = self.class.iter().flat_map(|class| [&class.floor, &class.wall]);
         styles.flatten().all(|style| style.is_liberos)
     }
 
@@ -151,10 +148,7 @@ fn parse_entry([suite, task, kind]: [Option<&str>; 3], field: &str) -> Option<En
         "add" => Change::Added(number(name)?),
         "level" => {
             let (level, sample) = name.split_once('_')?;
-            Change::Level {
-                level: number(level)?,
-                sample: number(sample)?,
-            }
+            Change::Level { level: number(level)?, sample: number(sample)? }
         }
         _ => return None,
     };
@@ -204,10 +198,7 @@ mod tests {
         for entry in inventory() {
             let Some(class) = &entry.class else { continue };
             if let Some(scene) = class.scene.as_deref().filter(|_| class.wall.is_none()) {
-                let stem = scene
-                    .rsplit('/')
-                    .next()
-                    .and_then(|file| file.strip_suffix(".xml"));
+                let stem = scene.rsplit('/').next().and_then(|file| file.strip_suffix(".xml"));
                 let name = format!("{}_{}", class.parent, stem.expect("a scene"));
                 let found = problem_class(&name.to_lowercase()).expect("a class");
                 assert_eq!(found.scene.as_deref(), Some(scene));
@@ -220,9 +211,7 @@ mod tests {
     #[test]
     fn a_scene_with_a_wall_of_the_archive_needs_its_texture() {
         let has_scenes = |file: &str| file.starts_with("scenes/");
-        let all = inventory()
-            .iter()
-            .filter(|entry| entry.assets() == Assets::Scenes);
+        let all = inventory().iter().filter(|entry| entry.assets() == Assets::Scenes);
         let (composable, lacking): (Vec<&Entry>, Vec<&Entry>) =
             all.partition(|entry| entry.is_composable(has_scenes));
         // The wall `cream` is the only one that is not LIBERO's.

@@ -21,13 +21,8 @@ pub enum Assets {
 
 impl Assets {
     /// All kinds of files.
-    pub const ALL: [Self; 5] = [
-        Self::Libero,
-        Self::NewObjects,
-        Self::Lights,
-        Self::FloorTextures,
-        Self::Scenes,
-    ];
+    pub const ALL: [Self; 5] =
+        [Self::Libero, Self::NewObjects, Self::Lights, Self::FloorTextures, Self::Scenes];
 
     /// Returns a description for counts and error messages.
     pub const fn words(self) -> &'static str {
@@ -88,10 +83,7 @@ const FLOORS: [(&str, &str); 25] = [
     ("wood_plank", "seamless_wood_planks_floor.png"),
     ("brown_ceramic", "brown_ceramic_tile.png"),
     ("gray_ceramic", "gray_ceramic_tile.png"),
-    (
-        "tile_grigia_caldera",
-        "tile_grigia_caldera_porcelain_floor.png",
-    ),
+    ("tile_grigia_caldera", "tile_grigia_caldera_porcelain_floor.png"),
     ("dapper_gray", "dapper_gray_floor.png"),
     ("gray", "gray_floor.png"),
     ("light", "light_floor.png"),
@@ -163,9 +155,7 @@ impl ProblemClass {
             .ok_or_else(unknown)?;
         let Some(rest) = name[parent.len()..].strip_prefix('_') else {
             let is_parent = lower.len() == parent.len();
-            return is_parent
-                .then(|| Self::from_parent(parent))
-                .ok_or_else(unknown);
+            return is_parent.then(|| Self::from_parent(parent)).ok_or_else(unknown);
         };
         let class = match prefix {
             "floor" if !rest.starts_with("floor_light") => parse_floor(rest),
@@ -176,12 +166,7 @@ impl ProblemClass {
     }
 
     fn from_parent(parent: &'static str) -> Self {
-        Self {
-            parent,
-            scene: None,
-            floor: None,
-            wall: None,
-        }
+        Self { parent, scene: None, floor: None, wall: None }
     }
 
     /// Returns the files that the class needs.
@@ -248,22 +233,15 @@ fn parse_scene(prefix: &str, rest: &str) -> Option<ProblemClass> {
 fn style(name: &str, known: &[(&str, &str)], liberos: usize) -> Style {
     let key = name.to_lowercase();
     match known.iter().position(|(style, _)| *style == key) {
-        Some(index) => Style {
-            file: known[index].1.to_owned(),
-            is_liberos: index < liberos,
-        },
-        None => Style {
-            file: format!("{name}.png"),
-            is_liberos: false,
-        },
+        Some(index) => Style { file: known[index].1.to_owned(), is_liberos: index < liberos },
+        None => Style { file: format!("{name}.png"), is_liberos: false },
     }
 }
 
 /// Strips an ASCII prefix, ignoring case.
 fn strip<'a>(text: &'a str, prefix: &str) -> Option<&'a str> {
     let head = text.get(..prefix.len())?;
-    head.eq_ignore_ascii_case(prefix)
-        .then(|| &text[prefix.len()..])
+    head.eq_ignore_ascii_case(prefix).then(|| &text[prefix.len()..])
 }
 
 /// Returns the index of an ASCII part, ignoring case.

@@ -71,13 +71,10 @@ impl FromStr for Prompt {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        Self::ALL
-            .into_iter()
-            .find(|prompt| prompt.name() == text)
-            .ok_or_else(|| UnknownName {
-                kind: "prompt",
-                given: text.to_owned(),
-                valid: Self::ALL.map(Self::name).join(", "),
-            })
+        Self::ALL.into_iter().find(|prompt| prompt.name() == text).ok_or_else(|| UnknownName {
+            kind: "prompt",
+            given: text.to_owned(),
+            valid: Self::ALL.map(Self::name).join(", "),
+        })
     }
 }

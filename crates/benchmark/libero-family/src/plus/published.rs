@@ -44,31 +44,18 @@ mod tests {
 
     /// The published totals, per cent. The total of UniVLA is 43.9 in the source, which its own
     /// seven figures contradict.
-    const TOTALS: [f64; 11] = [
-        15.6, 69.6, 55.8, 39.0, 25.0, 42.9, 53.6, 61.6, 68.4, 67.9, 79.6,
-    ];
+    const TOTALS: [f64; 11] = [15.6, 69.6, 55.8, 39.0, 25.0, 42.9, 53.6, 61.6, 68.4, 67.9, 79.6];
 
     #[test]
     fn the_dimensions_of_each_policy_give_its_published_total() {
-        let count = |wanted| {
-            inventory()
-                .iter()
-                .filter(|entry| entry.dimension() == wanted)
-                .count()
-        };
+        let count = |wanted| inventory().iter().filter(|entry| entry.dimension() == wanted).count();
         let counts = Dimension::ALL.map(count);
         let all: usize = counts.iter().sum();
         for (published, expected) in PUBLISHED.iter().zip(TOTALS) {
             let successes = published.percent.iter().zip(counts);
-            let successes: f64 = successes
-                .map(|(percent, count)| percent * count as f64)
-                .sum();
+            let successes: f64 = successes.map(|(percent, count)| percent * count as f64).sum();
             let total = successes / all as f64;
-            assert!(
-                (total - expected).abs() < 0.1,
-                "{}: {total}",
-                published.policy
-            );
+            assert!((total - expected).abs() < 0.1, "{}: {total}", published.policy);
         }
     }
 }

@@ -16,15 +16,8 @@ const SEED: u32 = 42;
 /// further hundred.
 const RADIUS_STEP: f64 = 0.1;
 /// LIBERO's posture at a reset, rad.
-const HOME: [f64; JOINTS] = [
-    0.0,
-    -0.161_037_389,
-    0.0,
-    -2.444_597_47,
-    0.0,
-    2.226_752_2,
-    std::f64::consts::FRAC_PI_4,
-];
+const HOME: [f64; JOINTS] =
+    [0.0, -0.161_037_389, 0.0, -2.444_597_47, 0.0, 2.226_752_2, std::f64::consts::FRAC_PI_4];
 
 /// Returns the joint angles at the reset of robot `number`, 1 to 500, rad; `None` for other
 /// numbers.
@@ -32,9 +25,7 @@ pub fn start_posture(number: u16) -> Option<[f64; JOINTS]> {
     static POSTURES: OnceLock<Vec<[f64; JOINTS]>> = OnceLock::new();
     let postures = POSTURES.get_or_init(|| {
         let mut rng = LegacyRng::seed(SEED);
-        (1..=ROBOTS)
-            .map(|number| posture(number, &mut rng))
-            .collect()
+        (1..=ROBOTS).map(|number| posture(number, &mut rng)).collect()
     });
     postures.get(usize::from(number.checked_sub(1)?)).copied()
 }

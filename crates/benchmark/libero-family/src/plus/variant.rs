@@ -400,9 +400,6 @@ mod tests {
         assert_eq!(read(""), UnknownVariant::Empty);
         let task = "turn_on_the_stove";
         assert_eq!(read(task), UnknownVariant::Unchanged(task.to_owned()));
-        assert!(matches!(
-            read("turn_on_the_stove_"),
-            UnknownVariant::Suffix { .. }
-        ));
+        assert!(matches!(read("turn_on_the_stove_"), UnknownVariant::Suffix { .. }));
     }
 }

@@ -9,20 +9,11 @@ fn scene() -> KinematicScene {
     KinematicScene::new("in", &["can_1", BASKET])
         .object("can_1", [-0.1, -0.2, 0.038], [0.031, 0.031, 0.038])
         .object("basket_1", [0.0, 0.26, 0.07], [0.08, 0.085, 0.07])
-        .region(
-            BASKET,
-            "basket_1",
-            [0.0, 0.26, 0.067],
-            [0.061, 0.061, 0.069],
-        )
+        .region(BASKET, "basket_1", [0.0, 0.26, 0.067], [0.061, 0.061, 0.069])
 }
 
 fn can_into_basket() -> Transfer {
-    let place = Place {
-        relation: Relation::In,
-        target: BASKET.to_owned(),
-        slot: 0.0,
-    };
+    let place = Place { relation: Relation::In, target: BASKET.to_owned(), slot: 0.0 };
     Transfer::new("can_1".to_owned(), place)
 }
 
@@ -41,11 +32,7 @@ fn run(
             return phases;
         };
         let shown = format!("{:?}", transfer.phase);
-        let name = shown
-            .split(['(', ' '])
-            .next()
-            .unwrap_or_default()
-            .to_owned();
+        let name = shown.split(['(', ' ']).next().unwrap_or_default().to_owned();
         if phases.last() != Some(&name) {
             phases.push(name);
         }
@@ -55,16 +42,12 @@ fn run(
     panic!("the skill did not end; phases: {phases:?}");
 }
 
-const ALL_PHASES: [&str; 8] = [
-    "Approach", "Descend", "Close", "Lift", "Carry", "Lower", "Release", "Retreat",
-];
+const ALL_PHASES: [&str; 8] =
+    ["Approach", "Descend", "Close", "Lift", "Carry", "Lower", "Release", "Retreat"];
 
 fn in_basket(scene: &KinematicScene) -> bool {
     let world = scene.world();
-    can_into_basket()
-        .place
-        .holds(&world, world.entity("can_1").unwrap())
-        .unwrap()
+    can_into_basket().place.holds(&world, world.entity("can_1").unwrap()).unwrap()
 }
 
 #[test]
@@ -189,11 +172,7 @@ fn a_hand_stopped_above_its_grasp_chooses_another_grasp() {
         earlier = Some(transfer);
     }
     let (last, before) = grasps.split_last().unwrap();
-    assert!(
-        before[..before.len() - 1]
-            .iter()
-            .all(|grasp| *grasp == before[0])
-    );
+    assert!(before[..before.len() - 1].iter().all(|grasp| *grasp == before[0]));
     assert_ne!(*last, before[0]);
 }
 
@@ -202,22 +181,13 @@ fn an_object_stopped_before_its_covered_place_is_released_and_pushed_on() {
     const INSIDE: &str = "oven_1_inside";
     let mut transfer = Transfer::new(
         "mug_1".to_owned(),
-        Place {
-            relation: Relation::In,
-            target: INSIDE.to_owned(),
-            slot: 0.0,
-        },
+        Place { relation: Relation::In, target: INSIDE.to_owned(), slot: 0.0 },
     );
     let mut scene = KinematicScene::new("in", &["mug_1", INSIDE])
         .object("mug_1", [0.0, 0.0, 0.05], [0.03, 0.03, 0.05])
         .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
         .region(INSIDE, "oven_1", [0.0, 0.4, 0.1], [0.12, 0.08, 0.08])
-        .region(
-            "oven_1_top_side",
-            "oven_1",
-            [0.0, 0.4, 0.2],
-            [0.15, 0.1, 0.001],
-        );
+        .region("oven_1_top_side", "oven_1", [0.0, 0.4, 0.2], [0.15, 0.1, 0.001]);
     let distance_before_place = 0.014;
     let world = scene.world();
     let rest = transfer.place.spot(&world, world.entity("mug_1").unwrap());
@@ -234,17 +204,12 @@ fn an_object_stopped_before_its_covered_place_is_released_and_pushed_on() {
     let Phase::Release { hand, .. } = transfer.phase else {
         panic!("{transfer:?}");
     };
-    assert!(
-        (hand.pos.y - world.grip.y - distance_before_place).abs() < 1e-9,
-        "{hand:?}"
-    );
+    assert!((hand.pos.y - world.grip.y - distance_before_place).abs() < 1e-9, "{hand:?}");
     // A hand that still moves continues to lower the object.
     let mut motion = motion;
     scene.state.grip_pos[1] += 0.002;
     motion.observe(&scene.world());
-    transfer
-        .resume(None, &scene.world(), &motion)
-        .expect("a phase");
+    transfer.resume(None, &scene.world(), &motion).expect("a phase");
     assert!(matches!(transfer.phase, Phase::Lower(_)), "{transfer:?}");
 }
 
@@ -252,9 +217,7 @@ fn an_object_stopped_before_its_covered_place_is_released_and_pushed_on() {
 fn fingers_that_release_an_object_open_fully() {
     let mut scene = scene();
     let world = scene.world();
-    let spot = can_into_basket()
-        .place
-        .spot(&world, world.entity("can_1").unwrap());
+    let spot = can_into_basket().place.spot(&world, world.entity("can_1").unwrap());
     let rest = spot.unwrap().rest;
     let can = &mut scene.state.entities[0];
     can.pos = [rest.x, rest.y, rest.z + can.half_extents[2]];

@@ -32,9 +32,7 @@ impl BuiltinPolicy for expert::Expert {
         let state =
             state.ok_or("the observation lacks the privileged state that the expert requests")?;
         let action = self.act(&read(state)?);
-        action
-            .map(|action| vec![action])
-            .map_err(|error| error.to_string())
+        action.map(|action| vec![action]).map_err(|error| error.to_string())
     }
 }
 
@@ -50,11 +48,7 @@ fn read(state: &wire::PrivilegedState) -> Result<Privileged, String> {
         arguments: goal.arguments.clone(),
     };
     Ok(Privileged {
-        entities: state
-            .entities
-            .iter()
-            .map(entity)
-            .collect::<Result<_, _>>()?,
+        entities: state.entities.iter().map(entity).collect::<Result<_, _>>()?,
         joints: state.joints.iter().map(joint).collect(),
         goal: state.goal.iter().map(predicate).collect(),
         grip_pos: numbers(&state.grip_pos, "gripper", "grip_pos")?,
@@ -96,9 +90,7 @@ mod tests {
 
     #[test]
     fn an_observation_without_privileged_state_is_refused() {
-        let refusal = Expert::default()
-            .infer(0, &Observation::default())
-            .unwrap_err();
+        let refusal = Expert::default().infer(0, &Observation::default()).unwrap_err();
         assert!(refusal.contains("privileged"), "{refusal}");
     }
 

@@ -15,11 +15,8 @@ use thiserror::Error;
 use super::instance::{Action, BuiltinPolicy, Policy};
 
 /// Robot readings that the student takes, in order.
-const STATE: [StateField; 3] = [
-    StateField::EefPos,
-    StateField::EefRotation,
-    StateField::GripperPos,
-];
+const STATE: [StateField; 3] =
+    [StateField::EefPos, StateField::EefRotation, StateField::GripperPos];
 
 /// Weights that are compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -94,15 +91,10 @@ pub enum WeightsFileError {
 /// # Errors
 /// If the file cannot be read, or does not hold weights of this network.
 pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
-    let bytes = std::fs::read(path).map_err(|source| WeightsFileError::Unreadable {
-        path: path.to_owned(),
-        source,
-    })?;
-    let network =
-        Network::from_safetensors(&bytes).map_err(|source| WeightsFileError::InvalidWeights {
-            path: path.to_owned(),
-            source,
-        })?;
+    let bytes = std::fs::read(path)
+        .map_err(|source| WeightsFileError::Unreadable { path: path.to_owned(), source })?;
+    let network = Network::from_safetensors(&bytes)
+        .map_err(|source| WeightsFileError::InvalidWeights { path: path.to_owned(), source })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     let checkpoint = format!("student:{file}");
     Ok(policy(Arc::new(network), checkpoint))
@@ -114,10 +106,8 @@ pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
     // file's digest is published, so the file must not change.
     policy.described.name = weights.name().to_owned();
-    policy.described.settings = vec![Setting {
-        name: TAUGHT_ON.to_owned(),
-        value: weights.training_pack().to_owned(),
-    }];
+    policy.described.settings =
+        vec![Setting { name: TAUGHT_ON.to_owned(), value: weights.training_pack().to_owned() }];
     policy
 }
 
@@ -143,11 +133,7 @@ fn describe(network: &Network, checkpoint: String) -> DescribeResponse {
         checkpoint_digest: network.digest().to_owned(),
         parameters: network.parameters() as u64,
         cameras: CAMERAS
-            .map(|name| CameraRequest {
-                name: name.to_owned(),
-                width: side,
-                height: side,
-            })
+            .map(|name| CameraRequest { name: name.to_owned(), width: side, height: side })
             .into(),
         state: STATE.map(Into::into).into(),
         horizon: ACTIONS as u32,
@@ -227,10 +213,7 @@ mod tests {
             vec![1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],
             vec![0.02, -0.02],
         ];
-        let reading = |(field, values): (&i32, Vec<f64>)| StateReading {
-            field: *field,
-            values,
-        };
+        let reading = |(field, values): (&i32, Vec<f64>)| StateReading { field: *field, values };
         Observation {
             images: described.cameras.iter().map(image).collect(),
             state: described.state.iter().zip(values).map(reading).collect(),
@@ -241,10 +224,7 @@ mod tests {
     fn session(instruction: &str) -> (DescribeResponse, Box<dyn BuiltinPolicy>) {
         let network = Arc::clone(Weights::Boxes.network());
         let policy = policy(network, "builtin:student".to_owned());
-        let reset = ResetRequest {
-            instruction: instruction.to_owned(),
-            ..ResetRequest::default()
-        };
+        let reset = ResetRequest { instruction: instruction.to_owned(), ..ResetRequest::default() };
         (policy.described, (policy.start)(&reset))
     }
 
@@ -268,20 +248,12 @@ mod tests {
         let refused = |student: &mut Box<dyn BuiltinPolicy>, change: &dyn Fn(&mut Observation)| {
             let mut input = observation(&described);
             change(&mut input);
-            student
-                .infer(0, &input)
-                .expect_err("an invalid observation")
+            student.infer(0, &input).expect_err("an invalid observation")
         };
         let swapped = refused(&mut student, &|input| input.images.swap(0, 1));
-        assert!(
-            swapped.contains("the requested camera `agentview`"),
-            "{swapped}"
-        );
+        assert!(swapped.contains("the requested camera `agentview`"), "{swapped}");
         let missing = refused(&mut student, &|input| drop(input.state.pop()));
-        assert!(
-            missing.contains("STATE_FIELD_GRIPPER_POS with 2 numbers"),
-            "{missing}"
-        );
+        assert!(missing.contains("STATE_FIELD_GRIPPER_POS with 2 numbers"), "{missing}");
         let small = refused(&mut student, &|input| {
             input.images[1].rgb = vec![0; 3].into();
         });
@@ -311,10 +283,8 @@ mod tests {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             assert_eq!(described.name, weights.name());
         }
-        let digests: BTreeSet<&str> = all
-            .iter()
-            .map(|student| student.network().digest())
-            .collect();
+        let digests: BTreeSet<&str> =
+            all.iter().map(|student| student.network().digest()).collect();
         assert_eq!(digests.len(), all.len());
     }
 }

@@ -7,10 +7,7 @@ use tonic::codegen::http::Uri;
 
 use crate::websocket::{HostPort, Schemes};
 
-const SCHEMES: Schemes = Schemes {
-    clear: "ws",
-    encrypted: "wss",
-};
+const SCHEMES: Schemes = Schemes { clear: "ws", encrypted: "wss" };
 
 /// Actions executed per chunk by default, as in openpi's LIBERO evaluation (`replan_steps`).
 pub const DEFAULT_EXECUTE: u32 = 5;
@@ -38,13 +35,9 @@ impl FromStr for OpenpiAddress {
                 None => DEFAULT_EXECUTE,
                 Some(query) => query.strip_prefix("execute=")?.parse().ok()?,
             };
-            (1..=MAX_EXECUTE)
-                .contains(&execute)
-                .then_some(Self { host_port, execute })
+            (1..=MAX_EXECUTE).contains(&execute).then_some(Self { host_port, execute })
         };
-        parse().ok_or_else(|| OpenpiAddressError {
-            text: text.to_owned(),
-        })
+        parse().ok_or_else(|| OpenpiAddressError { text: text.to_owned() })
     }
 }
 

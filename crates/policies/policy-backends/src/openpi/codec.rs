@@ -31,26 +31,12 @@ pub struct Chunk {
 
 /// Encodes an observation.
 pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
-    let frame = |rgb: &[u8]| {
-        array(
-            Keys::Bytes,
-            "|u1",
-            &[input.side, input.side, 3],
-            rgb.to_vec(),
-        )
-    };
-    let state = input
-        .state
-        .iter()
-        .flat_map(|number| number.to_le_bytes())
-        .collect();
+    let frame = |rgb: &[u8]| array(Keys::Bytes, "|u1", &[input.side, input.side, 3], rgb.to_vec());
+    let state = input.state.iter().flat_map(|number| number.to_le_bytes()).collect();
     numpy::encode(&map([
         ("observation/image", frame(input.image)),
         ("observation/wrist_image", frame(input.wrist_image)),
-        (
-            "observation/state",
-            array(Keys::Bytes, "<f8", &[input.state.len()], state),
-        ),
+        ("observation/state", array(Keys::Bytes, "<f8", &[input.state.len()], state)),
         ("prompt", input.prompt.into()),
     ]))
 }
@@ -64,10 +50,7 @@ pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     let actions = lookup(&answer, "actions").ok_or(AnswerError::NoActions)?;
     let Array { shape, numbers } = numpy::numbers(actions)?;
     match *shape {
-        [count, width] => Ok(Chunk {
-            shape: [count, width],
-            numbers,
-        }),
+        [count, width] => Ok(Chunk { shape: [count, width], numbers }),
         _ => Err(AnswerError::Shape { shape }),
     }
 }
@@ -144,21 +127,12 @@ mod tests {
             (numpy::encode(&map([])), AnswerError::NoActions),
             (actions(Value::from(3)), ArrayError::NotAnArray.into()),
             // The shape declares more values than were sent.
-            (
-                actions(array("<f4", &[2, 7], vec![0; 28])),
-                ArrayError::NotAnArray.into(),
-            ),
+            (actions(array("<f4", &[2, 7], vec![0; 28])), ArrayError::NotAnArray.into()),
             (
                 actions(array("<i8", &[1, 7], vec![0; 56])),
-                ArrayError::Dtype {
-                    dtype: "<i8".to_owned(),
-                }
-                .into(),
+                ArrayError::Dtype { dtype: "<i8".to_owned() }.into(),
             ),
-            (
-                actions(array("<f4", &[7], vec![0; 28])),
-                AnswerError::Shape { shape: vec![7] },
-            ),
+            (actions(array("<f4", &[7], vec![0; 28])), AnswerError::Shape { shape: vec![7] }),
         ];
         for (bytes, error) in cases {
             assert_eq!(answer(&bytes), Err(error));

@@ -42,9 +42,7 @@ fn mix<'a>(windows: &'a [Window], lines: &'a [u8], stride: usize) -> impl Iterat
             let begin = window.first * stride + at;
             let levels = lines[begin..].iter().step_by(stride);
             let weighted = levels.zip(&window.weights);
-            let sum: i32 = weighted
-                .map(|(&level, weight)| i32::from(level) * weight)
-                .sum();
+            let sum: i32 = weighted.map(|(&level, weight)| i32::from(level) * weight).sum();
             ((sum + (1 << (WEIGHT_BITS - 1))) >> WEIGHT_BITS).clamp(0, 255) as u8
         })
     })
@@ -66,10 +64,7 @@ fn windows(from: usize, to: usize) -> Vec<Window> {
         let weights: Vec<f64> = (first..last).map(triangle).collect();
         let sum: f64 = weights.iter().sum();
         let fixed = |weight: &f64| (0.5 + weight / sum * f64::from(1 << WEIGHT_BITS)) as i32;
-        Window {
-            first,
-            weights: weights.iter().map(fixed).collect(),
-        }
+        Window { first, weights: weights.iter().map(fixed).collect() }
     };
     (0..to).map(window).collect()
 }
@@ -101,10 +96,7 @@ mod tests {
         assert_eq!(at(100, 100), [105, 55, 105]);
         let digest = Sha256::digest(&prepared);
         let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(
-            digest,
-            "9a4c9d135a8b82e596068dd9c126a3bccc9514f89fa7a4e358f2cf4f526b2cf3"
-        );
+        assert_eq!(digest, "9a4c9d135a8b82e596068dd9c126a3bccc9514f89fa7a4e358f2cf4f526b2cf3");
     }
 
     #[test]
@@ -125,9 +117,6 @@ mod tests {
 
     #[test]
     fn a_frame_of_the_right_size_is_unchanged() {
-        assert_eq!(
-            prepare(&[7; 3 * SIDE * SIDE], SIDE),
-            vec![7; 3 * SIDE * SIDE]
-        );
+        assert_eq!(prepare(&[7; 3 * SIDE * SIDE], SIDE), vec![7; 3 * SIDE * SIDE]);
     }
 }

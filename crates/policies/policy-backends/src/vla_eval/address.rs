@@ -8,10 +8,7 @@ use tonic::codegen::http::Uri;
 use super::image::ImageFormat;
 use crate::websocket::{HostPort, Schemes};
 
-const SCHEMES: Schemes = Schemes {
-    clear: "vla-eval",
-    encrypted: "vla-evals",
-};
+const SCHEMES: Schemes = Schemes { clear: "vla-eval", encrypted: "vla-evals" };
 /// Actions executed per answer by default, as in vla-eval's LIBERO benchmark.
 pub const DEFAULT_EXECUTE: u32 = 1;
 /// Largest `execute` of an address.
@@ -79,20 +76,14 @@ impl FromStr for VlaEvalAddress {
             }
             Some(address)
         };
-        parse().ok_or_else(|| VlaEvalAddressError {
-            text: text.to_owned(),
-        })
+        parse().ok_or_else(|| VlaEvalAddressError { text: text.to_owned() })
     }
 }
 
 impl fmt::Display for VlaEvalAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.host_port.text(SCHEMES))?;
-        let Parameters {
-            send_wrist_image,
-            send_state,
-            quat_no_antipodal,
-        } = self.parameters;
+        let Parameters { send_wrist_image, send_state, quat_no_antipodal } = self.parameters;
         let text = |flag: bool| flag.to_string();
         let execute = (self.execute != DEFAULT_EXECUTE).then(|| self.execute.to_string());
         let format =
@@ -157,10 +148,7 @@ mod tests {
         ];
         for text in invalid {
             let error = text.parse::<VlaEvalAddress>().expect_err(text);
-            assert!(
-                error.to_string().contains("vla-eval://HOST:PORT"),
-                "{error}"
-            );
+            assert!(error.to_string().contains("vla-eval://HOST:PORT"), "{error}");
         }
     }
 }

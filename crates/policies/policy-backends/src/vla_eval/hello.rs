@@ -16,12 +16,8 @@ use crate::{
 pub(super) const CAMERAS: [(&str, &str); 2] =
     [("agentview", "agentview"), ("robot0_eye_in_hand", "wrist")];
 /// Robot readings from which the state is computed.
-const STATE: [StateField; 4] = [
-    StateField::EefPos,
-    StateField::EefQuatXyzw,
-    StateField::EefRotation,
-    StateField::GripperPos,
-];
+const STATE: [StateField; 4] =
+    [StateField::EefPos, StateField::EefQuatXyzw, StateField::EefRotation, StateField::GripperPos];
 /// Parameters of vla-eval's LIBERO benchmark that a campaign sets, whatever the server requests.
 /// Parameters that the benchmark does not know are ignored, as in the benchmark.
 const CAMPAIGN_PARAMETERS: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
@@ -74,15 +70,10 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
     let wrist = flag(requested, "send_wrist_image", given.send_wrist_image)?;
     let state = flag(requested, "send_state", given.send_state)?;
     let flips = !flag(requested, "quat_no_antipodal", given.quat_no_antipodal)?;
-    let suite = lookup(requested, "suite")
-        .and_then(as_text)
-        .map(str::to_owned);
+    let suite = lookup(requested, "suite").and_then(as_text).map(str::to_owned);
     let text = |key| lookup(hello, key).and_then(as_text).unwrap_or_default();
     let cameras = &CAMERAS[..if wrist { 2 } else { 1 }];
-    let slots: Vec<_> = cameras
-        .iter()
-        .map(|(camera, slot)| format!("{slot}={camera}"))
-        .collect();
+    let slots: Vec<_> = cameras.iter().map(|(camera, slot)| format!("{slot}={camera}")).collect();
     let controller_states = match state {
         false => "none",
         true => "of the instant of observation, not of the end of the control step",
@@ -93,19 +84,10 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         (true, false) => "eef_pos3_axisangle3_gripper2, quaternion as it is",
     };
     let campaign = CAMPAIGN_PARAMETERS.into_iter();
-    let campaign: Vec<_> = campaign
-        .filter(|name| lookup(requested, name).is_some())
-        .collect();
+    let campaign: Vec<_> = campaign.filter(|name| lookup(requested, name).is_some()).collect();
     let recorded = |key| lookup(hello, key).map_or_else(|| "none".to_owned(), declaration);
     let settings = [
-        (
-            "server",
-            format!(
-                "{} of vla-eval {}",
-                text("model_server"),
-                text("harness_version")
-            ),
-        ),
+        ("server", format!("{} of vla-eval {}", text("model_server"), text("harness_version"))),
         ("observation parameters", recorded("observation_params")),
         ("left to the campaign", or_none(&campaign.join(", "))),
         ("observation spec", recorded("observation_spec")),
@@ -122,10 +104,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
             "" => "vla-eval".to_owned(),
             name => name.to_owned(),
         },
-        checkpoint: format!(
-            "not named by its server, whose HELLO is sha256 {}…",
-            digest(hello)
-        ),
+        checkpoint: format!("not named by its server, whose HELLO is sha256 {}…", digest(hello)),
         cameras: cameras.iter().map(|(name, _)| camera(name)).collect(),
         state: match state {
             true => STATE.map(i32::from).into(),
@@ -139,20 +118,11 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         unseeded: true,
         language: Language::FreeForm.into(),
         settings: settings
-            .map(|(name, value)| Setting {
-                name: name.to_owned(),
-                value: truncated(value),
-            })
+            .map(|(name, value)| Setting { name: name.to_owned(), value: truncated(value) })
             .into(),
         ..DescribeResponse::default()
     };
-    Ok(Terms {
-        suite,
-        sends_wrist: wrist,
-        sends_state: state,
-        flips_quaternion: flips,
-        described,
-    })
+    Ok(Terms { suite, sends_wrist: wrist, sends_state: state, flips_quaternion: flips, described })
 }
 
 /// Refuses actions that LIBERO's robot would misinterpret. Other declarations that differ from
@@ -231,10 +201,7 @@ fn or_none(text: &str) -> String {
 fn digest(hello: &ValueRef<'_>) -> String {
     let hello: Value = hello.to_owned();
     let digest = Sha256::digest(encode(&hello));
-    digest[..8]
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -28,9 +28,7 @@ pub enum ImageFormat {
 impl ImageFormat {
     /// Returns the format with this name.
     pub(super) fn named(name: &str) -> Option<Self> {
-        [Self::Png, Self::Raw, Self::Jpeg]
-            .into_iter()
-            .find(|format| format.to_string() == name)
+        [Self::Png, Self::Raw, Self::Jpeg].into_iter().find(|format| format.to_string() == name)
     }
 }
 

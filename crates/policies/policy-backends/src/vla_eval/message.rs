@@ -99,19 +99,13 @@ pub(super) fn hello_payload(bytes: &[u8]) -> Option<Value> {
 pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, AnswerError> {
     let message = numpy::read(bytes);
     let reply = message.as_ref().and_then(reply);
-    let Reply {
-        kind,
-        payload,
-        number,
-    } = reply.ok_or(AnswerError::NoMessage)?;
+    let Reply { kind, payload, number } = reply.ok_or(AnswerError::NoMessage)?;
     match kind {
         "action" if number == asked => actions(payload, execute),
         "action" => Err(AnswerError::OutOfStep { number, asked }),
         "error" if number == asked => Err(AnswerError::Policy(error_text(payload))),
         "error" => Err(AnswerError::Start(error_text(payload))),
-        other => Err(AnswerError::Kind {
-            kind: other.chars().take(16).collect(),
-        }),
+        other => Err(AnswerError::Kind { kind: other.chars().take(16).collect() }),
     }
 }
 
@@ -307,17 +301,12 @@ mod tests {
         let frame = image::encode(ImageFormat::Raw, 2, &frame).expect("encoded");
         let numbers = [0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04];
         let states = numbers.iter().flat_map(|number: &f64| number.to_le_bytes());
-        let of_controller = numbers
-            .iter()
-            .flat_map(|number| (*number as f32).to_le_bytes());
+        let of_controller = numbers.iter().flat_map(|number| (*number as f32).to_le_bytes());
         let observation = map([
             ("images", map([("agentview", frame)])),
             ("task_description", "pick up".into()),
             ("states", array(Keys::Text, "<f8", &[8], states.collect())),
-            (
-                "controller_states",
-                array(Keys::Text, "<f4", &[8], of_controller.collect()),
-            ),
+            ("controller_states", array(Keys::Text, "<f4", &[8], of_controller.collect())),
         ]);
         let cases = [
             (Kind::Hello, hello(), HELLO),
@@ -326,11 +315,7 @@ mod tests {
             (Kind::EpisodeEnd, map([]), END),
         ];
         for (number, (kind, payload, expected)) in (1..).zip(cases) {
-            assert_eq!(
-                message(kind, payload, number, 1.5),
-                bytes(expected),
-                "{kind:?}"
-            );
+            assert_eq!(message(kind, payload, number, 1.5), bytes(expected), "{kind:?}");
         }
     }
 
@@ -343,15 +328,9 @@ mod tests {
         assert_eq!(two.actions, [action, action].concat());
         let chunk = Err(AnswerError::Chunk { count: 2 });
         assert_eq!(answered(CHUNK, 1), chunk);
-        let short = AnswerError::Short {
-            count: 2,
-            execute: 3,
-        };
+        let short = AnswerError::Short { count: 2, execute: 3 };
         assert_eq!(answered(CHUNK, 3), Err(short));
-        assert_eq!(
-            answered(ONE_ACTION, 2),
-            Err(AnswerError::Single { execute: 2 })
-        );
+        assert_eq!(answered(ONE_ACTION, 2), Err(AnswerError::Single { execute: 2 }));
     }
 
     #[test]
@@ -369,10 +348,7 @@ mod tests {
         };
         for execute in [1, 5] {
             let empty = refusal(0, execute);
-            assert!(
-                empty.contains(&format!("chunks of {execute} or more")),
-                "{empty}"
-            );
+            assert!(empty.contains(&format!("chunks of {execute} or more")), "{empty}");
             assert!(!empty.contains("?execute"), "{empty}");
         }
         let long = refusal(200, 1);

@@ -108,10 +108,7 @@ mod tests {
 
     fn assert_near(actual: [f64; 3], expected: [f64; 3]) {
         let near = |(a, b): (f64, f64)| (a - b).abs() < 1e-6;
-        assert!(
-            actual.into_iter().zip(expected).all(near),
-            "{actual:?} is not {expected:?}"
-        );
+        assert!(actual.into_iter().zip(expected).all(near), "{actual:?} is not {expected:?}");
     }
 
     #[test]
@@ -142,12 +139,7 @@ mod tests {
                 [0.0, 0.0, 3.709_180_8],
                 [0.0, 0.0, 2.138_384_6],
             ),
-            (
-                [0.0, 0.0, 0.0, 1.0],
-                [0.0; 3],
-                [0.0; 3],
-                [0.0, 0.0, -1.570_796_4],
-            ),
+            ([0.0, 0.0, 0.0, 1.0], [0.0; 3], [0.0; 3], [0.0, 0.0, -1.570_796_4]),
         ];
         let (position, fingers) = ([0.1, 0.2, 0.3], [0.04, -0.04]);
         for (quaternion, flipped, unflipped, of_controller) in cases {

@@ -151,10 +151,7 @@ mod tests {
         assert_eq!(latency.median_ms.round(), 149.0);
         assert_eq!(latency.slowest_ms.round(), 420.0);
         let words = latency.describe();
-        assert!(
-            words.contains("median 149 ms, 3 control steps at 20 Hz"),
-            "{words}"
-        );
+        assert!(words.contains("median 149 ms, 3 control steps at 20 Hz"), "{words}");
         let text = serde_json::to_string(&latency).expect("JSON");
         let read = Delays::from_json(&text).expect("delays");
         assert_eq!(read.to_string(), "1*200+2*100+3*300+4*300+9*100");

@@ -28,12 +28,8 @@ use super::{
 };
 
 /// Names of the check's options for a policy server, for messages about failed connections.
-const SETTINGS: Settings = Settings {
-    address: "the URL",
-    authority: "--ca",
-    clear: "grpc://",
-    encrypted: "https://",
-};
+const SETTINGS: Settings =
+    Settings { address: "the URL", authority: "--ca", clear: "grpc://", encrypted: "https://" };
 
 /// Order of an episode's queries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,50 +67,29 @@ impl Probe {
     /// If the URL is invalid, the server cannot be reached, or it does not describe itself.
     pub(super) async fn connect(target: &Target) -> Result<Self, ConformanceError> {
         let endpoint = parse_endpoint(&target.url)
-            .map_err(|_| ConformanceError::Url {
-                url: target.url.clone(),
-            })?
+            .map_err(|_| ConformanceError::Url { url: target.url.clone() })?
             .connect_timeout(CONNECT_TIMEOUT)
             .timeout(DEFAULT_ANSWER_WITHIN)
             .tcp_nodelay(true)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
-        let peer = Peer::new(
-            endpoint.clone(),
-            &target.access,
-            ServerKind::Policy,
-            SETTINGS,
-        );
+        let peer = Peer::new(endpoint.clone(), &target.access, ServerKind::Policy, SETTINGS);
         let connection = target.access.connect_lazy(endpoint)?;
         let mut client = PolicyClient::new(connection.clone())
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-        let described = client
-            .describe(describe(target, proto::PROTOCOL_VERSION))
-            .await;
+        let described = client.describe(describe(target, proto::PROTOCOL_VERSION)).await;
         let described = match described {
             Ok(response) => response.into_inner(),
             Err(status) => {
                 let url = target.url.clone();
                 return Err(match peer.diagnose(&status).await {
-                    Some(trouble) => ConformanceError::Connect {
-                        url,
-                        trouble: trouble.into(),
-                    },
-                    None => ConformanceError::Describe {
-                        url,
-                        status: status.into(),
-                    },
+                    Some(trouble) => ConformanceError::Connect { url, trouble: trouble.into() },
+                    None => ConformanceError::Describe { url, status: status.into() },
                 });
             }
         };
-        Ok(Self {
-            connection,
-            client,
-            target: target.clone(),
-            described,
-            run: std::process::id(),
-        })
+        Ok(Self { connection, client, target: target.clone(), described, run: std::process::id() })
     }
 
     /// Returns the policy's description.
@@ -125,12 +100,7 @@ impl Probe {
     /// Checks that a client of a newer protocol version is refused.
     pub(super) async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
-        match self
-            .client
-            .clone()
-            .describe(describe(&self.target, newer))
-            .await
-        {
+        match self.client.clone().describe(describe(&self.target, newer)).await {
             Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
             Err(status) => verdict::refused(&status),
             Ok(_) => verdict::fail(format!("it accepts a caller of protocol version {newer}")),
@@ -143,13 +113,8 @@ impl Probe {
     /// # Errors
     /// If the call fails with a status that no verdict describes.
     pub(super) async fn health(&self) -> Result<Verdict, Status> {
-        let request = HealthCheckRequest {
-            service: SERVICE_NAME.to_owned(),
-        };
-        let answer = HealthClient::new(self.connection.clone())
-            .check(request)
-            .await?
-            .into_inner();
+        let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
+        let answer = HealthClient::new(self.connection.clone()).check(request).await?.into_inner();
         Ok(match answer.status() {
             ServingStatus::Serving => verdict::pass(""),
             other => verdict::fail(format!("it reports {}", other.as_str_name())),
@@ -167,10 +132,7 @@ impl Probe {
         order: QueryOrder,
     ) -> Result<EpisodeAnswers, Status> {
         self.reset(name, seed).await?;
-        let mut episode = EpisodeAnswers {
-            answers: vec![],
-            latencies: vec![],
-        };
+        let mut episode = EpisodeAnswers { answers: vec![], latencies: vec![] };
         for at in 0..QUERIES {
             let query_index = match order {
                 QueryOrder::Forward => at,
@@ -237,10 +199,7 @@ impl Probe {
         for query_index in 0..QUERIES / 2 {
             self.infer("restarted", query_index).await?;
         }
-        Ok(self
-            .episode("restarted", seed, QueryOrder::Forward)
-            .await?
-            .answers)
+        Ok(self.episode("restarted", seed, QueryOrder::Forward).await?.answers)
     }
 
     /// Plays concurrent episodes in batches of the policy's largest size; returns the answers of
@@ -256,21 +215,10 @@ impl Probe {
         }
         let mut answers = vec![];
         for query_index in 0..QUERIES {
-            let queries = names
-                .iter()
-                .map(|name| self.query(name, query_index))
-                .collect();
-            let batch = self
-                .client
-                .clone()
-                .infer_batch(InferBatchRequest { queries })
-                .await?;
-            let first = batch
-                .into_inner()
-                .results
-                .into_iter()
-                .next()
-                .and_then(|result| result.result);
+            let queries = names.iter().map(|name| self.query(name, query_index)).collect();
+            let batch = self.client.clone().infer_batch(InferBatchRequest { queries }).await?;
+            let first =
+                batch.into_inner().results.into_iter().next().and_then(|result| result.result);
             answers.push(match first {
                 Some(infer_result::Result::Response(response)) => response,
                 Some(infer_result::Result::Error(text)) => return Err(Status::internal(text)),
@@ -302,9 +250,7 @@ impl Probe {
             let probe = self.clone();
             playing.spawn(async move {
                 let name = format!("concurrent {at}");
-                probe
-                    .episode(&name, u64::from(at), QueryOrder::Forward)
-                    .await
+                probe.episode(&name, u64::from(at), QueryOrder::Forward).await
             });
         }
         let mut latencies = vec![];
@@ -347,9 +293,5 @@ impl Probe {
 }
 
 fn describe(target: &Target, protocol_version: u32) -> DescribeRequest {
-    DescribeRequest {
-        protocol_version,
-        policy: target.policy.clone(),
-        suite: target.suite.clone(),
-    }
+    DescribeRequest { protocol_version, policy: target.policy.clone(), suite: target.suite.clone() }
 }

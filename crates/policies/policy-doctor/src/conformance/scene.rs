@@ -10,19 +10,13 @@ use proto::policy::{
 
 /// Suites, each with the canonical instruction of one task.
 pub const TASKS: [(&str, &str); 4] = [
-    (
-        "libero_object",
-        "pick up the butter and place it in the basket",
-    ),
+    ("libero_object", "pick up the butter and place it in the basket"),
     (
         "libero_spatial",
         "pick up the black bowl between the plate and the ramekin and place it on the plate",
     ),
     ("libero_goal", "open the middle drawer of the cabinet"),
-    (
-        "libero_10",
-        "put both the alphabet soup and the tomato sauce in the basket",
-    ),
+    ("libero_10", "put both the alphabet soup and the tomato sauce in the basket"),
 ];
 
 /// Returns the instruction of a suite's task; for an unknown suite, that of the first suite.
@@ -38,11 +32,7 @@ pub fn observation(described: &DescribeResponse, query_index: u32) -> Observatio
         camera: camera.name.clone(),
         width: camera.width,
         height: camera.height,
-        rgb: pixels(
-            u64::from(camera.width) * u64::from(camera.height),
-            query_index,
-        )
-        .into(),
+        rgb: pixels(u64::from(camera.width) * u64::from(camera.height), query_index).into(),
     });
     let state = described.state().map(|field| StateReading {
         field: field.into(),
@@ -51,9 +41,7 @@ pub fn observation(described: &DescribeResponse, query_index: u32) -> Observatio
     Observation {
         images: images.collect(),
         state: state.collect(),
-        privileged: described
-            .privileged
-            .then(|| privileged(f64::from(query_index))),
+        privileged: described.privileged.then(|| privileged(f64::from(query_index))),
     }
 }
 
@@ -96,27 +84,9 @@ fn privileged(query: f64) -> PrivilegedState {
     let basket = [0.0, 0.25, 0.05];
     PrivilegedState {
         entities: vec![
-            entity(
-                "butter_1",
-                Kind::Object,
-                "butter",
-                [0.05, -0.1, 0.02],
-                [0.02, 0.04, 0.02],
-            ),
-            entity(
-                "basket_1",
-                Kind::Object,
-                "basket",
-                basket,
-                [0.08, 0.08, 0.05],
-            ),
-            entity(
-                "basket_1_contain_region",
-                Kind::Site,
-                "basket_1",
-                basket,
-                [0.06, 0.06, 0.05],
-            ),
+            entity("butter_1", Kind::Object, "butter", [0.05, -0.1, 0.02], [0.02, 0.04, 0.02]),
+            entity("basket_1", Kind::Object, "basket", basket, [0.08, 0.08, 0.05]),
+            entity("basket_1_contain_region", Kind::Site, "basket_1", basket, [0.06, 0.06, 0.05]),
         ],
         joints: vec![],
         goal: vec![GoalPredicate {

@@ -41,16 +41,12 @@ pub(crate) fn pass(note: impl Into<String>) -> Verdict {
 
 /// Fails a point.
 pub(crate) fn fail(reason: impl Into<String>) -> Verdict {
-    Verdict::Fail {
-        reason: reason.into(),
-    }
+    Verdict::Fail { reason: reason.into() }
 }
 
 /// Skips a point.
 pub(crate) fn skip(reason: impl Into<String>) -> Verdict {
-    Verdict::Skip {
-        reason: reason.into(),
-    }
+    Verdict::Skip { reason: reason.into() }
 }
 
 /// Fails a point because the server answered with an error.
@@ -91,13 +87,9 @@ pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
     if largest <= 1.0 {
         pass("")
     } else if largest <= LARGEST_PLAUSIBLE {
-        pass(format!(
-            "the largest is {largest}: workers clip such numbers and count them"
-        ))
+        pass(format!("the largest is {largest}: workers clip such numbers and count them"))
     } else {
-        fail(format!(
-            "the largest is {largest}: check how the policy un-normalises actions"
-        ))
+        fail(format!("the largest is {largest}: check how the policy un-normalises actions"))
     }
 }
 
@@ -132,19 +124,12 @@ pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdi
         return pass("bit for bit");
     }
     let is_comparable = alone.len() == batched.len()
-        && alone
-            .iter()
-            .zip(batched)
-            .all(|(a, b)| a.actions.len() == b.actions.len());
-    let differences = numbers(alone)
-        .zip(numbers(batched))
-        .map(|(a, b)| (a - b).abs());
+        && alone.iter().zip(batched).all(|(a, b)| a.actions.len() == b.actions.len());
+    let differences = numbers(alone).zip(numbers(batched)).map(|(a, b)| (a - b).abs());
     // `total_cmp` counts NaN as the largest number; `f32::max` would ignore it.
     let largest = differences.max_by(f32::total_cmp).unwrap_or_default();
     if is_comparable && largest <= BATCH_TOLERANCE {
-        pass(format!(
-            "except by up to {largest:e}: actions depend on the batch in low-order bits"
-        ))
+        pass(format!("except by up to {largest:e}: actions depend on the batch in low-order bits"))
     } else {
         fail(format!("in a batch the actions differ by up to {largest}"))
     }
@@ -167,19 +152,13 @@ pub(crate) fn speed(
 }
 
 fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
-    answers
-        .iter()
-        .flat_map(|answer| answer.actions.iter().copied())
+    answers.iter().flat_map(|answer| answer.actions.iter().copied())
 }
 
 /// Returns the first query at which two episodes differ.
 fn first_difference(first: &[InferResponse], second: &[InferResponse]) -> Option<usize> {
     let bits = |answer: &InferResponse| -> Vec<u32> {
-        answer
-            .actions
-            .iter()
-            .map(|number| number.to_bits())
-            .collect()
+        answer.actions.iter().map(|number| number.to_bits()).collect()
     };
     let pairs = first.iter().zip(second);
     let differing = pairs.clone().position(|(a, b)| bits(a) != bits(b));
@@ -191,15 +170,9 @@ fn percentiles(latencies: &[Duration]) -> String {
     sorted.sort_unstable();
     let percentile = |share: f64| {
         let index = (share * sorted.len() as f64).ceil() as usize;
-        sorted
-            .get(index.max(1) - 1)
-            .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
+        sorted.get(index.max(1) - 1).map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
     };
-    format!(
-        "p50 {:.2} ms, p99 {:.2} ms",
-        percentile(0.5),
-        percentile(0.99)
-    )
+    format!("p50 {:.2} ms, p99 {:.2} ms", percentile(0.5), percentile(0.99))
 }
 
 #[cfg(test)]
@@ -207,10 +180,7 @@ mod tests {
     use super::*;
 
     fn answers(numbers: &[f32]) -> Vec<InferResponse> {
-        let answer = |&number| InferResponse {
-            actions: vec![number; 7],
-            action_width: 7,
-        };
+        let answer = |&number| InferResponse { actions: vec![number; 7], action_width: 7 };
         numbers.iter().map(answer).collect()
     }
 
@@ -221,14 +191,8 @@ mod tests {
     #[test]
     fn a_difference_is_reported_with_its_query_even_between_zeros() {
         assert_eq!(same(&answers(&[1.0, 0.0]), &answers(&[1.0, 0.0])), pass(""));
-        assert!(fails(
-            &same(&answers(&[1.0, 0.0]), &answers(&[1.0, -0.0])),
-            "query 1"
-        ));
-        assert!(fails(
-            &same(&answers(&[1.0, 0.0]), &answers(&[1.0])),
-            "query 1"
-        ));
+        assert!(fails(&same(&answers(&[1.0, 0.0]), &answers(&[1.0, -0.0])), "query 1"));
+        assert!(fails(&same(&answers(&[1.0, 0.0]), &answers(&[1.0])), "query 1"));
     }
 
     #[test]
@@ -236,14 +200,8 @@ mod tests {
         let (one, other) = (answers(&[0.1]), answers(&[0.2]));
         assert_eq!(seeds(true, &one, &other), pass(""));
         assert_eq!(seeds(false, &one, &one), pass(""));
-        assert!(fails(
-            &seeds(true, &one, &one),
-            "declares itself stochastic"
-        ));
-        assert!(fails(
-            &seeds(false, &one, &other),
-            "declares itself deterministic"
-        ));
+        assert!(fails(&seeds(true, &one, &one), "declares itself stochastic"));
+        assert!(fails(&seeds(false, &one, &other), "declares itself deterministic"));
     }
 
     #[test]

@@ -47,9 +47,8 @@ impl<'a> DiagnosedServer<'a> {
         server: &'a Server,
         situations: &'a [Situation],
     ) -> Result<Self, ExaminationError> {
-        let observations = situations
-            .iter()
-            .map(|situation| situation.observation(&server.described));
+        let observations =
+            situations.iter().map(|situation| situation.observation(&server.described));
         let observations: Result<Vec<Observation>, _> = observations.collect();
         Ok(Self {
             server,
@@ -113,17 +112,11 @@ impl<'a> DiagnosedServer<'a> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
         let mut largest = 0.0_f64;
         for index in 0..self.tried_situations() {
-            let unchanged = self
-                .actions(index, self.observations[index].clone(), None)
-                .await?;
+            let unchanged = self.actions(index, self.observations[index].clone(), None).await?;
             let mut changed = self.observations[index].clone();
             flipped.apply(&self.situations[index], &mut changed);
             let to_flipped = self.actions(index, changed.clone(), None).await?;
-            for image in changed
-                .images
-                .iter_mut()
-                .filter(|image| image.camera == camera)
-            {
+            for image in changed.images.iter_mut().filter(|image| image.camera == camera) {
                 image.rgb = vec![0; image.rgb.len()].into();
             }
             let to_black = self.actions(index, changed, None).await?;
@@ -147,9 +140,7 @@ impl<'a> DiagnosedServer<'a> {
             let tasks = suite.tasks().map(|task| task.instruction());
             let other_tasks = tasks.filter(|task| *task != situation.instruction);
             let instructions = other_tasks.skip(index).step_by(4).take(2);
-            let unchanged = self
-                .actions(index, self.observations[index].clone(), None)
-                .await?;
+            let unchanged = self.actions(index, self.observations[index].clone(), None).await?;
             for instruction in instructions {
                 let observation = self.observations[index].clone();
                 let answer = self.actions(index, observation, Some(&instruction)).await?;
@@ -165,10 +156,7 @@ impl<'a> DiagnosedServer<'a> {
         let index = self.latencies.len();
         let situation = &self.situations[index % self.situations.len()];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
-        let mut episode = self
-            .server
-            .episode(suite, instruction, index as u64)
-            .await?;
+        let mut episode = self.server.episode(suite, instruction, index as u64).await?;
         let mut total_latency = Duration::ZERO;
         for query in 0..EPISODE_QUERIES {
             let observation = &self.observations[(index + query) % self.observations.len()];
@@ -208,10 +196,7 @@ impl<'a> DiagnosedServer<'a> {
     ) -> Result<InferResponse, ExaminationError> {
         let situation = &self.situations[index];
         let instruction = instruction.unwrap_or(&situation.instruction);
-        let mut episode = self
-            .server
-            .episode(&situation.suite, instruction, SEED)
-            .await?;
+        let mut episode = self.server.episode(&situation.suite, instruction, SEED).await?;
         let answer = episode.query(observation).await?;
         episode.end().await;
         self.latencies.push(answer.latency);

@@ -21,10 +21,7 @@ impl Process {
         let sockets = sockets(port_of_this_machine(url)?);
         let mut ids = vec![];
         for entry in fs::read_dir("/proc").ok()?.flatten() {
-            let id = entry
-                .file_name()
-                .to_str()
-                .and_then(|name| name.parse().ok());
+            let id = entry.file_name().to_str().and_then(|name| name.parse().ok());
             if let Some(id) = id
                 && id != std::process::id()
                 && holds_socket(&entry.path().join("fd"), &sockets)
@@ -49,11 +46,7 @@ impl Process {
 impl fmt::Display for Process {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ids: Vec<String> = self.ids.iter().map(u32::to_string).collect();
-        let noun = if ids.len() == 1 {
-            "process"
-        } else {
-            "processes"
-        };
+        let noun = if ids.len() == 1 { "process" } else { "processes" };
         write!(f, "{noun} {}", ids.join(", "))
     }
 }
@@ -86,12 +79,9 @@ fn holds_socket(folder: &Path, sockets: &[String]) -> bool {
     let Ok(entries) = fs::read_dir(folder) else {
         return false;
     };
-    let mut links = entries
-        .flatten()
-        .filter_map(|entry| fs::read_link(entry.path()).ok());
+    let mut links = entries.flatten().filter_map(|entry| fs::read_link(entry.path()).ok());
     links.any(|link| {
-        link.to_str()
-            .is_some_and(|target| sockets.iter().any(|socket| socket == target))
+        link.to_str().is_some_and(|target| sockets.iter().any(|socket| socket == target))
     })
 }
 
@@ -102,10 +92,7 @@ mod tests {
     #[test]
     fn port_of_this_machine_is_none_for_other_machines() {
         assert_eq!(port_of_this_machine("grpc://127.0.0.1:5000/x"), Some(5000));
-        assert_eq!(
-            port_of_this_machine("ws://[::1]:8000?execute=5"),
-            Some(8000)
-        );
+        assert_eq!(port_of_this_machine("ws://[::1]:8000?execute=5"), Some(8000));
         assert_eq!(port_of_this_machine("https://localhost:1"), Some(1));
         assert_eq!(port_of_this_machine("grpc://gpu1:5000"), None);
         assert_eq!(port_of_this_machine("builtin:noop"), None);

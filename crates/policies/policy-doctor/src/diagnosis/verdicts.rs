@@ -65,10 +65,7 @@ pub(super) fn actions(faults: &[ActionFault], count: usize) -> Verdict {
 pub(super) fn range(actions: &[Action]) -> Verdict {
     let numbers = || actions.iter().flatten().map(|number| number.abs());
     let largest = numbers().fold(0.0, f64::max);
-    let (beyond, count) = (
-        numbers().filter(|number| *number > 1.0).count(),
-        numbers().count(),
-    );
+    let (beyond, count) = (numbers().filter(|number| *number > 1.0).count(), numbers().count());
     if largest <= 1.0 {
         pass("")
     } else if largest <= f64::from(LARGEST_PLAUSIBLE) {
@@ -104,18 +101,10 @@ pub(super) fn motion(actions: &[Action]) -> Verdict {
     let advice = "Usually weights are missing or random, or the variance in the statistics is 0: \
                   check the files that the server loads.";
     if actions.iter().all(is_still) {
-        fail(format!(
-            "translation and rotation of all {count} actions are 0. {advice}"
-        ))
+        fail(format!("translation and rotation of all {count} actions are 0. {advice}"))
     } else if is_constant(actions) {
-        let first: Vec<String> = actions[0]
-            .iter()
-            .map(|number| format!("{number:.3}"))
-            .collect();
-        fail(format!(
-            "all {count} actions are [{}]. {advice}",
-            first.join(", ")
-        ))
+        let first: Vec<String> = actions[0].iter().map(|number| format!("{number:.3}")).collect();
+        fail(format!("all {count} actions are [{}]. {advice}", first.join(", ")))
     } else {
         pass("")
     }
@@ -146,9 +135,7 @@ pub(super) fn observations(
 /// Checks that each camera's frames affect the answers.
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
     let cameras_with = |effect: Option<bool>| {
-        let with_effect = changes
-            .iter()
-            .filter(|(_, change)| change.has_effect() == effect);
+        let with_effect = changes.iter().filter(|(_, change)| change.has_effect() == effect);
         let cameras: Vec<&str> = with_effect.map(|(camera, _)| camera.as_str()).collect();
         cameras.join(" and ")
     };
@@ -165,10 +152,7 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
              names of cameras and slots, or do not request these frames."
         ));
     }
-    match changes
-        .iter()
-        .find(|(_, change)| change.has_effect().is_none())
-    {
+    match changes.iter().find(|(_, change)| change.has_effect().is_none()) {
         Some((_, change)) => change.hidden_by_noise(),
         None => pass(""),
     }
@@ -345,10 +329,7 @@ mod tests {
     #[test]
     fn frames_of_other_cameras_have_an_effect_unless_noise_hides_it() {
         let verdict = |largest, noise| {
-            let unused = Change {
-                largest: 0.0,
-                noise: 0.0,
-            };
+            let unused = Change { largest: 0.0, noise: 0.0 };
             let other = Change { largest, noise };
             frames(&[("a".to_owned(), unused), ("b".to_owned(), other)])
         };
@@ -362,22 +343,18 @@ mod tests {
         let mib = |number: f64| (number * f64::from(1 << 20)) as u64;
         let leaking: Vec<u64> = (0..30).map(|index| mib(100.0 + f64::from(index))).collect();
         assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));
-        let starting: Vec<u64> = (0..30)
-            .map(|index| mib(100.0 + 40.0 * f64::from(index.min(12))))
-            .collect();
+        let starting: Vec<u64> =
+            (0..30).map(|index| mib(100.0 + 40.0 * f64::from(index.min(12)))).collect();
         assert!(passes(&memory("process 7", &starting)));
-        let one_jump: Vec<u64> = (0..30)
-            .map(|index| mib(if index < 25 { 100.0 } else { 180.0 }))
-            .collect();
+        let one_jump: Vec<u64> =
+            (0..30).map(|index| mib(if index < 25 { 100.0 } else { 180.0 })).collect();
         assert!(passes(&memory("process 7", &one_jump)));
     }
 
     #[test]
     fn steadily_slower_episodes_fail_and_one_slow_episode_does_not() {
         let durations = |millis: fn(u64) -> u64| {
-            (0..30)
-                .map(|index| Duration::from_millis(millis(index)))
-                .collect()
+            (0..30).map(|index| Duration::from_millis(millis(index))).collect()
         };
         let growing: Vec<Duration> = durations(|index| 20 + 10 * index);
         assert!(fails(&slowing(&growing), "longer and longer"));

@@ -40,11 +40,8 @@ async fn compare_in_both_orders(first: Planted, second: Planted, expected: &[Kin
     let found = compared(&url(&first), &url(&second)).await;
     let reversed = compared(&url(&second), &url(&first)).await;
     for comparison in [&found, &reversed] {
-        let kinds: Vec<Kind> = comparison
-            .differences
-            .iter()
-            .map(|difference| difference.kind)
-            .collect();
+        let kinds: Vec<Kind> =
+            comparison.differences.iter().map(|difference| difference.kind).collect();
         assert_eq!(kinds, expected, "{comparison:#?}");
     }
     found
@@ -92,12 +89,7 @@ pub(crate) const SOUND: [fn() -> Planted; 4] = [
 async fn vertically_flipped_frames_are_named() {
     let flipping =
         Planted::sound().preparing(|input| input.frames.iter_mut().for_each(upside_down));
-    assert_named(
-        flipping,
-        Kind::FrameOrientation,
-        "frames flipped vertically",
-    )
-    .await;
+    assert_named(flipping, Kind::FrameOrientation, "frames flipped vertically").await;
     let one_camera = Planted::sound().preparing(|input| upside_down(&mut input.frames[1]));
     let words = "frames of robot0_eye_in_hand flipped vertically";
     assert_named(one_camera, Kind::FrameOrientation, words).await;
@@ -118,12 +110,7 @@ async fn frames_turned_by_180_degrees_are_named() {
 async fn frames_scaled_down_and_up_again_are_named() {
     let shrinking =
         Planted::sound().preparing(|input| input.frames.iter_mut().for_each(halved_and_doubled));
-    assert_named(
-        shrinking,
-        Kind::FrameSize,
-        "scaled to 64 × 64 pixels and back (means",
-    )
-    .await;
+    assert_named(shrinking, Kind::FrameSize, "scaled to 64 × 64 pixels and back (means").await;
 }
 
 #[tokio::test]
@@ -133,9 +120,8 @@ async fn swapped_cameras_and_colour_channels_are_named() {
     let bgr = Planted::sound().preparing(|input| {
         for frame in &mut input.frames {
             let pixels = frame.rgb.chunks_exact(3);
-            let reversed: Vec<u8> = pixels
-                .flat_map(|pixel| [pixel[2], pixel[1], pixel[0]])
-                .collect();
+            let reversed: Vec<u8> =
+                pixels.flat_map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect();
             frame.rgb = reversed.into();
         }
     });
@@ -145,30 +131,18 @@ async fn swapped_cameras_and_colour_channels_are_named() {
 #[tokio::test]
 async fn roll_pitch_yaw_in_place_of_axis_angle_is_named() {
     let mistaken = rotation(|vector| pose::roll_pitch_yaw(pose::from_axis_angle(vector)));
-    assert_named(
-        mistaken,
-        Kind::StateDefinition,
-        "position, roll-pitch-yaw and two finger",
-    )
-    .await;
+    assert_named(mistaken, Kind::StateDefinition, "position, roll-pitch-yaw and two finger").await;
 }
 
 #[tokio::test]
 async fn joints_in_place_of_a_pose_are_named() {
-    let pose = [
-        StateField::EefPos,
-        StateField::EefQuatXyzw,
-        StateField::GripperPos,
-    ];
+    let pose = [StateField::EefPos, StateField::EefQuatXyzw, StateField::GripperPos];
     let joints = [StateField::JointPos, StateField::GripperPos];
     let with_pose = Planted::sound().with_state(&pose);
     let with_joints = Planted::sound().with_state(&joints);
     let found = compare_in_both_orders(with_pose, with_joints, &[Kind::StateDefinition]).await;
     let text = &found.differences[0].text;
-    assert!(
-        text.contains("seven joint angles and two finger joints"),
-        "{text}"
-    );
+    assert!(text.contains("seven joint angles and two finger joints"), "{text}");
     assert_eq!(found.descriptions[0].what, "state");
 }
 
@@ -188,12 +162,7 @@ async fn a_quaternion_of_the_other_sign_is_named() {
 #[tokio::test]
 async fn a_gripper_in_another_convention_is_named() {
     let inverted = acting(|action| action[6] = -action[6]);
-    assert_named(
-        inverted,
-        Kind::GripperConvention,
-        "one opens where the other closes",
-    )
-    .await;
+    assert_named(inverted, Kind::GripperConvention, "one opens where the other closes").await;
     let zero_to_one = acting(|action| action[6] = (action[6] + 1.0) / 2.0);
     assert_named(zero_to_one, Kind::GripperConvention, "B = (A + 1) / 2").await;
 }
@@ -213,23 +182,13 @@ async fn actions_un_normalised_with_other_statistics_are_named() {
     });
     assert_named(scaled, Kind::UnNormalisation, "x = A's × 0.400 - 0.050").await;
     let one_scaled = acting(|action| action[2] *= 3.0);
-    assert_named(
-        one_scaled,
-        Kind::UnNormalisation,
-        "shifted: z = A's × 3.000.",
-    )
-    .await;
+    assert_named(one_scaled, Kind::UnNormalisation, "shifted: z = A's × 3.000.").await;
 }
 
 #[tokio::test]
 async fn a_chunk_that_begins_later_is_named() {
     let late = Planted::sound().finishing(|actions| drop(actions.drain(..2)));
-    assert_named(
-        late,
-        Kind::ChunkOffset,
-        "action k of B is action k + 2 of A",
-    )
-    .await;
+    assert_named(late, Kind::ChunkOffset, "action k of B is action k + 2 of A").await;
 }
 
 #[tokio::test]
@@ -239,10 +198,7 @@ async fn differences_in_seed_use_are_named() {
     let cases: [(Change, &str); 4] = [
         (|input| input.seed += 1, "one more than that"),
         (|input| input.seed = 42, "seed 42, a common default"),
-        (
-            |input| input.seed = input.earlier_queries,
-            "differently every time",
-        ),
+        (|input| input.seed = input.earlier_queries, "differently every time"),
         (|input| input.seed ^= 0x55, "different noise"),
     ];
     for (change, words) in cases {
@@ -271,9 +227,7 @@ async fn simultaneous_mistakes_are_all_named() {
     compare_in_both_orders(Planted::sound(), two_mistakes, &expected).await;
     let two_mistakes = Planted::sound().preparing(|input| {
         input.frames.iter_mut().for_each(upside_down);
-        input.state[6..]
-            .iter_mut()
-            .for_each(|number| *number = number.abs());
+        input.state[6..].iter_mut().for_each(|number| *number = number.abs());
     });
     let expected = [Kind::FrameOrientation, Kind::StateDefinition];
     compare_in_both_orders(Planted::sound(), two_mistakes, &expected).await;
@@ -282,21 +236,12 @@ async fn simultaneous_mistakes_are_all_named() {
 #[tokio::test]
 async fn other_weights_have_no_explanation() {
     let other_function = Planted::sound().preparing(|input| input.instruction.push('!'));
-    assert_named(
-        other_function,
-        Kind::Unexplained,
-        "none of the differences that are tried",
-    )
-    .await;
+    assert_named(other_function, Kind::Unexplained, "none of the differences that are tried").await;
 }
 
 #[tokio::test]
 async fn description_differences_are_reported_and_are_no_mistakes() {
-    let pose = [
-        StateField::EefPos,
-        StateField::EefQuatXyzw,
-        StateField::GripperPos,
-    ];
+    let pose = [StateField::EefPos, StateField::EefQuatXyzw, StateField::GripperPos];
     // Converts the quaternion to the axis-angle that the other policy requests.
     let converting = Planted::sound().with_state(&pose).preparing(|input| {
         let quaternion: [f64; 4] = input.state[3..7].try_into().expect("four numbers");

@@ -43,12 +43,7 @@ async fn noise_that_depends_on_the_order_of_requests_fails_on_points_that_demand
     let drawing = |query: Query| {
         proper(&query).map(|_| chunk(&[query.earlier_queries as f32 / 1000.0; 7], 7))
     };
-    check(
-        stochastic(),
-        drawing,
-        &[Retry, SameSeed, Order, Isolation, Restart],
-    )
-    .await;
+    check(stochastic(), drawing, &[Retry, SameSeed, Order, Isolation, Restart]).await;
 }
 
 #[tokio::test]
@@ -60,20 +55,13 @@ async fn a_seed_that_is_ignored_or_undeclared_fails_on_seeds() {
 
 #[tokio::test]
 async fn batches_that_are_declared_must_be_served() {
-    let described = DescribeResponse {
-        max_batch: 4,
-        ..stochastic()
-    };
+    let described = DescribeResponse { max_batch: 4, ..stochastic() };
     check(described, |query| proper(&query), &[Batch]).await;
 }
 
 #[tokio::test]
 async fn a_session_that_was_never_opened_must_not_be_answered() {
-    let answering_without_reset = |query: Query| {
-        proper(&Query {
-            seed: query.seed.or(Some(0)),
-            ..query
-        })
-    };
+    let answering_without_reset =
+        |query: Query| proper(&Query { seed: query.seed.or(Some(0)), ..query });
     check(stochastic(), answering_without_reset, &[Unopened]).await;
 }

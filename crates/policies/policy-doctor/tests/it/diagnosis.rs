@@ -13,10 +13,7 @@ use proto::policy::{Language, StateField};
 
 use crate::{compare::SOUND, planted::Planted, scripted::serve};
 
-const MEASURES: Measures = Measures {
-    answer_within: Duration::from_secs(50),
-    episodes: 3,
-};
+const MEASURES: Measures = Measures { answer_within: Duration::from_secs(50), episodes: 3 };
 
 async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
     let spec = url.parse().expect("a back-end");
@@ -39,12 +36,10 @@ async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
 async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
     let server = serve(policy).await;
     let findings = examined(&format!("grpc://{}", server.address), measures).await;
-    let failed = findings
-        .into_iter()
-        .filter_map(|finding| match finding.verdict {
-            Verdict::Fail { reason } => Some((finding.point, reason)),
-            _ => None,
-        });
+    let failed = findings.into_iter().filter_map(|finding| match finding.verdict {
+        Verdict::Fail { reason } => Some((finding.point, reason)),
+        _ => None,
+    });
     failed.collect()
 }
 
@@ -62,20 +57,13 @@ async fn unused_frames_are_found_by_camera() {
     let words = "frames of agentview and robot0_eye_in_hand";
     finds(without_frames, &[Point::Frames], words).await;
     let without_second_camera = Planted::sound().preparing(|input| input.frames.truncate(1));
-    finds(
-        without_second_camera,
-        &[Point::Frames],
-        "frames of robot0_eye_in_hand",
-    )
-    .await;
+    finds(without_second_camera, &[Point::Frames], "frames of robot0_eye_in_hand").await;
 }
 
 #[tokio::test]
 async fn a_gripper_that_never_opens_is_found() {
     let zero_to_one = Planted::sound().finishing(|actions| {
-        actions
-            .iter_mut()
-            .for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
+        actions.iter_mut().for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
     });
     finds(zero_to_one, &[Point::Gripper], "answer 1 - 2 g").await;
 }
@@ -83,10 +71,7 @@ async fn a_gripper_that_never_opens_is_found() {
 #[tokio::test]
 async fn actions_out_of_range_are_found() {
     let large = Planted::sound().finishing(|actions| {
-        actions
-            .iter_mut()
-            .flatten()
-            .for_each(|number| *number *= 40.0);
+        actions.iter_mut().flatten().for_each(|number| *number *= 40.0);
     });
     finds(large, &[Point::Range], "not un-normalised").await;
 }
@@ -104,12 +89,7 @@ async fn an_arm_that_does_not_move_is_found() {
 #[tokio::test]
 async fn ignored_instructions_are_found_unless_declared() {
     let ignoring_instructions = || Planted::sound().preparing(|input| input.instruction.clear());
-    finds(
-        ignoring_instructions(),
-        &[Point::Instructions],
-        "8 other instructions",
-    )
-    .await;
+    finds(ignoring_instructions(), &[Point::Instructions], "8 other instructions").await;
     let mut declared = ignoring_instructions();
     declared.described.language = Language::Ignored.into();
     assert_eq!(failures(declared, MEASURES).await, []);
@@ -134,10 +114,7 @@ async fn nan_actions_are_found() {
 #[tokio::test]
 async fn answers_that_come_too_late_are_found() {
     let slow = Planted::sound().preparing(|_| std::thread::sleep(Duration::from_millis(30)));
-    let measures = Measures {
-        answer_within: Duration::from_millis(20),
-        episodes: 0,
-    };
+    let measures = Measures { answer_within: Duration::from_millis(20), episodes: 0 };
     let failed = failures(slow, measures).await;
     assert_eq!(failed.len(), 1, "{failed:?}");
     assert_eq!(failed[0].0, Point::Latency);
@@ -155,8 +132,6 @@ async fn servers_without_mistakes_pass_every_check() {
         assert_eq!(failures(policy(), MEASURES).await, []);
     }
     let findings = examined("builtin:expert", MEASURES).await;
-    let failed = findings
-        .iter()
-        .filter(|finding| matches!(finding.verdict, Verdict::Fail { .. }));
+    let failed = findings.iter().filter(|finding| matches!(finding.verdict, Verdict::Fail { .. }));
     assert_eq!(failed.count(), 0, "{findings:?}");
 }

@@ -4,8 +4,5 @@ mod compare;
 mod conformance;
 mod diagnosis;
 mod planted;
-#[allow(
-    dead_code,
-    reason = "the gateway's tests stop these servers and call them directly"
-)]
+#[allow(dead_code, reason = "the gateway's tests stop these servers and call them directly")]
 mod scripted;

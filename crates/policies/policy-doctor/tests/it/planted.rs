@@ -58,11 +58,7 @@ impl Planted {
             width: SIDE as u32,
             height: SIDE as u32,
         };
-        let state = [
-            StateField::EefPos,
-            StateField::EefAxisAngle,
-            StateField::GripperPos,
-        ];
+        let state = [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos];
         Self {
             described: DescribeResponse {
                 protocol_version: proto::PROTOCOL_VERSION,
@@ -184,9 +180,7 @@ fn network(input: &NetworkInput, query: u64, count: usize, noise: f64) -> Vec<Ac
         let deviation = noise * hash(&[3, input.seed, query, row as u64, component as u64]);
         0.7 * (wave + 0.5 * features[7 + component]).tanh() + deviation
     };
-    (0..count)
-        .map(|row| std::array::from_fn(|component| number(row, component)))
-        .collect()
+    (0..count).map(|row| std::array::from_fn(|component| number(row, component))).collect()
 }
 
 /// Returns the weight of a sampled pixel value for a feature; all weights are different.
@@ -215,10 +209,8 @@ pub(crate) fn halved_and_doubled(frame: &mut Image) {
         let (row, column, channel) = (index / 3 / width, index / 3 % width, index % 3);
         let (row, column) = (row & !1, column & !1);
         let four = [(0, 0), (0, 1), (1, 0), (1, 1)];
-        let sum: u32 = four
-            .iter()
-            .map(|(down, right)| level(row + down, column + right, channel))
-            .sum();
+        let sum: u32 =
+            four.iter().map(|(down, right)| level(row + down, column + right, channel)).sum();
         (sum / 4) as u8
     };
     frame.rgb = (0..old.len()).map(number).collect::<Vec<u8>>().into();

@@ -32,11 +32,7 @@ pub(crate) struct Running {
 
 impl Running {
     pub(crate) fn new(address: SocketAddr, stop: oneshot::Sender<()>, task: JoinSet<()>) -> Self {
-        Self {
-            address,
-            stop,
-            task,
-        }
+        Self { address, stop, task }
     }
 
     pub(crate) async fn stop(mut self) {
@@ -114,9 +110,7 @@ async fn serve_any(policy: AnyPolicy) -> Running {
 }
 
 pub(crate) async fn client(address: SocketAddr) -> PolicyClient<Channel> {
-    PolicyClient::connect(format!("http://{address}"))
-        .await
-        .expect("a server at the address")
+    PolicyClient::connect(format!("http://{address}")).await.expect("a server at the address")
 }
 
 /// Returns a description that any gateway accepts.
@@ -132,10 +126,7 @@ pub(crate) fn description(name: &str, horizon: u32) -> DescribeResponse {
 
 /// Returns one chunk of actions of the given width.
 pub(crate) fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
-    InferResponse {
-        actions: actions.to_vec(),
-        action_width,
-    }
+    InferResponse { actions: actions.to_vec(), action_width }
 }
 
 /// Query to a scripted policy.
@@ -193,10 +184,7 @@ impl Policy for Scripted {
         request: Request<ResetRequest>,
     ) -> Result<Response<ResetResponse>, Status> {
         let ResetRequest { session, seed, .. } = request.into_inner();
-        self.seeds
-            .lock()
-            .expect("no test panics here")
-            .insert(session, seed);
+        self.seeds.lock().expect("no test panics here").insert(session, seed);
         Ok(Response::new(ResetResponse {}))
     }
 
@@ -204,24 +192,10 @@ impl Policy for Scripted {
         &self,
         request: Request<InferRequest>,
     ) -> Result<Response<InferResponse>, Status> {
-        let InferRequest {
-            session,
-            query_index,
-            ..
-        } = request.into_inner();
-        let seed = self
-            .seeds
-            .lock()
-            .expect("no test panics here")
-            .get(&session)
-            .copied();
+        let InferRequest { session, query_index, .. } = request.into_inner();
+        let seed = self.seeds.lock().expect("no test panics here").get(&session).copied();
         let earlier_queries = self.queries.fetch_add(1, Ordering::SeqCst);
-        (self.answer)(Query {
-            seed,
-            query_index,
-            earlier_queries,
-        })
-        .map(Response::new)
+        (self.answer)(Query { seed, query_index, earlier_queries }).map(Response::new)
     }
 
     async fn infer_batch(
@@ -234,20 +208,12 @@ impl Policy for Scripted {
 
 /// Answers like a well-behaved policy: a function of seed and query alone.
 pub(crate) fn proper(query: &Query) -> Result<InferResponse, Status> {
-    let seed = query
-        .seed
-        .ok_or_else(|| Status::unavailable("the session is not open"))?;
-    Ok(chunk(
-        &[(seed as f32 + query.query_index as f32 / 10.0) / 100.0; 7],
-        7,
-    ))
+    let seed = query.seed.ok_or_else(|| Status::unavailable("the session is not open"))?;
+    Ok(chunk(&[(seed as f32 + query.query_index as f32 / 10.0) / 100.0; 7], 7))
 }
 
 pub(crate) fn stochastic() -> DescribeResponse {
-    DescribeResponse {
-        stochastic: true,
-        ..description("p", 1)
-    }
+    DescribeResponse { stochastic: true, ..description("p", 1) }
 }
 
 /// Returns the points on which a server fails.

@@ -45,10 +45,8 @@ impl Weights {
     pub fn random(seed: u64) -> Self {
         let metadata = [("format", "rollout-student/1"), ("name", "student")];
         let to_owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
-        let mut weights = Self {
-            metadata: metadata.map(to_owned).into(),
-            tensors: BTreeMap::new(),
-        };
+        let mut weights =
+            Self { metadata: metadata.map(to_owned).into(), tensors: BTreeMap::new() };
         let mut random = Random(seed);
         let mut halves = |name: &str, shape: &[usize], centre: f32, spread: f32| {
             let count: usize = shape.iter().product();
@@ -56,11 +54,8 @@ impl Weights {
                 let value = centre + spread * random.unit();
                 half::f16::from_f32(value).to_le_bytes()
             });
-            let tensor = Tensor {
-                dtype: Dtype::F16,
-                shape: shape.to_vec(),
-                bytes: bytes.collect(),
-            };
+            let tensor =
+                Tensor { dtype: Dtype::F16, shape: shape.to_vec(), bytes: bytes.collect() };
             weights.tensors.insert(name.to_owned(), tensor);
         };
         halves("words.weight", &[4096, 48], 0.0, 0.5);
@@ -80,11 +75,8 @@ impl Weights {
         for camera in ["agentview", "wrist"] {
             let mut named = |name: &str, shape: &[usize], centre: f32, gain: f32| {
                 let inputs: usize = shape[1..].iter().product();
-                let spread = if shape.len() > 1 {
-                    gain * (3.0 / inputs as f32).sqrt()
-                } else {
-                    gain
-                };
+                let spread =
+                    if shape.len() > 1 { gain * (3.0 / inputs as f32).sqrt() } else { gain };
                 halves(&format!("{camera}.{name}"), shape, centre, spread);
             };
             named("stem.conv.weight", &[32, 3, 3, 3], 0.0, 1.4);
@@ -109,11 +101,7 @@ impl Weights {
         }
         let mut singles = |name: &str, centre: f32, spread: f32| {
             let bytes = (0..14).flat_map(|_| (centre + spread * random.unit()).to_le_bytes());
-            let tensor = Tensor {
-                dtype: Dtype::F32,
-                shape: vec![14],
-                bytes: bytes.collect(),
-            };
+            let tensor = Tensor { dtype: Dtype::F32, shape: vec![14], bytes: bytes.collect() };
             weights.tensors.insert(name.to_owned(), tensor);
         };
         singles("state_mean", 0.0, 0.5);
@@ -126,10 +114,7 @@ impl Weights {
         let metadata = self.metadata.clone().into_iter().collect();
         let tensors = self.tensors.iter().map(|(name, tensor)| {
             let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
-            (
-                name.as_str(),
-                view.expect("the number of bytes that the shape needs"),
-            )
+            (name.as_str(), view.expect("the number of bytes that the shape needs"))
         });
         safetensors::serialize(tensors, Some(metadata)).expect("a file")
     }

@@ -117,9 +117,8 @@ impl Context<'_> {
         campaigns::rename(&mut self.tx, campaign, name).await?;
         for derived in derivations::derived_names(&mut self.tx, campaign.id).await? {
             let derived = self.campaign_named(&derived).await?;
-            let (spec, digest) = self
-                .altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str()))
-                .await?;
+            let (spec, digest) =
+                self.altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str())).await?;
             campaigns::set_spec(&mut self.tx, derived.id, &spec, &digest).await?;
         }
         Ok(())

@@ -62,22 +62,11 @@ impl Queue {
         let path = relative_path(&owner.ok_or(ArtifactError::NoOutcome { attempt })?, attempt);
         let target = shared.store.folder().join(&path);
         let folder = target.parent().unwrap_or(Path::new("."));
-        tokio::fs::create_dir_all(folder)
-            .await
-            .map_err(write_error(folder))?;
+        tokio::fs::create_dir_all(folder).await.map_err(write_error(folder))?;
         // Every upload has its own temporary file, even two uploads of one attempt.
-        let partial = tempfile::Builder::new()
-            .suffix(PARTIAL_SUFFIX)
-            .tempfile_in(folder);
+        let partial = tempfile::Builder::new().suffix(PARTIAL_SUFFIX).tempfile_in(folder);
         let (file, partial) = partial.map_err(write_error(folder))?.into_parts();
-        Ok(Upload {
-            shared,
-            attempt,
-            path,
-            partial,
-            file: File::from_std(file),
-            size_bytes: 0,
-        })
+        Ok(Upload { shared, attempt, path, partial, file: File::from_std(file), size_bytes: 0 })
     }
 }
 
@@ -102,14 +91,8 @@ impl Upload<'_> {
     /// If the outcome was deleted in the meantime, or the disk or the database fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
         // Writes run in the background; only a flush reports a failure of the last one.
-        self.file
-            .flush()
-            .await
-            .map_err(write_error(&self.partial))?;
-        self.file
-            .sync_all()
-            .await
-            .map_err(write_error(&self.partial))?;
+        self.file.flush().await.map_err(write_error(&self.partial))?;
+        self.file.sync_all().await.map_err(write_error(&self.partial))?;
         let attempt = self.attempt;
         let mut context = Context::begin(self.shared, vec![Step::Artifact]).await?;
         let owner = artifacts::owner(&mut context.tx, attempt).await?;
@@ -138,11 +121,7 @@ pub(crate) fn campaign_folder(folder: &str) -> String {
 pub fn remove_partial_files(data: &Path) -> io::Result<()> {
     for entry in std::fs::read_dir(data)? {
         let entry = entry?;
-        if entry
-            .file_name()
-            .to_string_lossy()
-            .starts_with(MOVING_PREFIX)
-        {
+        if entry.file_name().to_string_lossy().starts_with(MOVING_PREFIX) {
             match entry.file_type()?.is_dir() {
                 true => std::fs::remove_dir_all(entry.path())?,
                 false => std::fs::remove_file(entry.path())?,

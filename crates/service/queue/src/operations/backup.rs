@@ -30,9 +30,6 @@ impl Queue {
     pub async fn backup(&self) -> Result<Backup, QueueError> {
         let guard = self.backups.clone().try_lock_owned();
         let guard = guard.map_err(|_| QueueError::BackupInHand)?;
-        Ok(Backup {
-            copy: backup::copy(&self.shared.store).await?,
-            _guard: guard,
-        })
+        Ok(Backup { copy: backup::copy(&self.shared.store).await?, _guard: guard })
     }
 }

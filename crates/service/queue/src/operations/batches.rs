@@ -34,10 +34,7 @@ pub(super) async fn insert(
             Err(error) => Err(error),
         };
         if let Err(error) = removed {
-            tracing::warn!(
-                "failed to {}; the next start tries again",
-                error.with_cause()
-            );
+            tracing::warn!("failed to {}; the next start tries again", error.with_cause());
         }
     }
     inserted
@@ -106,10 +103,7 @@ pub(crate) async fn run(shared: Arc<Shared>, interrupted: Vec<(CampaignId, Polic
         match remove(&shared, id, policy).await {
             Ok(()) => tracing::info!("deleted a campaign left incomplete by the previous run"),
             Err(error) => {
-                tracing::error!(
-                    "failed to {}; the next start tries again",
-                    error.with_cause()
-                );
+                tracing::error!("failed to {}; the next start tries again", error.with_cause());
             }
         }
     }
@@ -159,10 +153,7 @@ pub(super) mod tests {
 
     async fn count(queue: &Queue, sql: &'static str) -> i64 {
         let mut view = queue.store().read().await.expect("a view");
-        sqlx::query_scalar(sql)
-            .fetch_one(&mut *view)
-            .await
-            .expect("a count")
+        sqlx::query_scalar(sql).fetch_one(&mut *view).await.expect("a count")
     }
 
     /// Regression: creating or deleting a campaign was one transaction of the only writer, which
@@ -183,10 +174,7 @@ pub(super) mod tests {
         let name = CampaignName::parse("large").expect("a name");
         let mut view = queue.view().await.expect("a view");
         let campaign = view.campaign(&name).await.expect("the campaign");
-        assert_eq!(
-            (campaign.folder.as_str(), campaign.record.as_str()),
-            ("large", "transitions")
-        );
+        assert_eq!((campaign.folder.as_str(), campaign.record.as_str()), ("large", "transitions"));
         assert!(campaign.state.may_lease());
         drop(view);
         let counts = queue.delete_campaign(&name).await.expect("deleted");
@@ -200,9 +188,7 @@ pub(super) mod tests {
                 queue.create_campaign(&new).await.expect("created");
                 let mut context = Context::begin(shared, vec![]).await.expect("begun");
                 let campaign = context.campaign_named(&name).await.expect("the campaign");
-                hidden::hide_deleted(&mut context.tx, campaign.id)
-                    .await
-                    .expect("hidden");
+                hidden::hide_deleted(&mut context.tx, campaign.id).await.expect("hidden");
                 let deleted =
                     hidden::delete_jobs(&mut context.tx, campaign.id, JOBS_PER_BATCH).await;
                 assert_eq!(deleted.expect("deleted"), JOBS_PER_BATCH as u64);

@@ -199,9 +199,6 @@ impl Cache {
 
     /// Clears everything after a campaign was deleted.
     pub(super) fn clear(&mut self) {
-        *self = Cache {
-            is_open: self.is_open,
-            ..Cache::default()
-        };
+        *self = Cache { is_open: self.is_open, ..Cache::default() };
     }
 }

@@ -48,11 +48,7 @@ impl Queue {
                     differs: differing_fields(&spec, &new.spec),
                 });
             }
-            return Ok(Created {
-                jobs_added: 0,
-                jobs_total: jobs,
-                priority: existing.priority,
-            });
+            return Ok(Created { jobs_added: 0, jobs_total: jobs, priority: existing.priority });
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > JOBS_PER_BATCH {
@@ -162,11 +158,7 @@ fn report_created(shared: &Shared, new: &NewCampaign) -> Created {
     let jobs = new.jobs.len() as u64;
     tracing::info!(campaign = %new.name, jobs, "campaign created");
     shared.work.notify_waiters();
-    Created {
-        jobs_added: jobs,
-        jobs_total: jobs,
-        priority: new.priority,
-    }
+    Created { jobs_added: jobs, jobs_total: jobs, priority: new.priority }
 }
 
 /// Returns the error for changing a campaign that is cancelled or stopped.
@@ -200,9 +192,7 @@ impl Context<'_> {
         })?;
         let source = self.campaign_named(&name).await?;
         if source.mode()? != Realisation::Matched {
-            return Err(QueueError::Unmatched {
-                campaign: source.name,
-            });
+            return Err(QueueError::Unmatched { campaign: source.name });
         }
         if (&source.policy, &source.endpoint) != (&new.policy, &new.policy_endpoint) {
             return Err(QueueError::OtherPolicy {
@@ -252,10 +242,8 @@ impl Context<'_> {
         }
         if let Rollouts::Thresholds(thresholds) = derived {
             let possible = thresholds.check_measurable(&spec.rollouts);
-            possible.map_err(|problem| QueueError::NoThresholds {
-                campaign: source.name,
-                problem,
-            })?;
+            possible
+                .map_err(|problem| QueueError::NoThresholds { campaign: source.name, problem })?;
         }
         Ok(Some(source.id))
     }
@@ -282,8 +270,7 @@ impl Context<'_> {
         for row in &leased {
             if let JobState::Leased(lease) = &row.job.state {
                 let failure = (FailureReason::Cancelled, explanation);
-                self.end_attempt((&row.job, lease), campaign, failure)
-                    .await?;
+                self.end_attempt((&row.job, lease), campaign, failure).await?;
             }
         }
         jobs::forget_cut_off(&mut self.tx, campaign).await?;

@@ -182,11 +182,7 @@ impl Context<'_> {
                 "rollout `{}` runs alone, because {} of its attempts lost the policy",
                 chosen.rollout_id, chosen.losses
             );
-            let granted = (
-                claim.place,
-                self.grant(chosen.job.id, claim.request),
-                reason,
-            );
+            let granted = (claim.place, self.grant(chosen.job.id, claim.request), reason);
             pending.remove(at);
             return Ok(Some(granted));
         }

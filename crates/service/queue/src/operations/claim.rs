@@ -102,18 +102,13 @@ impl Context<'_> {
         }
         for (pin, mut pending) in pending {
             for (place, assigned) in self.lease_to(&pin, &mut pending).await? {
-                answers[place] = Ok(Claimed {
-                    job: Some(assigned),
-                    idle_reason: String::new(),
-                });
+                answers[place] = Ok(Claimed { job: Some(assigned), idle_reason: String::new() });
             }
             if pending.is_empty() {
                 continue;
             }
             let idle_reason = self.idle_reason(&pin).await?;
-            let is_lacking = pending
-                .iter()
-                .any(|claim| !claim.request.lacking_tasks.is_empty());
+            let is_lacking = pending.iter().any(|claim| !claim.request.lacking_tasks.is_empty());
             let waiting = match is_lacking {
                 true => self.waiting_tasks(&pin).await?,
                 false => Vec::new(),
@@ -124,10 +119,7 @@ impl Context<'_> {
                     .filter_map(|(campaign, tasks)| missing_files(campaign, tasks, claim.request));
                 let reasons = Some(idle_reason.clone()).filter(|reason| !reason.is_empty());
                 let reasons: Vec<String> = reasons.into_iter().chain(missing).collect();
-                answers[claim.place] = Ok(Claimed {
-                    job: None,
-                    idle_reason: reasons.join("; "),
-                });
+                answers[claim.place] = Ok(Claimed { job: None, idle_reason: reasons.join("; ") });
             }
         }
         Ok(answers)
@@ -138,10 +130,7 @@ impl Context<'_> {
         &mut self,
         requests: &[(&ClaimRequest, bool)],
     ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
-        let claiming: Vec<_> = requests
-            .iter()
-            .map(|(request, _)| &request.worker)
-            .collect();
+        let claiming: Vec<_> = requests.iter().map(|(request, _)| &request.worker).collect();
         let standings = workers::standings(&mut self.tx, &claiming).await?;
         let new = requests.iter().filter(|(_, is_new)| *is_new);
         let new: Vec<_> = new.map(|(request, _)| &request.worker).collect();
@@ -199,9 +188,7 @@ impl Context<'_> {
             let Some((chosen, share)) = choose_campaign(&choices, pending.len()) else {
                 break;
             };
-            let Some(campaign) = suitable
-                .into_iter()
-                .find(|candidate| candidate.id == chosen)
+            let Some(campaign) = suitable.into_iter().find(|candidate| candidate.id == chosen)
             else {
                 break;
             };
@@ -244,10 +231,7 @@ impl Context<'_> {
         }
         let waiting = self.cache.waiting(&mut self.tx).await?;
         let mut tried: BTreeSet<PolicyId> = BTreeSet::new();
-        for campaign in waiting
-            .iter()
-            .filter(|candidate| lone.contains(&candidate.id))
-        {
+        for campaign in waiting.iter().filter(|candidate| lone.contains(&candidate.id)) {
             let may_lease = !pending.is_empty()
                 && campaign.state.may_lease()
                 && campaign.accepts(pin)
@@ -308,13 +292,10 @@ impl Context<'_> {
         let leased = claims::grant(&mut self.tx, &grants, term).await?;
         let mut leased: BTreeMap<JobId, LeasedJob> =
             leased.into_iter().map(|job| (job.id, job)).collect();
-        let assignments = places
-            .into_iter()
-            .zip(&grants)
-            .filter_map(|(place, grant)| {
-                let job = leased.remove(&JobId(grant.job))?;
-                Some((place, assigned(campaign, job)))
-            });
+        let assignments = places.into_iter().zip(&grants).filter_map(|(place, grant)| {
+            let job = leased.remove(&JobId(grant.job))?;
+            Some((place, assigned(campaign, job)))
+        });
         Ok(assignments.collect())
     }
 
@@ -326,22 +307,17 @@ impl Context<'_> {
             let name = &campaign.name;
             if !campaign.accepts(pin) {
                 let demand = campaign.demand();
-                reasons.push(format!(
-                    "campaign `{name}` {demand} and this worker runs on {pin}"
-                ));
+                reasons.push(format!("campaign `{name}` {demand} and this worker runs on {pin}"));
             } else if !campaign.state.may_lease() {
                 reasons.push(format!("campaign `{name}` is paused"));
             } else if let (
                 PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. },
                 true,
-            ) = (
-                &campaign.health.state,
-                campaign.health.allowance(self.now) == Allowance::Nothing,
-            ) {
+            ) =
+                (&campaign.health.state, campaign.health.allowance(self.now) == Allowance::Nothing)
+            {
                 let policy = &campaign.policy;
-                reasons.push(format!(
-                    "policy `{policy}` of campaign `{name}` is paused: {reason}"
-                ));
+                reasons.push(format!("policy `{policy}` of campaign `{name}` is paused: {reason}"));
             }
         }
         Ok(reasons.join("; "))
@@ -371,10 +347,7 @@ fn missing_files(
     request: &ClaimRequest,
 ) -> Option<String> {
     let first = &waiting.first()?.task;
-    if waiting
-        .iter()
-        .any(|waiting| request.has_files_of(&waiting.task))
-    {
+    if waiting.iter().any(|waiting| request.has_files_of(&waiting.task)) {
         return None;
     }
     let others = match waiting.len() {
@@ -402,14 +375,11 @@ fn may_claim<'a>(
 ) -> Result<&'a Standing, QueueError> {
     let standing = standings
         .get(worker)
-        .ok_or_else(|| QueueError::UnknownWorker {
-            worker: worker.clone(),
-        })?;
+        .ok_or_else(|| QueueError::UnknownWorker { worker: worker.clone() })?;
     match &standing.stopped_reason {
-        Some(reason) => Err(QueueError::WorkerStopped {
-            worker: worker.clone(),
-            reason: reason.clone(),
-        }),
+        Some(reason) => {
+            Err(QueueError::WorkerStopped { worker: worker.clone(), reason: reason.clone() })
+        }
         None => Ok(standing),
     }
 }
@@ -438,11 +408,8 @@ mod tests {
     #[test]
     fn missing_files_are_described_by_a_task_and_whether_others_wait() {
         let tasks = ["libero_goal/3", "libero_goal/4"];
-        let waiting = tasks.map(|task| WaitingTask {
-            task: task.to_owned(),
-            first_unit: 0,
-            leased: 0,
-        });
+        let waiting =
+            tasks.map(|task| WaitingTask { task: task.to_owned(), first_unit: 0, leased: 0 });
         let mut request = ClaimRequest {
             worker: WorkerId("a".to_owned()),
             claim: String::new(),

@@ -100,27 +100,25 @@ impl Context<'_> {
     ) -> Result<CommitReply, StoreError> {
         let reported = key(&report.result);
         let job = &attempt.job;
-        Ok(
-            match job.judge_commit(attempt.id.0, reported, attempt.stored) {
-                CommitJudgement::Accept => return self.accept(attempt, report, accepted).await,
-                CommitJudgement::Duplicate => CommitReply {
-                    verdict: CommitVerdict::Duplicate,
-                    detail: "this outcome is already stored".to_owned(),
-                },
-                CommitJudgement::Divergent => {
-                    let (origin, _) = self.cache.origin(&mut self.tx, &report.provenance).await?;
-                    let by = (attempt.number, &attempt.worker);
-                    let result = &report.result;
-                    results::insert_divergence(&mut self.tx, job.id, by, result, origin, self.now)
-                        .await?;
-                    divergent(attempt, reported)
-                }
-                CommitJudgement::Stale => {
-                    jobs::count_stale_report(&mut self.tx, job.id).await?;
-                    stale(attempt)
-                }
+        Ok(match job.judge_commit(attempt.id.0, reported, attempt.stored) {
+            CommitJudgement::Accept => return self.accept(attempt, report, accepted).await,
+            CommitJudgement::Duplicate => CommitReply {
+                verdict: CommitVerdict::Duplicate,
+                detail: "this outcome is already stored".to_owned(),
             },
-        )
+            CommitJudgement::Divergent => {
+                let (origin, _) = self.cache.origin(&mut self.tx, &report.provenance).await?;
+                let by = (attempt.number, &attempt.worker);
+                let result = &report.result;
+                results::insert_divergence(&mut self.tx, job.id, by, result, origin, self.now)
+                    .await?;
+                divergent(attempt, reported)
+            }
+            CommitJudgement::Stale => {
+                jobs::count_stale_report(&mut self.tx, job.id).await?;
+                stale(attempt)
+            }
+        })
     }
 
     /// Accepts the result of an attempt that holds the lease, unless the result disagrees with its
@@ -159,10 +157,7 @@ impl Context<'_> {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
         let suite = attempt.row.id.task().suite();
-        let measured = self
-            .cache
-            .measured(&mut self.tx, campaign.id, suite)
-            .await?;
+        let measured = self.cache.measured(&mut self.tx, campaign.id, suite).await?;
         let difference = measured.and_then(|pinned| report.provenance.policy_difference(&pinned));
         if let Some(difference) = difference {
             let name = &campaign.name;
@@ -176,10 +171,7 @@ impl Context<'_> {
         if let Some(detail) = pairing::impossible_count(&attempt.row, &report.result) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
-        let demand = Demand {
-            realisation: campaign.mode()?,
-            row: &attempt.row,
-        };
+        let demand = Demand { realisation: campaign.mode()?, row: &attempt.row };
         let (number, origin) = self.cache.origin(&mut self.tx, &report.provenance).await?;
         let result = Sibling {
             rollout: attempt.row.id,
@@ -191,11 +183,7 @@ impl Context<'_> {
         // A variant is compared with no other rollout, and a task may have hundreds of variants.
         let has_siblings = attempt.row.id.variant().is_none();
         let siblings = match has_siblings {
-            true => {
-                self.cache
-                    .siblings(&mut self.tx, &attempt.initial_state)
-                    .await
-            }
+            true => self.cache.siblings(&mut self.tx, &attempt.initial_state).await,
             false => Ok(&[][..]),
         };
         let siblings = match siblings {
@@ -236,10 +224,7 @@ impl Context<'_> {
             realised: &report.realised,
             motion: &report.motion,
         });
-        Ok(CommitReply {
-            verdict: CommitVerdict::Accepted,
-            detail: String::new(),
-        })
+        Ok(CommitReply { verdict: CommitVerdict::Accepted, detail: String::new() })
     }
 
     /// Ends an attempt whose result is refused for `reason`, which `detail` explains.
@@ -251,37 +236,23 @@ impl Context<'_> {
     ) -> Result<CommitReply, StoreError> {
         if let Some(lease) = attempt.job.lease_of(attempt.id.0) {
             let failure = (reason, detail.as_str());
-            self.end_attempt(
-                (&attempt.job, lease),
-                attempt.initial_state.campaign,
-                failure,
-            )
-            .await?;
+            self.end_attempt((&attempt.job, lease), attempt.initial_state.campaign, failure)
+                .await?;
             if reason.blames() == Some(Party::Machine) {
                 self.strike(&lease.owner, &detail).await?;
             }
         }
-        Ok(CommitReply {
-            verdict: CommitVerdict::Unpaired,
-            detail,
-        })
+        Ok(CommitReply { verdict: CommitVerdict::Unpaired, detail })
     }
 }
 
 fn key(result: &RolloutResult) -> OutcomeKey {
-    OutcomeKey {
-        success: result.success,
-        steps: result.steps,
-    }
+    OutcomeKey { success: result.success, steps: result.steps }
 }
 
 fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
     let describe = |outcome: OutcomeKey| {
-        let word = if outcome.success {
-            "success"
-        } else {
-            "failure"
-        };
+        let word = if outcome.success { "success" } else { "failure" };
         format!("{word} after {} steps", outcome.steps)
     };
     CommitReply {
@@ -296,11 +267,7 @@ fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
 }
 
 fn stale(attempt: &NamedAttempt) -> CommitReply {
-    let Job {
-        id,
-        attempt: newest,
-        ..
-    } = attempt.job;
+    let Job { id, attempt: newest, .. } = attempt.job;
     CommitReply {
         verdict: CommitVerdict::Stale,
         detail: format!(

@@ -71,13 +71,7 @@ impl<'a> Context<'a> {
     pub(super) async fn within(shared: &'a Shared, tx: Tx<'a>) -> Context<'a> {
         let mut cache = shared.cache.lock().await;
         cache.begin();
-        Context {
-            tx,
-            cache,
-            now: shared.now(),
-            settles: false,
-            shared,
-        }
+        Context { tx, cache, now: shared.now(), settles: false, shared }
     }
 
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
@@ -111,22 +105,14 @@ impl<'a> Context<'a> {
         else {
             return Ok(None);
         };
-        if self
-            .campaign(attempt.initial_state.campaign)
-            .await?
-            .state
-            .is_over()
-        {
+        if self.campaign(attempt.initial_state.campaign).await?.state.is_over() {
             return Ok(None);
         }
         let expires = self.now.plus(self.shared.timing.lease);
         jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
         let owner = &lease.owner;
         tracing::info!(attempt = %attempt.id.0, "worker `{owner}` resumes the attempt");
-        Ok(Some(Lease {
-            expires: expires.min(lease.ceiling),
-            ..lease.clone()
-        }))
+        Ok(Some(Lease { expires: expires.min(lease.ceiling), ..lease.clone() }))
     }
 
     /// Ends an attempt that holds its lease, without a result: requeues or quarantines its job and
@@ -148,24 +134,19 @@ impl<'a> Context<'a> {
         let now = self.now;
         let before = &campaign.health;
         let id = lease.attempt;
-        let is_outage = matches!(
-            reason,
-            FailureReason::PolicyUnavailable | FailureReason::PolicyLost
-        );
+        let is_outage =
+            matches!(reason, FailureReason::PolicyUnavailable | FailureReason::PolicyLost);
         let cause = without_policy_name(&campaign.policy, error);
         let after = self.shared.decide(|rng| match reason {
             _ if is_outage => before.after_outage(id, lease.granted, &cause, now, rng),
             FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &cause, now, rng),
             _ => before.after_other_failure(id, now),
         });
-        let mut next_step = self
-            .shared
-            .decide(|rng| job.after_failure(reason, suspicion, now, rng));
-        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) = (
-            is_outage && before.is_probe(id),
-            &after.state,
-            &mut next_step,
-        ) {
+        let mut next_step =
+            self.shared.decide(|rng| job.after_failure(reason, suspicion, now, rng));
+        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
+            (is_outage && before.is_probe(id), &after.state, &mut next_step)
+        {
             // Lets another waiting job be the policy's next probe.
             let wait = resume.since(now).clamp(Waits::USUAL.first, MAX_YIELD);
             *not_before = (*not_before).max(resume.plus(wait));
@@ -188,10 +169,7 @@ impl<'a> Context<'a> {
             PolicyState::Paused { resume, .. } if is_outage => resume.since(now),
             _ => Duration::ZERO,
         };
-        Ok(Ended {
-            next_step,
-            policy_wait,
-        })
+        Ok(Ended { next_step, policy_wait })
     }
 
     /// Counts one more failure of a worker's machine. Returns the reason why the worker must stop
@@ -203,9 +181,7 @@ impl<'a> Context<'a> {
     ) -> Result<Option<String>, StoreError> {
         let standings = workers::standings(&mut self.tx, &[worker]).await?;
         let strike = strike(
-            standings
-                .get(worker)
-                .map_or(0, |worker_standing| worker_standing.charged_in_a_row),
+            standings.get(worker).map_or(0, |worker_standing| worker_standing.charged_in_a_row),
         );
         let stop = strike.stop.then(|| {
             format!(
@@ -236,10 +212,7 @@ impl<'a> Context<'a> {
         if let (PolicyState::Available, PolicyState::Paused { reason, .. }) =
             (&before.state, &after.state)
         {
-            tracing::warn!(
-                "policy `{}` is paused, its jobs wait: {reason}",
-                campaign.policy
-            );
+            tracing::warn!("policy `{}` is paused, its jobs wait: {reason}", campaign.policy);
         }
         if after.allowance(self.now) != Allowance::Nothing {
             self.shared.work.notify_waiters();
@@ -257,14 +230,8 @@ mod tests {
     #[test]
     fn a_reason_after_the_policys_name_does_not_repeat_the_name() {
         for (error, expected) in [
-            (
-                "policy `bad` at http://h:1 refused query 0: no",
-                "it refused query 0: no",
-            ),
-            (
-                "policy `badly` at http://h:1 refused",
-                "policy `badly` at http://h:1 refused",
-            ),
+            ("policy `bad` at http://h:1 refused query 0: no", "it refused query 0: no"),
+            ("policy `badly` at http://h:1 refused", "policy `badly` at http://h:1 refused"),
             ("connection refused", "connection refused"),
         ] {
             assert_eq!(without_policy_name("bad", error), expected);

@@ -57,11 +57,7 @@ struct Inputs {
 
 impl Inputs {
     fn of_campaign(campaign: &Derived) -> Self {
-        Self {
-            jobs: campaign.jobs,
-            revision: campaign.revision,
-            source: campaign.source_edition,
-        }
+        Self { jobs: campaign.jobs, revision: campaign.revision, source: campaign.source_edition }
     }
 }
 
@@ -165,8 +161,7 @@ async fn derived_jobs(
         NewJob::new(&row.under(&spec.execution), replicate, place)
     });
     let jobs: Result<_, _> = jobs.collect();
-    jobs.map_err(undecodable)
-        .doing("write a derived rollout's row")
+    jobs.map_err(undecodable).doing("write a derived rollout's row")
 }
 
 pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
@@ -184,35 +179,21 @@ async fn subsets(
     let additions =
         on_blocking_thread(move || explanation::additions(&source, &own_records, &explanation))
             .await;
-    let ids: BTreeSet<String> = additions
-        .iter()
-        .map(|rollouts| rollouts.simultaneous.to_string())
-        .collect();
+    let ids: BTreeSet<String> =
+        additions.iter().map(|rollouts| rollouts.simultaneous.to_string()).collect();
     let ids: Vec<String> = ids.into_iter().collect();
     let rows = derivations::rows(tx, campaign.source, &ids).await?;
     let rows: Result<Vec<ManifestRow>, _> =
         rows.iter().map(|row| serde_json::from_str(row)).collect();
-    let rows = rows
-        .map_err(undecodable)
-        .doing("read the rollouts to explain")?;
+    let rows = rows.map_err(undecodable).doing("read the rollouts to explain")?;
     let rows: BTreeMap<_, _> = rows.iter().map(|row| (row.id, row)).collect();
     let mut rollouts = Vec::new();
-    for Addition {
-        simultaneous,
-        axes,
-        replicates,
-    } in additions
-    {
+    for Addition { simultaneous, axes, replicates } in additions {
         let row = rows.get(&simultaneous).copied();
-        let row = row
-            .ok_or(sqlx::Error::RowNotFound)
-            .doing("find a rollout to explain")?;
+        let row = row.ok_or(sqlx::Error::RowNotFound).doing("find a rollout to explain")?;
         let row = match axes == row.axes() {
             true => row.clone(),
-            false => row
-                .only(axes)
-                .map_err(undecodable)
-                .doing("restrict a row to some axes")?,
+            false => row.only(axes).map_err(undecodable).doing("restrict a row to some axes")?,
         };
         rollouts.extend(replicates.map(|replicate| (row.clone(), replicate)));
     }
@@ -269,11 +250,7 @@ async fn read_source(
 ) -> Result<Vec<Record>, StoreError> {
     let all = records(tx, campaign.source).await?;
     let counted = match stops::early_stop(tx, campaign.source).await? {
-        Some(EarlyStop {
-            stop,
-            used: Some(_),
-            ..
-        }) => CampaignLook::counted_when_met(&all, &stop),
+        Some(EarlyStop { stop, used: Some(_), .. }) => CampaignLook::counted_when_met(&all, &stop),
         _ => None,
     };
     Ok(counted.unwrap_or(all))
@@ -353,28 +330,18 @@ mod tests {
         let before = derived().await;
         let name = CampaignName::parse("explaining").expect("a name");
         queue.delete_campaign(&name).await.expect("deleted");
-        queue
-            .create_campaign(&explaining)
-            .await
-            .expect("created again");
+        queue.create_campaign(&explaining).await.expect("created again");
         let after = derived().await;
-        assert!(
-            after.campaign > before.campaign,
-            "no campaign number is used twice"
-        );
+        assert!(after.campaign > before.campaign, "no campaign number is used twice");
 
         let added = add(&queue.shared, &before, &source.jobs).await;
         added.expect("no job is added");
         assert_eq!(derived().await.jobs, 0);
-        add(&queue.shared, &after, &source.jobs)
-            .await
-            .expect("added");
+        add(&queue.shared, &after, &source.jobs).await.expect("added");
         let jobs = i64::try_from(source.jobs.len()).expect("few");
         assert_eq!(derived().await.jobs, jobs);
         // Adds the same jobs again, as if a concurrent pass had added them first.
-        add(&queue.shared, &after, &source.jobs)
-            .await
-            .expect("no job is added");
+        add(&queue.shared, &after, &source.jobs).await.expect("no job is added");
         assert_eq!(derived().await.jobs, jobs);
     }
 }

@@ -23,23 +23,13 @@ pub enum QueueError {
     )]
     UnknownCampaign { campaign: CampaignName },
     #[error("find campaign `{campaign}`: it was renamed and is called `{now}`")]
-    Renamed {
-        campaign: CampaignName,
-        now: CampaignName,
-    },
+    Renamed { campaign: CampaignName, now: CampaignName },
     #[error("rename campaign `{campaign}`: another one is called `{taken}`; choose another name")]
-    NameTaken {
-        campaign: CampaignName,
-        taken: CampaignName,
-    },
+    NameTaken { campaign: CampaignName, taken: CampaignName },
     #[error(
         "change the policy of campaign `{campaign}`: it has results of policy `{policy}`, {results} so far; create another campaign for another policy"
     )]
-    PolicyMeasured {
-        campaign: CampaignName,
-        policy: String,
-        results: u64,
-    },
+    PolicyMeasured { campaign: CampaignName, policy: String, results: u64 },
     #[error("change campaign `{campaign}`: {problem}")]
     Unspecified {
         campaign: CampaignName,
@@ -49,10 +39,7 @@ pub enum QueueError {
     #[error(
         "create campaign `{campaign}`: it exists with another specification (they differ in {differs}); choose another name"
     )]
-    CampaignDiffers {
-        campaign: CampaignName,
-        differs: String,
-    },
+    CampaignDiffers { campaign: CampaignName, differs: String },
     #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
     Cancelled { campaign: CampaignName },
     #[error(
@@ -67,10 +54,7 @@ pub enum QueueError {
     #[error(
         "delete campaign `{campaign}`: campaign `{derived}` is derived from it; delete that one first"
     )]
-    HasDerived {
-        campaign: CampaignName,
-        derived: CampaignName,
-    },
+    HasDerived { campaign: CampaignName, derived: CampaignName },
     /// A campaign with the realisation `reference` cannot be derived from.
     #[error(
         "derive from campaign `{campaign}`: its realisation is reference, in which each condition \
@@ -81,11 +65,7 @@ pub enum QueueError {
         "derive from campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the \
          same policy"
     )]
-    OtherPolicy {
-        campaign: CampaignName,
-        policy: String,
-        endpoint: String,
-    },
+    OtherPolicy { campaign: CampaignName, policy: String, endpoint: String },
     #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
     NoThresholds {
         campaign: CampaignName,
@@ -95,10 +75,7 @@ pub enum QueueError {
     #[error(
         "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` lists its rollouts"
     )]
-    UnknownRollout {
-        campaign: CampaignName,
-        job: JobName,
-    },
+    UnknownRollout { campaign: CampaignName, job: JobName },
     #[error("retry `{job}`: it is {state}; only a quarantined rollout can be retried")]
     NotQuarantined { job: JobName, state: String },
     #[error(

@@ -32,9 +32,7 @@ impl Filming {
     pub(crate) fn by_worker(&self) -> BTreeMap<WorkerId, u32> {
         let reports = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let reports = reports.iter();
-        reports
-            .map(|(id, (videos, _))| (id.clone(), *videos))
-            .collect()
+        reports.map(|(id, (videos, _))| (id.clone(), *videos)).collect()
     }
 }
 

@@ -66,16 +66,12 @@ async fn unfilmed_illustrations(
     let own_records = records(view, campaign).await?;
     let unfilmed = on_blocking_thread(move || {
         let illustrative = explanation::illustrative(&source, &own_records, &explanation);
-        let illustrative: BTreeSet<(String, u32)> = illustrative
-            .into_iter()
-            .map(|(id, replicate)| (id.to_string(), replicate))
-            .collect();
+        let illustrative: BTreeSet<(String, u32)> =
+            illustrative.into_iter().map(|(id, replicate)| (id.to_string(), replicate)).collect();
         let is_illustrative = |row: &FilmableRow| {
             illustrative.contains(&(row.job.rollout_id.clone(), row.job.replicate))
         };
-        let unfilmed = rows
-            .iter()
-            .filter(|row| row.lacks_video && is_illustrative(row));
+        let unfilmed = rows.iter().filter(|row| row.lacks_video && is_illustrative(row));
         unfilmed.map(|row| row.job_id).collect()
     });
     Ok(unfilmed.await)

@@ -28,10 +28,7 @@ impl Context<'_> {
         if heartbeats.is_empty() {
             return Ok(Vec::new());
         }
-        let workers: Vec<_> = heartbeats
-            .iter()
-            .map(|heartbeat| &heartbeat.worker)
-            .collect();
+        let workers: Vec<_> = heartbeats.iter().map(|heartbeat| &heartbeat.worker).collect();
         let standings = workers::standings(&mut self.tx, &workers).await?;
         workers::record_heartbeats(&mut self.tx, &workers, self.now).await?;
         let progress = heartbeats.iter().flat_map(|heartbeat| {
@@ -51,9 +48,7 @@ impl Context<'_> {
         self.mark_answered_policies(&progress, &held).await?;
         let answer = |heartbeat: &&Heartbeat| {
             if !standings.contains_key(&heartbeat.worker) {
-                return Err(QueueError::UnknownWorker {
-                    worker: heartbeat.worker.clone(),
-                });
+                return Err(QueueError::UnknownWorker { worker: heartbeat.worker.clone() });
             }
             let attempts = heartbeat.progress.iter().map(|(attempt, _)| *attempt);
             Ok(attempts.filter(|attempt| !held.contains(attempt)).collect())
@@ -68,9 +63,7 @@ impl Context<'_> {
         progress: &[Progress<'_>],
         held: &BTreeSet<AttemptId>,
     ) -> Result<bool, StoreError> {
-        let lost = progress
-            .iter()
-            .filter(|report| !held.contains(&report.attempt));
+        let lost = progress.iter().filter(|report| !held.contains(&report.attempt));
         let lost: Vec<(AttemptId, &str)> =
             lost.map(|report| (report.attempt, report.worker)).collect();
         if lost.is_empty() {

@@ -66,11 +66,7 @@ pub enum WorkerProblem {
     #[error(transparent)]
     Id(#[from] NameError),
     #[error("read worker `{worker}`: its `{column}` is {given}, and a worker has 1 to {MAX_SLOTS}")]
-    Count {
-        worker: WorkerId,
-        column: &'static str,
-        given: i64,
-    },
+    Count { worker: WorkerId, column: &'static str, given: i64 },
 }
 
 /// Rows that a specification expands to, and the number of their replicates; `None` if the rows
@@ -119,9 +115,7 @@ fn expand(spec: &str) -> Result<Expansion, SpecError> {
     if let Rollouts::Explanation(_) | Rollouts::Thresholds(_) = spec.rollouts {
         return Ok(None);
     }
-    let rows = libero_family::expand(&spec)?
-        .into_iter()
-        .map(|row| (row.id, row));
+    let rows = libero_family::expand(&spec)?.into_iter().map(|row| (row.id, row));
     Ok(Some((rows.collect(), spec.replicates)))
 }
 
@@ -132,11 +126,7 @@ fn check_worker(id: &str, slots: i64, cores: Option<i64>) -> Result<(), WorkerPr
         if let Some(given) = given
             && !(1..=i64::from(MAX_SLOTS)).contains(&given)
         {
-            return Err(WorkerProblem::Count {
-                worker,
-                column,
-                given,
-            });
+            return Err(WorkerProblem::Count { worker, column, given });
         }
     }
     Ok(())
@@ -144,21 +134,16 @@ fn check_worker(id: &str, slots: i64, cores: Option<i64>) -> Result<(), WorkerPr
 
 fn check_row(stored: &StoredRow, expansion: &Expansion) -> Result<(), RowsError> {
     let checked = parse(stored).and_then(|row| compare(stored, &row, expansion));
-    checked.map_err(|problem| RowsError::Row {
-        job: stored.id,
-        problem,
-    })
+    checked.map_err(|problem| RowsError::Row { job: stored.id, problem })
 }
 
 fn parse(stored: &StoredRow) -> Result<ManifestRow, RowProblem> {
     if let Some(realised) = &stored.realised {
-        serde_json::from_str::<Realised>(realised).map_err(|error| RowProblem::Realised {
-            problem: shortened_problem(error),
-        })?;
+        serde_json::from_str::<Realised>(realised)
+            .map_err(|error| RowProblem::Realised { problem: shortened_problem(error) })?;
     }
-    serde_json::from_str(&stored.manifest_row).map_err(|error| RowProblem::Unreadable {
-        problem: shortened_problem(error),
-    })
+    serde_json::from_str(&stored.manifest_row)
+        .map_err(|error| RowProblem::Unreadable { problem: shortened_problem(error) })
 }
 
 fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Result<(), RowProblem> {

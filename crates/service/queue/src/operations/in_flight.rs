@@ -85,12 +85,7 @@ impl Films {
         let mut state = self.lock();
         jobs.retain(|job| !state.filmed.contains(job));
         let id = campaign.campaign;
-        let unfilmed = Unfilmed {
-            campaign,
-            jobs,
-            scanned_at: at,
-            cost,
-        };
+        let unfilmed = Unfilmed { campaign, jobs, scanned_at: at, cost };
         state.unfilmed.insert(id, unfilmed);
     }
 
@@ -114,12 +109,7 @@ impl Films {
         let state = &mut *self.lock();
         state.in_flight.retain(|_, until| *until > now);
         let unfilmed = |campaign: &FilmedCampaign| state.unfilmed.get(&campaign.campaign);
-        let jobs = || {
-            campaigns
-                .iter()
-                .filter_map(unfilmed)
-                .flat_map(|rollouts| &rollouts.jobs)
-        };
+        let jobs = || campaigns.iter().filter_map(unfilmed).flat_map(|rollouts| &rollouts.jobs);
         let count = jobs().count() as u64;
         let job = *jobs().find(|job| !state.in_flight.contains_key(job))?;
         state.in_flight.insert(job, now.plus(FILMING_TIMEOUT));
@@ -136,12 +126,7 @@ mod tests {
     use super::*;
 
     fn campaign(revision: i64) -> FilmedCampaign {
-        FilmedCampaign {
-            campaign: CampaignId(1),
-            revision,
-            source: None,
-            source_revision: None,
-        }
+        FilmedCampaign { campaign: CampaignId(1), revision, source: None, source_revision: None }
     }
 
     #[test]
@@ -156,32 +141,19 @@ mod tests {
         assert!(outdated(1, 0));
         films.scanned(campaign(1), vec![JobId(1), JobId(2)], began, Duration::ZERO);
         assert!(!outdated(1, 0));
-        assert!(
-            outdated(2, 0),
-            "a scan that took no time is repeated at once"
-        );
+        assert!(outdated(2, 0), "a scan that took no time is repeated at once");
 
         films.scan_begins();
         films.filmed(CampaignId(1), JobId(1));
         let jobs = vec![JobId(1), JobId(2), JobId(3)];
         films.scanned(campaign(2), jobs, began, second);
         let assigned = films.assign(&[campaign(2)], now);
-        assert_eq!(
-            assigned,
-            Some((JobId(2), 2)),
-            "the first was filmed during the scan"
-        );
-        assert!(
-            !outdated(3, 19),
-            "a scan of a second is repeated after 20 s"
-        );
+        assert_eq!(assigned, Some((JobId(2), 2)), "the first was filmed during the scan");
+        assert!(!outdated(3, 19), "a scan of a second is repeated after 20 s");
         assert!(outdated(3, 20));
         assert_eq!(films.assign(&[campaign(2)], now), Some((JobId(3), 2)));
         assert_eq!(films.assign(&[campaign(2)], now), None);
         assert!(films.outdated(&[], began).is_empty());
-        assert!(
-            outdated(2, 0),
-            "the cached scan is dropped with its campaign"
-        );
+        assert!(outdated(2, 0), "the cached scan is dropped with its campaign");
     }
 }

@@ -101,10 +101,8 @@ fn list_files(data: &Path) -> io::Result<Vec<LocalFilm>> {
         }
         for film in std::fs::read_dir(campaign.path())? {
             let file = film?.path();
-            let name = |path: &Path| {
-                path.file_name()
-                    .and_then(|name| name.to_str().map(str::to_owned))
-            };
+            let name =
+                |path: &Path| path.file_name().and_then(|name| name.to_str().map(str::to_owned));
             let (Some(folder), Some(name)) = (name(&campaign.path()), name(&file)) else {
                 continue;
             };

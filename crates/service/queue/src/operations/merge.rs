@@ -42,11 +42,7 @@ pub enum MergeError {
     #[error(
         "merge `{first}` and `{second}`: their specifications differ in {differs}; only halves of one design can be merged"
     )]
-    Specification {
-        first: CampaignName,
-        second: CampaignName,
-        differs: String,
-    },
+    Specification { first: CampaignName, second: CampaignName, differs: String },
     #[error(
         "merge the halves: rollout `{rollout}` has a different manifest row in each; only halves of one \
          design, expanded by one version of the program, can be merged"
@@ -95,17 +91,11 @@ pub async fn merge(
     let database = first.folder().join(DATABASE_FILE);
     let target = first.copy_target(name)?;
     let whole = copy_into(&database, &first.campaign, &target, into).await?;
-    let mut attached = whole
-        .store
-        .attach(&second.folder().join(DATABASE_FILE))
-        .await?;
+    let mut attached = whole.store.attach(&second.folder().join(DATABASE_FILE)).await?;
     let mut tx = attached.write(Vec::new()).await?;
     let halves = (whole.campaign.id, second.campaign.id);
     if let Some((rollout_id, replicate)) = halves::differing_rollout(&mut tx, halves).await? {
-        let rollout = JobName {
-            rollout_id,
-            replicate,
-        };
+        let rollout = JobName { rollout_id, replicate };
         return Err(MergeError::Rollout { rollout });
     }
     let first_records = halves::records(&mut tx, Schema::Main, halves.0).await?;
@@ -150,9 +140,7 @@ pub async fn merge(
 fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
     for half in [first, second] {
         if source_of(&half.spec)?.is_some() {
-            return Err(MergeError::Derived {
-                campaign: half.campaign.name.clone(),
-            });
+            return Err(MergeError::Derived { campaign: half.campaign.name.clone() });
         }
     }
     let design = |half: &Portable| -> Result<String, StoreError> {
@@ -174,10 +162,7 @@ fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeErr
     if let (Some(first), Some(second)) = (&first.campaign.pin, &second.campaign.pin)
         && first != second
     {
-        return Err(MergeError::Pin {
-            first: first.to_string(),
-            second: second.to_string(),
-        });
+        return Err(MergeError::Pin { first: first.to_string(), second: second.to_string() });
     }
     Ok(())
 }
@@ -219,10 +204,7 @@ fn check_consistency(
         let Some(siblings) = states.get(&(stored.task.as_str(), stored.init_id)) else {
             continue;
         };
-        let demand = Demand {
-            realisation,
-            row: &stored.manifest_row,
-        };
+        let demand = Demand { realisation, row: &stored.manifest_row };
         if let Some(difference) = pairing::difference(&demand, siblings, &sibling(stored)) {
             let name = name(stored);
             differing.push(format!("`{name}` of the second half: its {difference}"));
@@ -250,9 +232,8 @@ fn contradictions(
     second: &[Stored],
 ) -> MergeError {
     let describe = |half: &[Stored], (id, replicate): &Rollout, outcome: OutcomeKey| {
-        let stored = half
-            .iter()
-            .find(|stored| (&stored.rollout_id, stored.replicate) == (id, *replicate));
+        let stored =
+            half.iter().find(|stored| (&stored.rollout_id, stored.replicate) == (id, *replicate));
         let word = match outcome.success {
             true => "success",
             false => "failure",
@@ -273,10 +254,7 @@ fn contradictions(
     };
     let texts = found.iter().map(|contradiction| {
         let rollout = &contradiction.rollout;
-        let name = JobName {
-            rollout_id: rollout.0.clone(),
-            replicate: rollout.1,
-        };
+        let name = JobName { rollout_id: rollout.0.clone(), replicate: rollout.1 };
         format!(
             "`{name}`: {} in the first, {} in the second",
             describe(first, rollout, contradiction.first),
@@ -291,17 +269,11 @@ fn contradictions_error(texts: &[String]) -> MergeError {
     if texts.len() > MAX_EXAMPLES {
         examples.push_str("\n…");
     }
-    MergeError::Contradictions {
-        count: texts.len(),
-        examples,
-    }
+    MergeError::Contradictions { count: texts.len(), examples }
 }
 
 fn name(stored: &Stored) -> JobName {
-    JobName {
-        rollout_id: stored.rollout_id.clone(),
-        replicate: stored.replicate,
-    }
+    JobName { rollout_id: stored.rollout_id.clone(), replicate: stored.replicate }
 }
 
 /// Shortens a digest to 12 digits, which suffice to tell two digests apart; returns "unknown" for

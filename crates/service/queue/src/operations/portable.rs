@@ -70,10 +70,7 @@ pub enum PortableError {
     #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
     SpecDigest { campaign: CampaignName },
     #[error("verify the database: the invariant `{invariant}` is violated ({example})")]
-    Violated {
-        invariant: &'static str,
-        example: String,
-    },
+    Violated { invariant: &'static str, example: String },
     #[error(transparent)]
     Rows(#[from] RowsError),
 }
@@ -96,12 +93,7 @@ impl Portable {
         let violations = invariants::violations(&mut reader).await;
         let violations = violations.doing("verify the invariants of an archive")?;
         drop(reader);
-        if let Some(Violation {
-            invariant,
-            examples,
-            ..
-        }) = violations.into_iter().next()
-        {
+        if let Some(Violation { invariant, examples, .. }) = violations.into_iter().next() {
             let example = examples.into_iter().next().unwrap_or_default();
             return Err(PortableError::Violated { invariant, example });
         }
@@ -124,15 +116,9 @@ impl Portable {
         let spec = campaigns::spec(&mut view, campaign.id).await?;
         drop(view);
         if hex(&Sha256::digest(spec.as_bytes())) != campaign.spec_digest {
-            return Err(PortableError::SpecDigest {
-                campaign: campaign.name,
-            });
+            return Err(PortableError::SpecDigest { campaign: campaign.name });
         }
-        Ok(Portable {
-            store,
-            campaign,
-            spec,
-        })
+        Ok(Portable { store, campaign, spec })
     }
 
     pub fn folder(&self) -> &Path {
@@ -155,10 +141,7 @@ impl Portable {
                 .fetch_all(&mut *view)
                 .await
                 .doing("list a campaign's videos")?;
-        let film = |(path, size): (String, i64)| FilmFile {
-            path,
-            size_bytes: size.unsigned_abs(),
-        };
+        let film = |(path, size): (String, i64)| FilmFile { path, size_bytes: size.unsigned_abs() };
         Ok(films.into_iter().map(film).collect())
     }
 
@@ -219,10 +202,7 @@ impl Queue {
         drop(view);
         let mut view = self.store().read().await?;
         let outcomes = outcomes_digest(&mut view, &campaign).await?;
-        Ok(Some(SourceOutcomes {
-            campaign: source.as_str().to_owned(),
-            outcomes,
-        }))
+        Ok(Some(SourceOutcomes { campaign: source.as_str().to_owned(), outcomes }))
     }
 
     /// Imports the campaign of a data folder and moves its videos into this coordinator's data
@@ -243,13 +223,8 @@ impl Queue {
         let mut target = from.copy_target(name)?;
         let films = from.films().await?;
         let mut context = Context::begin(shared, vec![]).await?;
-        if campaigns::by_name(&mut context.tx, &target.name)
-            .await?
-            .is_some()
-        {
-            return Err(AdoptError::Exists {
-                campaign: target.name,
-            });
+        if campaigns::by_name(&mut context.tx, &target.name).await?.is_some() {
+            return Err(AdoptError::Exists { campaign: target.name });
         }
         let local_source = context.local_source(&target, source).await?;
         if let Some(source) = local_source {
@@ -259,9 +234,7 @@ impl Queue {
             drop(context);
             let derived = (&from.store, from.campaign.id);
             if !imported::has_budgets_of(derived, (&shared.store, source)).await? {
-                return Err(AdoptError::OtherBudgets {
-                    campaign: target.name,
-                });
+                return Err(AdoptError::OtherBudgets { campaign: target.name });
             }
             context = Context::begin(shared, vec![]).await?;
         }
@@ -385,18 +358,12 @@ pub enum AdoptError {
     #[error(
         "add campaign `{campaign}`: it is derived from `{source_campaign}`, which this coordinator does not have; import that one first"
     )]
-    NoSource {
-        campaign: CampaignName,
-        source_campaign: CampaignName,
-    },
+    NoSource { campaign: CampaignName, source_campaign: CampaignName },
     #[error(
         "add campaign `{campaign}`: its source campaign `{source_campaign}` has other \
          outcomes here; archive and import both campaigns in their current state"
     )]
-    OtherSource {
-        campaign: CampaignName,
-        source_campaign: CampaignName,
-    },
+    OtherSource { campaign: CampaignName, source_campaign: CampaignName },
     #[error(
         "add campaign `{campaign}`: its rollouts have other step budgets than those of its source campaign; archive it again"
     )]
@@ -406,10 +373,7 @@ pub enum AdoptError {
          for this user",
         path.display()
     )]
-    Film {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Film { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Queue(#[from] QueueError),
 }
@@ -436,12 +400,7 @@ impl Portable {
                 },
             )?,
         };
-        Ok(CopyTarget {
-            folder: name.as_str().to_owned(),
-            name: name.clone(),
-            spec,
-            spec_digest,
-        })
+        Ok(CopyTarget { folder: name.as_str().to_owned(), name: name.clone(), spec, spec_digest })
     }
 }
 
@@ -458,17 +417,11 @@ impl Context<'_> {
         };
         let campaign = target.name.clone();
         let Some(source) = campaigns::by_name(&mut self.tx, &name).await? else {
-            return Err(AdoptError::NoSource {
-                campaign,
-                source_campaign: name,
-            });
+            return Err(AdoptError::NoSource { campaign, source_campaign: name });
         };
         let local_outcomes = outcomes_digest(&mut self.tx, &source).await?;
         if expected.is_none_or(|expected| expected.outcomes != local_outcomes) {
-            return Err(AdoptError::OtherSource {
-                campaign,
-                source_campaign: name,
-            });
+            return Err(AdoptError::OtherSource { campaign, source_campaign: name });
         }
         Ok(Some(source.id))
     }

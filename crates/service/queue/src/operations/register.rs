@@ -40,9 +40,7 @@ impl Queue {
     pub async fn sign_off(&self, worker: &WorkerId) -> Result<(), QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         if !workers::sign_off(&mut context.tx, worker, context.now).await? {
-            return Err(QueueError::UnknownWorker {
-                worker: worker.clone(),
-            });
+            return Err(QueueError::UnknownWorker { worker: worker.clone() });
         }
         Ok(context.commit().await?)
     }

@@ -74,11 +74,7 @@ impl Context<'_> {
         };
         let failure = (reason, release.error.as_str());
         let ended = self
-            .end_attempt(
-                (&attempt.job, lease),
-                attempt.initial_state.campaign,
-                failure,
-            )
+            .end_attempt((&attempt.job, lease), attempt.initial_state.campaign, failure)
             .await?;
         let stop_leasing = match release.reason.blames() {
             Some(Party::Machine) => self.strike(&lease.owner, &release.error).await?,
@@ -91,11 +87,7 @@ impl Context<'_> {
             }
             AfterFailure::Quarantine => (ReleaseVerdict::Quarantined, Duration::ZERO),
         };
-        Ok(Ok(ReleaseReply {
-            verdict,
-            backoff,
-            stop_leasing,
-        }))
+        Ok(Ok(ReleaseReply { verdict, backoff, stop_leasing }))
     }
 
     /// Returns true if an attempt that cannot reach its policy had reached it earlier and lost it.
@@ -104,11 +96,7 @@ impl Context<'_> {
         attempt: &NamedAttempt,
         release: &Release,
     ) -> Result<bool, StoreError> {
-        let mut contact = Contact {
-            answered: release.answered,
-            is_back: false,
-            is_last: false,
-        };
+        let mut contact = Contact { answered: release.answered, is_back: false, is_last: false };
         // If the policy answered no query, two further facts decide; they are read only then.
         if release.answered == Some(0) {
             let campaign = self.campaign(attempt.initial_state.campaign).await?;

@@ -99,9 +99,7 @@ mod tests {
                 );
                 self.requests.add_permits(1);
                 let answer = self.answers.acquire().await;
-                answer
-                    .map(|answer| answer.forget())
-                    .map_err(|_| String::new())
+                answer.map(|answer| answer.forget()).map_err(|_| String::new())
             })
         }
     }
@@ -113,10 +111,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
-        let slow = Arc::new(SlowStorage {
-            requests: Semaphore::new(0),
-            answers: Semaphore::new(0),
-        });
+        let slow =
+            Arc::new(SlowStorage { requests: Semaphore::new(0), answers: Semaphore::new(0) });
         let remote_storage = Some(slow.clone() as Arc<dyn RemoteStorage>);
         let queue = Queue::start_with(store, clock, rng, Timing::default(), remote_storage).await;
         let queue = queue.expect("a queue");
@@ -132,10 +128,7 @@ mod tests {
         };
         create("one").await;
         let archive = tempfile::tempdir().expect("a temporary folder");
-        let (copy, _) = queue
-            .copy_campaign(&name("one"), archive.path())
-            .await
-            .expect("copied");
+        let (copy, _) = queue.copy_campaign(&name("one"), archive.path()).await.expect("copied");
         let mut removing = tokio::task::JoinSet::new();
         let busy = async {
             queue.delete_campaign(&name("one")).await.expect("deleted");
@@ -148,19 +141,11 @@ mod tests {
             // of the deleted campaign.
             create("one").await;
             create("two").await;
-            let alteration = Alteration {
-                priority: Some(1),
-                ..Alteration::default()
-            };
-            queue
-                .alter_campaign(&name("two"), &alteration)
-                .await
-                .expect("altered");
+            let alteration = Alteration { priority: Some(1), ..Alteration::default() };
+            queue.alter_campaign(&name("two"), &alteration).await.expect("altered");
             queue.delete_campaign(&name("two")).await.expect("deleted");
-            let (imported, _) = queue
-                .adopt(&copy, None, Some(&name("three")))
-                .await
-                .expect("imported");
+            let (imported, _) =
+                queue.adopt(&copy, None, Some(&name("three"))).await.expect("imported");
             assert_eq!(imported, name("three"));
         };
         let busy = tokio::time::timeout(Duration::from_secs(30), busy).await;
@@ -173,9 +158,6 @@ mod tests {
         assert_eq!(remaining, ["artifacts/two"]);
         let mut view = queue.store().read().await.expect("a view");
         let one = crate::store::campaigns::by_name(&mut view, &name("one")).await;
-        assert_eq!(
-            one.expect("a database").expect("the campaign").folder,
-            "one~2"
-        );
+        assert_eq!(one.expect("a database").expect("the campaign").folder, "one~2");
     }
 }

@@ -62,17 +62,11 @@ impl Context<'_> {
         campaign: &Campaign,
         job: &JobName,
     ) -> Result<JobId, QueueError> {
-        let JobName {
-            rollout_id,
-            replicate,
-        } = job;
+        let JobName { rollout_id, replicate } = job;
         let found = jobs::by_rollout(&mut self.tx, campaign.id, rollout_id, *replicate).await?;
         match found {
             Some((id, state)) if state == "quarantined" => Ok(id),
-            Some((_, state)) => Err(QueueError::NotQuarantined {
-                job: job.clone(),
-                state,
-            }),
+            Some((_, state)) => Err(QueueError::NotQuarantined { job: job.clone(), state }),
             None => Err(QueueError::UnknownRollout {
                 campaign: campaign.name.clone(),
                 job: job.clone(),

@@ -76,19 +76,13 @@ mod tests {
         let ended = settled.subscribe();
         let is_current = || settled.is_current(settled.processed());
         let process = || settled.mark_processed(*ended.borrow());
-        assert!(
-            !is_current(),
-            "jobs settled before the start are unprocessed"
-        );
+        assert!(!is_current(), "jobs settled before the start are unprocessed");
         process();
         assert!(is_current());
         let settling = settled.begin();
         assert!(!is_current());
         process();
-        assert!(
-            !is_current(),
-            "an uncommitted settlement cannot be processed"
-        );
+        assert!(!is_current(), "an uncommitted settlement cannot be processed");
         drop(settling);
         assert!(!is_current());
         process();

@@ -32,10 +32,7 @@ impl Queue {
         check_not_ended(&campaign)?;
         let mut skipped = BTreeSet::new();
         for job in names {
-            let JobName {
-                rollout_id,
-                replicate,
-            } = job;
+            let JobName { rollout_id, replicate } = job;
             let tx = &mut context.tx;
             let found = jobs::by_rollout(tx, campaign.id, rollout_id, *replicate).await?;
             let Some((id, state)) = found else {
@@ -61,10 +58,7 @@ impl Queue {
                     jobs::skip(&mut context.tx, id, attempt, SKIPPED, context.now).await?;
                 }
                 None => {
-                    return Err(QueueError::NotSkippable {
-                        job: job.clone(),
-                        state,
-                    });
+                    return Err(QueueError::NotSkippable { job: job.clone(), state });
                 }
             }
         }

@@ -100,9 +100,7 @@ async fn stop(
     let mut context = Context::begin(shared, vec![Step::Stop]).await?;
     let stoppable = stops::stoppable(&mut context.tx).await?;
     let first = stops::first_unsettled(&mut context.tx, campaign).await?;
-    let is_valid = stoppable
-        .iter()
-        .any(|stoppable| stoppable.campaign == campaign)
+    let is_valid = stoppable.iter().any(|stoppable| stoppable.campaign == campaign)
         && first.is_none_or(|first| first.unit_order >= order);
     if !is_valid {
         return Ok(false);
@@ -175,9 +173,6 @@ mod tests {
         let current = stop(shared, campaign, first.unit_order, &look).await;
         assert!(current.expect("stopped"));
         let repeated = stop(shared, campaign, first.unit_order, &look).await;
-        assert!(
-            !repeated.expect("evaluated"),
-            "the campaign has already stopped"
-        );
+        assert!(!repeated.expect("evaluated"), "the campaign has already stopped");
     }
 }

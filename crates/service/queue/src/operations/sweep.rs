@@ -56,19 +56,14 @@ impl Context<'_> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();
         let duration = self.shared.timing.lease;
-        for ExpiredRow {
-            leased: row,
-            heartbeat_ms,
-        } in &expired
-        {
+        for ExpiredRow { leased: row, heartbeat_ms } in &expired {
             let JobState::Leased(lease) = &row.job.state else {
                 continue;
             };
             let reason = lease.expiry_reason(*heartbeat_ms, duration);
             let error = explain(reason, lease, row.control_steps);
             tracing::warn!(job = %row.job.id, attempt = %lease.attempt, "lease lost: {error}");
-            self.end_attempt((&row.job, lease), row.campaign_id, (reason, &error))
-                .await?;
+            self.end_attempt((&row.job, lease), row.campaign_id, (reason, &error)).await?;
             if reason.is_charged() {
                 to_strike.insert(lease.owner.clone());
             }

@@ -97,15 +97,9 @@ async fn transact(
     }
     let reports: Vec<_> = commits.iter().map(|commit| &*commit.request).collect();
     answer(context.store_results(&reports).await?, commits);
-    let requests: Vec<_> = heartbeats
-        .iter()
-        .map(|heartbeat| &heartbeat.request)
-        .collect();
+    let requests: Vec<_> = heartbeats.iter().map(|heartbeat| &heartbeat.request).collect();
     answer(context.heartbeat(&requests).await?, heartbeats);
-    let requests: Vec<_> = claims
-        .iter()
-        .map(|claim| (&claim.request.0, claim.request.1))
-        .collect();
+    let requests: Vec<_> = claims.iter().map(|claim| (&claim.request.0, claim.request.1)).collect();
     answer(context.claim(&requests).await?, claims);
     context.commit().await
 }
@@ -156,11 +150,7 @@ impl<Q, A> Pending<Q, A> {
     /// Creates a pending request and the receiver of its answer.
     pub(crate) fn new(request: Q) -> (Pending<Q, A>, oneshot::Receiver<Result<A, QueueError>>) {
         let (reply, answer) = oneshot::channel();
-        let pending = Pending {
-            request,
-            answer: None,
-            reply,
-        };
+        let pending = Pending { request, answer: None, reply };
         (pending, answer)
     }
 
@@ -216,9 +206,6 @@ mod tests {
         lock.rollback().await.expect("a released lock");
         // Requests are answered again; no worker with this name is registered.
         let answer = queue.heartbeat(&worker, &[]).await;
-        assert!(
-            matches!(answer, Err(QueueError::UnknownWorker { .. })),
-            "{answer:?}"
-        );
+        assert!(matches!(answer, Err(QueueError::UnknownWorker { .. })), "{answer:?}");
     }
 }

@@ -238,11 +238,7 @@ async fn rate(
 
 /// Describes the outcomes that a derived campaign waits for; empty if it waits for none.
 fn awaited_reason(source: &Source) -> String {
-    let Source {
-        name,
-        awaited,
-        is_cancelled,
-    } = source;
+    let Source { name, awaited, is_cancelled } = source;
     let rollouts = match awaited {
         0 => return String::new(),
         1 => "1 rollout".to_owned(),

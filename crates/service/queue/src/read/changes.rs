@@ -39,9 +39,6 @@ impl Store {
     /// Returns the sizes of the database files; a missing file counts as 0.
     pub fn sizes(&self) -> Sizes {
         let size = |name: &str| std::fs::metadata(self.folder().join(name)).map_or(0, |m| m.len());
-        Sizes {
-            database: size(DATABASE_FILE),
-            log: size(&format!("{DATABASE_FILE}-wal")),
-        }
+        Sizes { database: size(DATABASE_FILE), log: size(&format!("{DATABASE_FILE}-wal")) }
     }
 }

@@ -93,9 +93,7 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
         }
     }
     let by_pin = pins.iter().map(|(pin, workers)| {
-        let of_renderer = measured
-            .iter()
-            .filter(|results| results.renderer == pin.renderer);
+        let of_renderer = measured.iter().filter(|results| results.renderer == pin.renderer);
         forecast_for_pin(workers, &of_renderer.collect::<Vec<_>>(), planned)
     });
     let by_duration = |a: &Forecast, b: &Forecast| {
@@ -112,25 +110,16 @@ fn forecast_for_pin(
     planned: &Planned<'_>,
 ) -> Forecast {
     let slots = saturating_sum(workers.iter().map(|worker| worker.slots));
-    let machine = |worker: &&Live| {
-        worker.cores.map(|cores| Machine {
-            slots: worker.slots,
-            cores,
-        })
-    };
+    let machine = |worker: &&Live| worker.cores.map(|cores| Machine { slots: worker.slots, cores });
     let machines: Option<Vec<Machine>> = workers.iter().map(machine).collect();
-    let is_of_policy = of_renderer
-        .iter()
-        .any(|results| results.policy == planned.policy);
+    let is_of_policy = of_renderer.iter().any(|results| results.policy == planned.policy);
     let used = of_renderer.iter().copied();
     let used = used.filter(|results| !is_of_policy || results.policy == planned.policy);
     let used: Vec<&Measured> = used.collect();
     let forecast = Forecast {
         workers: u32::try_from(workers.len()).unwrap_or(u32::MAX),
         slots,
-        cores: machines
-            .as_ref()
-            .map(|all| saturating_sum(all.iter().map(|worker| worker.cores))),
+        cores: machines.as_ref().map(|all| saturating_sum(all.iter().map(|worker| worker.cores))),
         ..Forecast::default()
     };
     let duration: MeanAccessors = (|row| row.secs, |row| row.results);
@@ -151,11 +140,7 @@ fn forecast_for_pin(
     // Additional slots do not shorten a single rollout.
     let secs_at_rate = |per_sec: f64| (rollouts as f64 / per_sec).max(longest);
     let speed = spent(&used, &planned.rollouts).map(|(results, spent)| {
-        let rate = rate(
-            machines.as_deref().unwrap_or(&[]),
-            &spent,
-            planned.policy_rate,
-        );
+        let rate = rate(machines.as_deref().unwrap_or(&[]), &spent, planned.policy_rate);
         Speed {
             results,
             spent,
@@ -245,10 +230,7 @@ mod tests {
     use super::*;
 
     fn pin(renderer: &str) -> Pin {
-        Pin {
-            renderer: renderer.to_owned(),
-            ..Pin::default()
-        }
+        Pin { renderer: renderer.to_owned(), ..Pin::default() }
     }
 
     fn measured(policy: &str, renderer: &str, suite: &str, results: i64, secs: f64) -> Measured {
@@ -276,20 +258,11 @@ mod tests {
         measured: &[Measured],
         rollouts: &[(&str, u64)],
     ) -> Forecast {
-        let live = |(renderer, slots): &(&str, u32)| Live {
-            pin: pin(renderer),
-            slots: *slots,
-            cores,
-        };
+        let live =
+            |(renderer, slots): &(&str, u32)| Live { pin: pin(renderer), slots: *slots, cores };
         let workers: Vec<Live> = workers.iter().map(live).collect();
-        let rollouts = rollouts
-            .iter()
-            .map(|(suite, count)| ((*suite).to_owned(), *count));
-        let planned = Planned {
-            policy: "ours",
-            rollouts: rollouts.collect(),
-            policy_rate: None,
-        };
+        let rollouts = rollouts.iter().map(|(suite, count)| ((*suite).to_owned(), *count));
+        let planned = Planned { policy: "ours", rollouts: rollouts.collect(), policy_rate: None };
         forecast(&workers, measured, &planned)
     }
 
@@ -361,10 +334,7 @@ mod tests {
         assert_eq!(rate.bottleneck, Bottleneck::Slots);
         assert_eq!(forecast.secs, Some(250.0));
         // A rollout occupies a core for five of its ten seconds: the waiting second counts, too.
-        assert_eq!(
-            (rate.enough_slots, speed.enough_slots_secs),
-            (8, Some(125.0))
-        );
+        assert_eq!((rate.enough_slots, speed.enough_slots_secs), (8, Some(125.0)));
     }
 
     #[test]
@@ -373,10 +343,7 @@ mod tests {
         let forecast =
             forecast_with_cores(Some(4), &[("software", 9)], &measurements, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
-        assert_eq!(
-            (speed.spent.waiting_secs, speed.spent.taken_secs),
-            (1.0, 0.0)
-        );
+        assert_eq!((speed.spent.waiting_secs, speed.spent.taken_secs), (1.0, 0.0));
         let rate = speed.rate.expect("cores are known");
         assert_eq!((rate.bottleneck, rate.enough_slots), (Bottleneck::Cores, 9));
         assert_eq!(forecast.secs, Some(100.0));
@@ -384,10 +351,7 @@ mod tests {
 
     #[test]
     fn suites_are_weighted_by_their_number_of_rollouts() {
-        let slow = Measured {
-            physics_secs: 9.0,
-            ..with_times("long", true)
-        };
+        let slow = Measured { physics_secs: 9.0, ..with_times("long", true) };
         let measurements = [with_times("goal", true), slow];
         let rollouts = [("goal", 30), ("long", 10), ("object", 0)];
         let forecast = forecast_with_cores(Some(1), &[("software", 1)], &measurements, &rollouts);

@@ -33,10 +33,7 @@ impl View {
         .fetch_all(self.tx())
         .await
         .doing("count the waiting rollouts of a campaign")?;
-        let mut planned = Planned {
-            policy: &campaign.policy,
-            ..Planned::default()
-        };
+        let mut planned = Planned { policy: &campaign.policy, ..Planned::default() };
         for (task, count) in queued {
             let suite = task.split('/').next().unwrap_or_default();
             *planned.rollouts.entry(suite.to_owned()).or_default() += count.unsigned_abs();

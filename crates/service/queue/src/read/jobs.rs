@@ -143,16 +143,14 @@ impl View {
     /// # Errors
     /// If there is no such job or the database fails.
     pub async fn job(&mut self, campaign: &Campaign, job: &JobName) -> Result<JobLine, QueueError> {
-        let line = sqlx::query_as(concat!(
-            job_lines!(),
-            " AND j.rollout_id = ?2 AND j.replicate = ?3"
-        ))
-        .bind(campaign.id)
-        .bind(&job.rollout_id)
-        .bind(job.replicate)
-        .fetch_optional(self.tx())
-        .await
-        .doing("find a job")?;
+        let line =
+            sqlx::query_as(concat!(job_lines!(), " AND j.rollout_id = ?2 AND j.replicate = ?3"))
+                .bind(campaign.id)
+                .bind(&job.rollout_id)
+                .bind(job.replicate)
+                .fetch_optional(self.tx())
+                .await
+                .doing("find a job")?;
         line.ok_or_else(|| QueueError::UnknownRollout {
             campaign: campaign.name.clone(),
             job: job.clone(),

@@ -77,10 +77,8 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
     }
     let by_cores = |machine: &Machine| f64::from(machine.cores) / busy;
     let by_slots = |machine: &Machine| f64::from(machine.slots) / alone;
-    let simulated: f64 = machines
-        .iter()
-        .map(|machine| by_slots(machine).min(by_cores(machine)))
-        .sum();
+    let simulated: f64 =
+        machines.iter().map(|machine| by_slots(machine).min(by_cores(machine))).sum();
     let full: f64 = machines.iter().map(by_cores).sum();
     let answered = policy_rate.filter(|_| spent.queries > 0.0);
     let answered = answered.map_or(f64::INFINITY, |rate| rate / spent.queries);
@@ -135,10 +133,7 @@ mod tests {
         assert_eq!((few.per_sec, few.bottleneck), (0.4, Bottleneck::Slots));
         assert_eq!((few.enough_slots, few.most_per_sec), (10, 1.0));
         let enough = rate_of_example(&[machine(10, 4)], None);
-        assert_eq!(
-            (enough.per_sec, enough.bottleneck),
-            (1.0, Bottleneck::Cores)
-        );
+        assert_eq!((enough.per_sec, enough.bottleneck), (1.0, Bottleneck::Cores));
         assert_eq!(rate_of_example(&[machine(64, 4)], None).per_sec, 1.0);
     }
 
@@ -173,16 +168,14 @@ mod tests {
     fn spent() -> impl Strategy<Value = Spent> {
         let secs = || 0.0..50.0_f64;
         let all = (0.01..50.0_f64, secs(), secs(), secs(), 0.0..300.0_f64);
-        all.prop_map(
-            |(physics_secs, drawing_secs, policy_secs, taken_secs, queries)| Spent {
-                physics_secs,
-                drawing_secs,
-                policy_secs,
-                waiting_secs: taken_secs,
-                taken_secs,
-                queries,
-            },
-        )
+        all.prop_map(|(physics_secs, drawing_secs, policy_secs, taken_secs, queries)| Spent {
+            physics_secs,
+            drawing_secs,
+            policy_secs,
+            waiting_secs: taken_secs,
+            taken_secs,
+            queries,
+        })
     }
 
     fn policy() -> impl Strategy<Value = Option<f64>> {

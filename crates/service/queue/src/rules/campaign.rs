@@ -67,10 +67,7 @@ impl CampaignState {
     }
 
     pub fn is_over(self) -> bool {
-        matches!(
-            self,
-            CampaignState::Cancelled { .. } | CampaignState::Stopped { .. }
-        )
+        matches!(self, CampaignState::Cancelled { .. } | CampaignState::Stopped { .. })
     }
 
     pub fn since(self) -> UnixMillis {

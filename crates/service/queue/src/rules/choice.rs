@@ -22,9 +22,7 @@ pub struct WaitingCampaign {
 /// campaign. Claims that arrive together are assigned as if they had arrived one by one.
 pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(CampaignId, usize)> {
     let priority = waiting.iter().map(|campaign| campaign.priority).max()?;
-    let peers = waiting
-        .iter()
-        .filter(|campaign| campaign.priority == priority);
+    let peers = waiting.iter().filter(|campaign| campaign.priority == priority);
     let mut peers: Vec<&WaitingCampaign> = peers.collect();
     peers.sort_by_key(|campaign| (campaign.leased, campaign.last_turn, campaign.id));
     let first = peers.first()?;
@@ -53,9 +51,7 @@ pub struct WaitingTask {
 /// Chooses the task that a worker starts on: the one with the fewest leases; ties go to the task
 /// whose next job comes first in the campaign's order of jobs.
 pub fn choose_task(waiting: &[WaitingTask]) -> Option<&WaitingTask> {
-    waiting
-        .iter()
-        .min_by_key(|candidate| (candidate.leased, candidate.first_unit))
+    waiting.iter().min_by_key(|candidate| (candidate.leased, candidate.first_unit))
 }
 
 /// Returns the tasks whose first waiting jobs come first, up to `jobs` tasks. They contain the next
@@ -71,21 +67,12 @@ mod tests {
     use super::*;
 
     fn campaign(id: i64, priority: i32, leased: u32, last_turn: u64) -> WaitingCampaign {
-        WaitingCampaign {
-            id: CampaignId(id),
-            priority,
-            leased,
-            last_turn,
-        }
+        WaitingCampaign { id: CampaignId(id), priority, leased, last_turn }
     }
 
     #[test]
     fn the_highest_priority_is_served_first_regardless_of_its_leases() {
-        let waiting = [
-            campaign(1, 0, 0, 0),
-            campaign(2, 5, 90, 7),
-            campaign(3, -5, 0, 0),
-        ];
+        let waiting = [campaign(1, 0, 0, 0), campaign(2, 5, 90, 7), campaign(3, -5, 0, 0)];
         assert_eq!(choose_campaign(&waiting, 4), Some((CampaignId(2), 4)));
         assert_eq!(choose_campaign(&[], 4), None);
     }
@@ -94,28 +81,17 @@ mod tests {
     fn equal_priorities_are_ordered_by_leases_then_wait_then_age() {
         let first =
             |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|choice| choice.0.0);
-        assert_eq!(
-            first(&[campaign(1, 0, 2, 1), campaign(2, 0, 1, 2)]),
-            Some(2)
-        );
-        assert_eq!(
-            first(&[campaign(1, 0, 1, 9), campaign(2, 0, 1, 8)]),
-            Some(2)
-        );
-        assert_eq!(
-            first(&[campaign(2, 0, 1, 8), campaign(1, 0, 1, 8)]),
-            Some(1)
-        );
+        assert_eq!(first(&[campaign(1, 0, 2, 1), campaign(2, 0, 1, 2)]), Some(2));
+        assert_eq!(first(&[campaign(1, 0, 1, 9), campaign(2, 0, 1, 8)]), Some(2));
+        assert_eq!(first(&[campaign(2, 0, 1, 8), campaign(1, 0, 1, 8)]), Some(1));
     }
 
     /// Asserts that campaigns end with the same numbers of leases whether `claims` claims arrive
     /// together or one by one.
     fn check(leased: &[u32], claims: usize) {
         let leases = |at_a_time: usize| {
-            let mut waiting: Vec<WaitingCampaign> = (1..)
-                .zip(leased)
-                .map(|(id, leased)| campaign(id, 0, *leased, 0))
-                .collect();
+            let mut waiting: Vec<WaitingCampaign> =
+                (1..).zip(leased).map(|(id, leased)| campaign(id, 0, *leased, 0)).collect();
             let mut remaining = claims;
             for turn in 1.. {
                 if remaining == 0 {
@@ -130,10 +106,7 @@ mod tests {
                 chosen.last_turn = turn;
                 remaining -= share;
             }
-            waiting
-                .iter()
-                .map(|campaign| campaign.leased)
-                .collect::<Vec<_>>()
+            waiting.iter().map(|campaign| campaign.leased).collect::<Vec<_>>()
         };
         let (mut together, mut alone) = (leases(usize::MAX), leases(1));
         together.sort_unstable();

@@ -75,13 +75,7 @@ pub(crate) fn illustrative(
         }
     }
     let mut illustrative = BTreeMap::new();
-    for &Record {
-        id,
-        replicate,
-        outcome,
-        ..
-    } in explaining
-    {
+    for &Record { id, replicate, outcome, .. } in explaining {
         if outcome.success().is_some() && outcome.success() == verdicts.get(&id).copied() {
             let least = illustrative.entry(id).or_insert(replicate);
             *least = replicate.min(*least);

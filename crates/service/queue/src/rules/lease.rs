@@ -247,10 +247,7 @@ impl Job {
             FailureReason::Skipped => return AfterFailure::Quarantine,
             FailureReason::PolicyLost => {
                 let losses = self.losses + 1;
-                (
-                    losses >= MAX_LOSSES,
-                    (losses + 1).saturating_sub(LOSSES_UNTIL_BACKOFF),
-                )
+                (losses >= MAX_LOSSES, (losses + 1).saturating_sub(LOSSES_UNTIL_BACKOFF))
             }
             FailureReason::WorkerSilent => {
                 let silences = suspicion.silences;
@@ -266,10 +263,7 @@ impl Job {
                     Some(Party::Policy) => 1,
                     _ => machines,
                 };
-                (
-                    charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_machines >= needed,
-                    charged,
-                )
+                (charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_machines >= needed, charged)
             }
         };
         match (is_quarantined, failures) {
@@ -277,9 +271,7 @@ impl Job {
             (false, 0) => AfterFailure::Requeue { not_before: now },
             (false, failures) => {
                 let wait = Waits::USUAL.after(failures, rng.next_u32());
-                AfterFailure::Requeue {
-                    not_before: now.plus(wait.max(Waits::USUAL.first)),
-                }
+                AfterFailure::Requeue { not_before: now.plus(wait.max(Waits::USUAL.first)) }
             }
         }
     }
@@ -304,11 +296,7 @@ impl Lease {
         let is_overdue = self.expires >= self.ceiling;
         if !self.is_acknowledged {
             FailureReason::NeverAcknowledged
-        } else if is_silent_for(if is_overdue {
-            lease_duration
-        } else {
-            lease_duration / 2
-        }) {
+        } else if is_silent_for(if is_overdue { lease_duration } else { lease_duration / 2 }) {
             FailureReason::WorkerSilent
         } else if is_overdue {
             FailureReason::Overdue
@@ -351,18 +339,12 @@ impl FailureReason {
 
     /// Returns true if the attempt had reached its policy and lost it.
     pub fn is_loss(self) -> bool {
-        matches!(
-            self,
-            FailureReason::PolicyLost | FailureReason::TakesPolicyDown
-        )
+        matches!(self, FailureReason::PolicyLost | FailureReason::TakesPolicyDown)
     }
 
     /// Returns true if the attempt's worker may reconnect with its result.
     pub fn may_be_resumed(self) -> bool {
-        matches!(
-            self,
-            FailureReason::WorkerSilent | FailureReason::NeverAcknowledged
-        )
+        matches!(self, FailureReason::WorkerSilent | FailureReason::NeverAcknowledged)
     }
 
     /// Returns the reason to store with an attempt whose job continues with `next_step`. A lost
@@ -433,10 +415,7 @@ pub fn inherited_failures(in_a_row: u32) -> u32 {
 /// Counts one more failure of a worker's machine that had `in_a_row` before it.
 pub fn strike(in_a_row: u32) -> Strike {
     let in_a_row = in_a_row.saturating_add(1);
-    Strike {
-        in_a_row,
-        stop: in_a_row >= MAX_WORKER_FAILURES_IN_A_ROW,
-    }
+    Strike { in_a_row, stop: in_a_row >= MAX_WORKER_FAILURES_IN_A_ROW }
 }
 
 /// Returns true if so much time has passed since the last sweep that the coordinator must have been
@@ -470,14 +449,8 @@ mod tests {
             let reason = lease.expiry_reason(last_heartbeat, LEASE_DURATION);
             assert_eq!((reason, reason.is_charged()), (expected, is_charged));
         };
-        let late = |is_acknowledged| Lease {
-            expires: UnixMillis(60),
-            ..lease(is_acknowledged)
-        };
-        let at_its_ceiling = || Lease {
-            expires: UnixMillis(100),
-            ..lease(true)
-        };
+        let late = |is_acknowledged| Lease { expires: UnixMillis(60), ..lease(is_acknowledged) };
+        let at_its_ceiling = || Lease { expires: UnixMillis(100), ..lease(true) };
         let at = |millis| Some(UnixMillis(millis));
         check(late(false), at(59), FailureReason::NeverAcknowledged, false);
         check(late(false), None, FailureReason::NeverAcknowledged, false);
@@ -502,28 +475,14 @@ mod tests {
 
     #[test]
     fn a_reconnected_worker_resumes_its_lease_until_its_job_is_leased_again_or_its_ceiling() {
-        let cut_off = CutOff {
-            number: AttemptNumber(2),
-            lease: lease(true),
-        };
+        let cut_off = CutOff { number: AttemptNumber(2), lease: lease(true) };
         let not_before = UnixMillis(50);
         let waiting = job(2, JobState::Queued { not_before });
-        assert_eq!(
-            waiting.resumable(&cut_off, UnixMillis(99)),
-            Some(&cut_off.lease)
-        );
-        assert_eq!(
-            waiting.resumable(&cut_off, UnixMillis(100)),
-            None,
-            "the ceiling is reached"
-        );
+        assert_eq!(waiting.resumable(&cut_off, UnixMillis(99)), Some(&cut_off.lease));
+        assert_eq!(waiting.resumable(&cut_off, UnixMillis(100)), None, "the ceiling is reached");
         let leased_again = job(3, JobState::Queued { not_before });
         assert_eq!(leased_again.resumable(&cut_off, UnixMillis(50)), None);
-        for state in [
-            JobState::Leased(lease(true)),
-            JobState::Committed,
-            JobState::Quarantined,
-        ] {
+        for state in [JobState::Leased(lease(true)), JobState::Committed, JobState::Quarantined] {
             assert_eq!(job(2, state).resumable(&cut_off, UnixMillis(50)), None);
         }
     }
@@ -537,20 +496,13 @@ mod tests {
             silences: count,
         };
         let job = job(count, JobState::Leased(lease(true)));
-        job.after_failure(
-            reason,
-            suspicion,
-            UnixMillis(0),
-            &mut ChaCha8Rng::seed_from_u64(1),
-        )
+        job.after_failure(reason, suspicion, UnixMillis(0), &mut ChaCha8Rng::seed_from_u64(1))
     }
 
     #[test]
     fn a_job_that_repeatedly_loses_its_policy_backs_off_and_is_finally_quarantined() {
         let lost = |count| after(FailureReason::PolicyLost, count, 0);
-        let at_once = AfterFailure::Requeue {
-            not_before: UnixMillis(0),
-        };
+        let at_once = AfterFailure::Requeue { not_before: UnixMillis(0) };
         assert_eq!(lost(1), at_once);
         for count in LOSSES_UNTIL_BACKOFF..MAX_LOSSES {
             assert!(matches!(lost(count), AfterFailure::Requeue { .. }));
@@ -565,15 +517,10 @@ mod tests {
     #[test]
     fn a_job_that_crashes_workers_on_two_machines_is_quarantined() {
         let silent = |count, machines| after(FailureReason::WorkerSilent, count, machines);
-        let at_once = AfterFailure::Requeue {
-            not_before: UnixMillis(0),
-        };
+        let at_once = AfterFailure::Requeue { not_before: UnixMillis(0) };
         assert_eq!(silent(1, 1), at_once);
         assert_ne!(silent(SILENCES_UNTIL_BACKOFF, 1), at_once);
-        assert!(matches!(
-            silent(MAX_SILENCES, 1),
-            AfterFailure::Requeue { .. }
-        ));
+        assert!(matches!(silent(MAX_SILENCES, 1), AfterFailure::Requeue { .. }));
         assert_eq!(silent(MAX_SILENCES, 2), AfterFailure::Quarantine);
     }
 

@@ -69,13 +69,7 @@ impl RolloutRecord {
             Standing::Quarantined => 1,
             Standing::Committed(_) => 2,
         };
-        (
-            standing,
-            self.divergences,
-            self.is_filmed,
-            self.charged_attempts,
-            self.attempts,
-        )
+        (standing, self.divergences, self.is_filmed, self.charged_attempts, self.attempts)
     }
 }
 
@@ -91,18 +85,13 @@ pub fn merge<N: Clone + Ord>(
     let mut kept = BTreeMap::new();
     let mut contradictions = Vec::new();
     for (rollout, record) in first {
-        match second
-            .get(rollout)
-            .map_or(Ok(KeptHalf::First), |second| record.choose(second))
-        {
+        match second.get(rollout).map_or(Ok(KeptHalf::First), |second| record.choose(second)) {
             Ok(half) => {
                 kept.insert(rollout.clone(), half);
             }
-            Err((first, second)) => contradictions.push(Contradiction {
-                rollout: rollout.clone(),
-                first,
-                second,
-            }),
+            Err((first, second)) => {
+                contradictions.push(Contradiction { rollout: rollout.clone(), first, second })
+            }
         }
     }
     for rollout in second.keys().filter(|id| !first.contains_key(*id)) {

@@ -113,10 +113,7 @@ impl PolicyHealth {
     pub fn with_probe(&self, attempt: AttemptId) -> PolicyHealth {
         match &self.state {
             PolicyState::Paused { reason, .. } => PolicyHealth {
-                state: PolicyState::Probing {
-                    attempt,
-                    reason: reason.clone(),
-                },
+                state: PolicyState::Probing { attempt, reason: reason.clone() },
                 ..self.clone()
             },
             PolicyState::Available | PolicyState::Probing { .. } => self.clone(),
@@ -171,10 +168,8 @@ impl PolicyHealth {
         now: UnixMillis,
         rng: &mut impl Rng,
     ) -> PolicyHealth {
-        let counted = PolicyHealth {
-            misbehaved: self.misbehaved.saturating_add(1),
-            ..self.clone()
-        };
+        let counted =
+            PolicyHealth { misbehaved: self.misbehaved.saturating_add(1), ..self.clone() };
         let pauses = match &self.state {
             PolicyState::Available => counted.misbehaved >= MAX_MISBEHAVED_IN_A_ROW,
             PolicyState::Paused { .. } => false,
@@ -204,10 +199,7 @@ impl PolicyHealth {
     pub fn due_at_once(&self, now: UnixMillis) -> PolicyHealth {
         match &self.state {
             PolicyState::Paused { resume, reason } => PolicyHealth {
-                state: PolicyState::Paused {
-                    resume: (*resume).min(now),
-                    reason: reason.clone(),
-                },
+                state: PolicyState::Paused { resume: (*resume).min(now), reason: reason.clone() },
                 ..self.clone()
             },
             PolicyState::Available | PolicyState::Probing { .. } => self.clone(),
@@ -220,11 +212,7 @@ impl PolicyHealth {
         if !self.is_probe(attempt) {
             return self.clone();
         }
-        PolicyHealth {
-            available_since: now,
-            state: PolicyState::Available,
-            ..*self
-        }
+        PolicyHealth { available_since: now, state: PolicyState::Available, ..*self }
     }
 
     /// Returns the health after a rollout of this policy was committed; the failure counts of an
@@ -245,10 +233,7 @@ impl PolicyHealth {
     pub fn after_other_failure(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
         match &self.state {
             PolicyState::Probing { reason, .. } if self.is_probe(attempt) => PolicyHealth {
-                state: PolicyState::Paused {
-                    resume: now,
-                    reason: reason.clone(),
-                },
+                state: PolicyState::Paused { resume: now, reason: reason.clone() },
                 ..self.clone()
             },
             _ => self.clone(),
@@ -267,23 +252,13 @@ mod tests {
     #[test]
     fn a_policy_is_lost_only_by_an_attempt_that_had_reached_it() {
         let lost = |answered, is_back, is_last| {
-            let contact = Contact {
-                answered,
-                is_back,
-                is_last,
-            };
+            let contact = Contact { answered, is_back, is_last };
             contact.was_lost()
         };
         assert!(!lost(None, true, true), "the policy was never reached");
         assert!(lost(Some(1), false, false));
         assert!(!lost(Some(0), false, false), "the policy may be down");
-        assert!(
-            lost(Some(0), true, false),
-            "the policy answers other attempts"
-        );
-        assert!(
-            lost(Some(0), false, true),
-            "all other jobs have repeatedly lost the policy"
-        );
+        assert!(lost(Some(0), true, false), "the policy answers other attempts");
+        assert!(lost(Some(0), false, true), "all other jobs have repeatedly lost the policy");
     }
 }

@@ -157,12 +157,7 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
     };
     let sibling = siblings.iter().find(has_same_view)?;
     let (value, other_value) = (&result.digests.first_frame, &sibling.digests.first_frame);
-    differs(
-        "first-frame digest",
-        value,
-        other_value,
-        &sibling_place(sibling),
-    )
+    differs("first-frame digest", value, other_value, &sibling_place(sibling))
 }
 
 /// Returns true if results of these two origins must have equal frames of equal scenes: renderer,
@@ -176,10 +171,7 @@ fn must_share_frames(first: &Provenance, second: &Provenance) -> bool {
 }
 
 fn sibling_place(sibling: &Sibling) -> String {
-    format!(
-        "in its sibling `{}` (worker `{}`)",
-        sibling.rollout, sibling.worker
-    )
+    format!("in its sibling `{}` (worker `{}`)", sibling.rollout, sibling.worker)
 }
 
 fn differs(name: &str, value: &str, other_value: &str, place: &str) -> Option<String> {
@@ -218,10 +210,7 @@ mod tests {
 
     fn origin(mode: Realisation) -> Arc<Provenance> {
         Arc::new(Provenance {
-            pin: Pin {
-                renderer: "llvmpipe".to_owned(),
-                ..Pin::default()
-            },
+            pin: Pin { renderer: "llvmpipe".to_owned(), ..Pin::default() },
             fingerprint: hex('f'),
             realisation: mode.to_string(),
             policy_name: "p".to_owned(),
@@ -252,14 +241,8 @@ mod tests {
         committed: &Sibling,
     ) -> Option<String> {
         let row = row(id);
-        let demand = Demand {
-            realisation: mode,
-            row: &row,
-        };
-        let result = Sibling {
-            origin: origin(mode),
-            ..sibling(id, values, first_frame)
-        };
+        let demand = Demand { realisation: mode, row: &row };
+        let result = Sibling { origin: origin(mode), ..sibling(id, values, first_frame) };
         difference(&demand, std::slice::from_ref(committed), &result)
     }
 
@@ -292,12 +275,8 @@ mod tests {
             check(difference, &[&format!("realisation of axis {axis}"), "`w`"]);
         }
         let same = sibling("goal/t0/sensor/L2/c01", &[(Axis::Sensor, 4.0)], "");
-        let difference = inconsistency(
-            (COMBINATION, Realisation::Matched),
-            &METRIC_VALUES,
-            "",
-            &same,
-        );
+        let difference =
+            inconsistency((COMBINATION, Realisation::Matched), &METRIC_VALUES, "", &same);
         assert_eq!(difference, None);
     }
 
@@ -331,12 +310,8 @@ mod tests {
     fn other_levels_and_configurations_may_be_realised_differently() {
         for id in ["goal/t0/sensor/L1/c01", "goal/t0/sensor/L2/c02"] {
             let other = sibling(id, &[(Axis::Sensor, 0.0)], "");
-            let difference = inconsistency(
-                (COMBINATION, Realisation::Matched),
-                &METRIC_VALUES,
-                "",
-                &other,
-            );
+            let difference =
+                inconsistency((COMBINATION, Realisation::Matched), &METRIC_VALUES, "", &other);
             assert_eq!(difference, None);
         }
     }
@@ -350,12 +325,7 @@ mod tests {
             &["set of perturbed axes", "actuation` in its manifest row"],
         );
         check(
-            inconsistency(
-                matched("goal/t0/language/L2/c01"),
-                &METRIC_VALUES[..1],
-                "",
-                &other,
-            ),
+            inconsistency(matched("goal/t0/language/L2/c01"), &METRIC_VALUES[..1], "", &other),
             &["`camera` here and `none`"],
         );
     }
@@ -372,40 +342,18 @@ mod tests {
         for (id, values, committed) in [
             (actuation, actuated, sibling(clean, &[], &other_frame)),
             (language, &[][..], sibling(clean, &[], &other_frame)),
-            (
-                language,
-                &[][..],
-                sibling(actuation, actuated, &other_frame),
-            ),
-            (
-                COMBINATION,
-                &METRIC_VALUES[..],
-                sibling(COMBINATION, &METRIC_VALUES, &other_frame),
-            ),
+            (language, &[][..], sibling(actuation, actuated, &other_frame)),
+            (COMBINATION, &METRIC_VALUES[..], sibling(COMBINATION, &METRIC_VALUES, &other_frame)),
         ] {
-            check(
-                compare(id, values, &committed),
-                &["first-frame digest", "sibling"],
-            );
+            check(compare(id, values, &committed), &["first-frame digest", "sibling"]);
         }
         assert_eq!(compare(language, &[], &sibling(clean, &[], &frame)), None);
         // The combination's frame shows its camera perturbation, and rollouts without cameras have
         // no frame.
-        assert_eq!(
-            compare(
-                COMBINATION,
-                &METRIC_VALUES,
-                &sibling(clean, &[], &other_frame)
-            ),
-            None
-        );
+        assert_eq!(compare(COMBINATION, &METRIC_VALUES, &sibling(clean, &[], &other_frame)), None);
         assert_eq!(compare(language, &[], &sibling(clean, &[], "")), None);
-        let without_frame = inconsistency(
-            matched(language),
-            &[],
-            "",
-            &sibling(clean, &[], &other_frame),
-        );
+        let without_frame =
+            inconsistency(matched(language), &[], "", &sibling(clean, &[], &other_frame));
         assert_eq!(without_frame, None);
     }
 
@@ -425,10 +373,7 @@ mod tests {
             with_other_origin(|provenance| provenance.policy_checkpoint_digest = hex('9')),
             None
         );
-        assert_eq!(
-            with_other_origin(|provenance| provenance.fingerprint = hex('e')),
-            None
-        );
+        assert_eq!(with_other_origin(|provenance| provenance.fingerprint = hex('e')), None);
         assert!(with_other_origin(|_| ()).is_some());
     }
 }

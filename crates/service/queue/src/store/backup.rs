@@ -33,10 +33,7 @@ fn copy_path(store: &Store) -> io::Result<TempPath> {
         return TempPath::try_from_path(store.folder().join(BACKUP_FILE));
     }
     // Other users can write to the temporary folder, so the file is private and has a random name.
-    let copy = tempfile::Builder::new()
-        .prefix("rollout-")
-        .suffix(BACKUP_FILE)
-        .tempfile()?;
+    let copy = tempfile::Builder::new().prefix("rollout-").suffix(BACKUP_FILE).tempfile()?;
     Ok(copy.into_temp_path())
 }
 

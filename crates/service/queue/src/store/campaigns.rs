@@ -134,12 +134,10 @@ pub(crate) async fn by_id(
 
 /// Returns all campaigns, oldest first.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
-    sqlx::query_as(campaigns_where!(
-        "c.id NOT IN (SELECT campaign_id FROM passage)"
-    ))
-    .fetch_all(tx)
-    .await
-    .doing("list campaigns")
+    sqlx::query_as(campaigns_where!("c.id NOT IN (SELECT campaign_id FROM passage)"))
+        .fetch_all(tx)
+        .await
+        .doing("list campaigns")
 }
 
 /// Returns the campaigns with waiting jobs, oldest first, except cancelled and stopped campaigns.
@@ -417,15 +415,9 @@ pub(crate) async fn take_name(
 pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
     // Jobs are deleted first, since deleting a row of `campaign_task` checks for jobs that refer to
     // it.
-    for statement in [
-        "DELETE FROM job WHERE campaign_id = ?",
-        "DELETE FROM campaign WHERE id = ?",
-    ] {
-        sqlx::query(statement)
-            .bind(id)
-            .execute(&mut *tx)
-            .await
-            .doing("delete a campaign")?;
+    for statement in ["DELETE FROM job WHERE campaign_id = ?", "DELETE FROM campaign WHERE id = ?"]
+    {
+        sqlx::query(statement).bind(id).execute(&mut *tx).await.doing("delete a campaign")?;
     }
     Ok(())
 }

@@ -159,11 +159,7 @@ pub(crate) async fn waiting_tasks(
     .await
     .doing("find waiting tasks")?;
     let waiting = |(task, first_unit, leased): (String, Option<i64>, u32)| {
-        Some(WaitingTask {
-            task,
-            first_unit: first_unit?,
-            leased,
-        })
+        Some(WaitingTask { task, first_unit: first_unit?, leased })
     };
     Ok(rows.into_iter().filter_map(waiting).collect())
 }

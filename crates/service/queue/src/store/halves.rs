@@ -67,17 +67,7 @@ pub(crate) async fn records(
     schema: Schema,
     campaign: CampaignId,
 ) -> Result<BTreeMap<Rollout, RolloutRecord>, StoreError> {
-    type Row = (
-        String,
-        u32,
-        String,
-        u32,
-        u32,
-        Option<bool>,
-        Option<u32>,
-        u32,
-        bool,
-    );
+    type Row = (String, u32, String, u32, u32, Option<bool>, Option<u32>, u32, bool);
     let half = schema.name();
     let rows: Vec<Row> = sqlx::query_as(AssertSqlSafe(format!(
         "SELECT j.rollout_id, j.replicate, j.state, j.charged_attempts, j.attempt, r.success,

@@ -40,12 +40,7 @@ async fn run(
 /// Hides a campaign that has just been stored without its jobs. It is paused until it is published.
 pub(crate) async fn hide_new(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
     run(tx, &HIDE, id).await?;
-    run(
-        tx,
-        &["UPDATE campaign SET state = 'paused' WHERE id = ?1 AND state = 'running'"],
-        id,
-    )
-    .await
+    run(tx, &["UPDATE campaign SET state = 'paused' WHERE id = ?1 AND state = 'running'"], id).await
 }
 
 /// Hides a campaign that is being deleted.

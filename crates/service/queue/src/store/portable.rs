@@ -83,10 +83,7 @@ const COPIED: [TableCopy; 10] = [
                 "CASE s.state WHEN 'committed' THEN 'leased' WHEN 'leased' THEN 'queued'
                      ELSE s.state END",
             ),
-            (
-                "not_before_ms",
-                "iif(s.state IN ('queued', 'leased'), 0, NULL)",
-            ),
+            ("not_before_ms", "iif(s.state IN ('queued', 'leased'), 0, NULL)"),
             ("lease_owner", "r.worker_id"),
             ("leased_ms", "r.committed_ms"),
             ("lease_expires_ms", "r.committed_ms"),
@@ -94,10 +91,7 @@ const COPIED: [TableCopy; 10] = [
             ("control_steps", "iif(r.job_id IS NULL, NULL, 0)"),
             ("claim_id", "iif(r.job_id IS NULL, NULL, '')"),
             ("acknowledged", "iif(r.job_id IS NULL, NULL, 1)"),
-            (
-                "attempt_id",
-                "(SELECT new FROM temp.moved_attempt WHERE old = r.attempt_id)",
-            ),
+            ("attempt_id", "(SELECT new FROM temp.moved_attempt WHERE old = r.attempt_id)"),
         ],
         tail: " ORDER BY m.new",
     },
@@ -106,12 +100,7 @@ const COPIED: [TableCopy; 10] = [
         from: "temp.moved_job m CROSS JOIN source.result s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id
                JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
-        values: &[
-            CAMPAIGN,
-            JOB,
-            ("attempt_id", "a.new"),
-            ("provenance_id", "o.new"),
-        ],
+        values: &[CAMPAIGN, JOB, ("attempt_id", "a.new"), ("provenance_id", "o.new")],
         tail: " ORDER BY m.new",
     },
     TableCopy {
@@ -367,11 +356,7 @@ pub(crate) async fn replace(
     .execute(&mut *tx)
     .await
     .doing("copy a campaign")?;
-    run(
-        tx,
-        "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)",
-    )
-    .await?;
+    run(tx, "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)").await?;
     copy_rows(tx, campaign, |_| true).await?;
     end(tx).await
 }
@@ -453,9 +438,7 @@ async fn assign_attempt_ids(tx: &mut SqliteConnection) -> Result<(), StoreError>
 async fn find_origins(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     let columns = columns(tx, "provenance").await?;
     let columns = columns.iter().filter(|name| *name != "id");
-    let same: Vec<String> = columns
-        .map(|name| format!("n.{name} IS o.{name}"))
-        .collect();
+    let same: Vec<String> = columns.map(|name| format!("n.{name} IS o.{name}")).collect();
     let statement = format!(
         "UPDATE temp.moved_origin SET new = (SELECT n.id FROM main.provenance n
              JOIN source.provenance o ON {} WHERE o.id = moved_origin.old)",

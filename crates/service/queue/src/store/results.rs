@@ -86,9 +86,7 @@ pub(crate) async fn insert(
         let mut statement =
             QueryBuilder::<Sqlite>::new("INSERT INTO motion (job_id, path, actions) ");
         statement.push_values(chunk, |mut row, new| {
-            row.push_bind(new.job)
-                .push_bind(&new.motion.path)
-                .push_bind(&new.motion.actions);
+            row.push_bind(new.job).push_bind(&new.motion.path).push_bind(&new.motion.actions);
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;
         done.doing("store robot motions")?;
@@ -132,14 +130,7 @@ pub(crate) async fn siblings(
     state: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
     // With a single min(), SQLite takes the other columns from the same row.
-    type Row = (
-        i64,
-        String,
-        WorkerId,
-        Json<Digests>,
-        Json<Realised>,
-        Json<Provenance>,
-    );
+    type Row = (i64, String, WorkerId, Json<Digests>, Json<Realised>, Json<Provenance>);
     let rows: Vec<Row> = sqlx::query_as(concat!(
         "SELECT min(j.id), j.rollout_id, r.worker_id, ",
         digests!(),

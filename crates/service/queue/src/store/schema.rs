@@ -15,11 +15,7 @@ use super::{MIGRATIONS, newest_known_schema};
 pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
     let mut model = SqliteConnection::connect("sqlite::memory:").await?;
     let options = SqliteConnectOptions::new().filename(path).read_only(true);
-    let mut database = options
-        .immutable(true)
-        .pragma("trusted_schema", "OFF")
-        .connect()
-        .await?;
+    let mut database = options.immutable(true).pragma("trusted_schema", "OFF").connect().await?;
     let found = objects(&mut database).await?;
     database.close().await?;
     let mut known = Vec::new();

@@ -261,7 +261,5 @@ pub(crate) async fn live(
     .await
     .doing("count live workers")?;
     let live = live.into_iter();
-    Ok(live
-        .map(|(Json(pin), machine)| Live { pin, machine })
-        .collect())
+    Ok(live.map(|(Json(pin), machine)| Live { pin, machine }).collect())
 }

@@ -79,10 +79,9 @@ impl Sender {
     fn headers(self) -> &'static [(&'static str, &'static str)] {
         match self {
             Sender::Program => &[],
-            Sender::OwnPage => &[
-                ("origin", "http://127.0.0.1:7411"),
-                ("sec-fetch-site", "same-origin"),
-            ],
+            Sender::OwnPage => {
+                &[("origin", "http://127.0.0.1:7411"), ("sec-fetch-site", "same-origin")]
+            }
             Sender::Person => &[
                 ("sec-fetch-site", "none"),
                 ("sec-fetch-mode", "navigate"),
@@ -98,10 +97,7 @@ impl Sender {
                 ("sec-fetch-site", "same-site"),
                 ("sec-fetch-mode", "no-cors"),
             ],
-            Sender::OtherSite => &[
-                ("sec-fetch-site", "cross-site"),
-                ("sec-fetch-mode", "no-cors"),
-            ],
+            Sender::OtherSite => &[("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "no-cors")],
             Sender::OtherSiteOldBrowser => &[("origin", "https://evil.example")],
             Sender::NoOrigin => &[("origin", "null"), ("sec-fetch-site", "cross-site")],
             Sender::Frame => &[
@@ -137,13 +133,8 @@ impl Credentials {
     ];
 }
 
-const METHODS: [Method; 5] = [
-    Method::GET,
-    Method::POST,
-    Method::HEAD,
-    Method::PUT,
-    Method::OPTIONS,
-];
+const METHODS: [Method; 5] =
+    [Method::GET, Method::POST, Method::HEAD, Method::PUT, Method::OPTIONS];
 
 const CONTENTS: [Option<&str>; 7] = [
     None,
@@ -160,10 +151,8 @@ pub(crate) fn guarded() -> (tempfile::NamedTempFile, Security) {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let tokens = format!("worker {WORKER}\noperator {OPERATOR}\nviewer {VIEWER}\n");
     std::fs::write(file.path(), tokens).expect("written");
-    let arguments = ServerArguments {
-        token_file: Some(file.path().to_owned()),
-        ..ServerArguments::default()
-    };
+    let arguments =
+        ServerArguments { token_file: Some(file.path().to_owned()), ..ServerArguments::default() };
     let security = arguments.security(HOST.parse().expect("an address"));
     (file, security.expect("tokens"))
 }
@@ -171,10 +160,7 @@ pub(crate) fn guarded() -> (tempfile::NamedTempFile, Security) {
 /// Returns the rules of a server without tokens. A request of these tests has no connection whose
 /// user could be checked, so every user is admitted.
 pub(crate) fn open() -> Security {
-    let arguments = ServerArguments {
-        insecure_loopback: true,
-        ..ServerArguments::default()
-    };
+    let arguments = ServerArguments { insecure_loopback: true, ..ServerArguments::default() };
     let security = arguments.security(HOST.parse().expect("an address"));
     security.expect("no tokens")
 }

@@ -86,11 +86,7 @@ impl<'a> Receiver<'a> {
         let from = first.offset + present;
         let mut stream = self.origin.open(self.parcel, from..end)?;
         self.supports_ranges &= stream.position == from;
-        let end = if self.supports_ranges {
-            end
-        } else {
-            self.parcel.bytes
-        };
+        let end = if self.supports_ranges { end } else { self.parcel.bytes };
         while let Some(member) = self.parcel.members.get(self.done)
             && member.offset + member.stored <= end
         {
@@ -131,14 +127,9 @@ impl<'a> Receiver<'a> {
         let failed = |source| RequestError::Permanent(write_error(&path, source));
         let mut block = vec![0; BLOCK_BYTES];
         let skip = (member.offset + present).saturating_sub(stream.position);
-        self.read(stream, skip, &mut block, |_| {
-            send_progress(on_progress, *progress)
-        })?;
-        let file = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .custom_flags(no_links())
-            .open(&path);
+        self.read(stream, skip, &mut block, |_| send_progress(on_progress, *progress))?;
+        let file =
+            OpenOptions::new().create(true).append(true).custom_flags(no_links()).open(&path);
         let mut file = file.map_err(failed)?;
         let missing = member.stored.saturating_sub(present);
         let mut received_bytes = 0;
@@ -161,18 +152,14 @@ impl<'a> Receiver<'a> {
         block: &mut [u8],
         mut take: impl FnMut(&[u8]) -> Result<(), RequestError>,
     ) -> Result<(), RequestError> {
-        let transient = |problem: String| RequestError::Transient {
-            url: self.parcel.name.clone(),
-            problem,
-        };
+        let transient =
+            |problem: String| RequestError::Transient { url: self.parcel.name.clone(), problem };
         while count > 0 {
             let most = usize::try_from(count).map_or(block.len(), |count| count.min(block.len()));
             match stream.reader.read(&mut block[..most]) {
                 Ok(0) => {
                     let (at, of) = (stream.position, self.parcel.bytes);
-                    return Err(transient(format!(
-                        "the answer ended after {at} of {of} bytes"
-                    )));
+                    return Err(transient(format!("the answer ended after {at} of {of} bytes")));
                 }
                 Ok(read) => {
                     stream.position += read as u64;
@@ -239,27 +226,16 @@ impl<'a> Receiver<'a> {
 
     /// Returns the path of a partially received file.
     fn partial_path(&self, member: &Member<'_>) -> PathBuf {
-        let kind = if member.is_deflated {
-            "deflated"
-        } else {
-            "plain"
-        };
-        self.incoming
-            .join(format!("{}-{kind}.part", member.file.sha256))
+        let kind = if member.is_deflated { "deflated" } else { "plain" };
+        self.incoming.join(format!("{}-{kind}.part", member.file.sha256))
     }
 }
 
 /// Unpacks a received file; returns a description of the file's difference from the table, or
 /// `None` if the file matches the table.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
-    let source = OpenOptions::new()
-        .read(true)
-        .custom_flags(no_links())
-        .open(part);
-    let source = source.map_err(|source| AssetsError::Read {
-        path: part.to_owned(),
-        source,
-    })?;
+    let source = OpenOptions::new().read(true).custom_flags(no_links()).open(part);
+    let source = source.map_err(|source| AssetsError::Read { path: part.to_owned(), source })?;
     let mut source: Box<dyn Read> = match member.is_deflated {
         true => Box::new(DeflateDecoder::new(source)),
         false => Box::new(source),
@@ -287,9 +263,7 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
     }
     if bytes != member.file.bytes {
         let expected = member.file.bytes;
-        return Ok(Some(format!(
-            "the file does not have the expected size of {expected} bytes"
-        )));
+        return Ok(Some(format!("the file does not have the expected size of {expected} bytes")));
     }
     let (found, expected) = (hex(&hash.finalize()), member.file.sha256);
     let differs = found != expected;

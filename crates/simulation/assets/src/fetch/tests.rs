@@ -37,10 +37,7 @@ impl Done {
 }
 
 fn deadlines() -> Deadlines {
-    Deadlines {
-        read: Duration::from_millis(400),
-        ..Deadlines::default()
-    }
+    Deadlines { read: Duration::from_millis(400), ..Deadlines::default() }
 }
 
 fn fetch_from(origin: &Origin, table: &'static Table, into: &Path) -> Done {
@@ -75,11 +72,7 @@ fn fetch_while(
         },
     }
     .run(&wanted);
-    Done {
-        outcome,
-        pauses,
-        last,
-    }
+    Done { outcome, pauses, last }
 }
 
 fn fetch(index: &TestIndex, into: &Path) -> Done {
@@ -125,10 +118,7 @@ fn check_complete(into: &Path) {
 fn check_no_incomplete_file(into: &Path) {
     for path in files(into) {
         if !path.starts_with(INCOMING) {
-            assert!(
-                fs::read(into.join(&path)).expect("reads") == content(&path),
-                "{path}"
-            );
+            assert!(fs::read(into.join(&path)).expect("reads") == content(&path), "{path}");
         }
     }
 }
@@ -140,9 +130,7 @@ fn only_wanted_members_are_requested_and_only_once() {
     let done = fetch(&index, &into);
     let fetched = done.outcome.expect("the files");
     assert_eq!((fetched.fetched, fetched.present, done.pauses), (3, 0, 0));
-    let Some(Report::Arriving(last)) = done.last else {
-        panic!("{:?}", done.last)
-    };
+    let Some(Report::Arriving(last)) = done.last else { panic!("{:?}", done.last) };
     assert_eq!((last.files, last.bytes), (3, last.of_bytes));
     check_complete(&into);
     let table = index.table();
@@ -165,11 +153,7 @@ fn only_wanted_members_are_requested_and_only_once() {
     let requests = index.requests().len();
     let second = fetch(&index, &into).outcome.expect("the files");
     assert_eq!((second.fetched, second.present), (0, 3));
-    assert_eq!(
-        index.requests().len(),
-        requests,
-        "the second fetch sends no request"
-    );
+    assert_eq!(index.requests().len(), requests, "the second fetch sends no request");
 }
 
 #[test]
@@ -197,10 +181,7 @@ fn credentials_are_sent_to_the_index_and_kept_out_of_messages() {
     let url = refusing.url_with_credentials();
     let origin = Origin::index(&url, deadlines()).expect("a URL");
     let error = fetch_from(&origin, refusing.table(), &into.join("new")).error();
-    assert!(
-        error.contains("403") && !error.contains("secret"),
-        "{error}"
-    );
+    assert!(error.contains("403") && !error.contains("secret"), "{error}");
 }
 
 #[test]
@@ -382,10 +363,7 @@ fn an_altered_file_of_the_pack_is_replaced() {
     bytes[3] ^= 1;
     fs::write(into.join(SMALL), bytes).expect("writes");
     let fetched = fetch(&index, &into).outcome.expect("the files");
-    assert_eq!(
-        (fetched.fetched, fetched.replaced, fetched.present),
-        (1, 1, 2)
-    );
+    assert_eq!((fetched.fetched, fetched.replaced, fetched.present), (1, 1, 2));
     check_complete(&into);
 }
 
@@ -408,10 +386,7 @@ fn a_cancelled_fetch_keeps_received_bytes() {
     let offset = index.table().get(LARGE).expect("in the table").offset;
     let rest = format!("/files/{} {}-", Wheels::name(0), offset + received);
     let requests = index.wheel_requests();
-    assert!(
-        requests.iter().any(|request| request.starts_with(&rest)),
-        "{received}: {requests:?}"
-    );
+    assert!(requests.iter().any(|request| request.starts_with(&rest)), "{received}: {requests:?}");
 }
 
 #[test]
@@ -546,12 +521,7 @@ fn two_processes_at_once_fetch_each_file_once() {
     };
     let outputs = [start(), start()].map(|thread| output_text(&thread.join().expect("ends")));
     check_complete(&into);
-    let count = |words: &str| {
-        outputs
-            .iter()
-            .filter(|output| output.contains(words))
-            .count()
-    };
+    let count = |words: &str| outputs.iter().filter(|output| output.contains(words)).count();
     assert_eq!(count("fetched 3, present 0"), 1, "{outputs:?}");
     assert_eq!(count("present 3"), 1, "{outputs:?}");
     assert_eq!(index.wheel_requests().len(), 3, "{:?}", index.requests());

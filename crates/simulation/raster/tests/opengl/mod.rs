@@ -35,9 +35,7 @@ fn from_above(side: usize, geoms: Vec<Geom>) -> Scene {
 /// Draws a scene. Returns red of every pixel, row by row from the lowest.
 fn red(side: usize, scene: &Scene) -> Vec<Vec<u8>> {
     let mut canvas = Canvas::new();
-    let frame = canvas
-        .draw(&model(), &largest_levels(), scene, [side, side])
-        .expect("a frame");
+    let frame = canvas.draw(&model(), &largest_levels(), scene, [side, side]).expect("a frame");
     let red: Vec<u8> = frame.chunks_exact(3).map(|pixel| pixel[0]).collect();
     red.chunks_exact(side).map(<[u8]>::to_vec).collect()
 }
@@ -69,10 +67,8 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
 fn samples_on_left_and_lower_edges_are_inside_and_samples_on_other_edges_are_outside() {
     // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
     // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
-    let small = red_of_glowing(
-        48,
-        vec![white_box(1.625, 1.625, 1.25), white_box(6.125, 5.875, 1.25)],
-    );
+    let small =
+        red_of_glowing(48, vec![white_box(1.625, 1.625, 1.25), white_box(6.125, 5.875, 1.25)]);
     assert_eq!(
         part(&small, 0..8, 0..8),
         [
@@ -104,12 +100,8 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     const CUBE: usize = 3;
     let size = [5.0, 4.0, 3.0];
     let mut ball = geom(Shape::Ellipsoid, [6.0, 6.0, 0.0], size, [1.0; 4]);
-    ball.texture = Some(TextureUse {
-        texture: CUBE,
-        repeat: [1.0; 2],
-        uniform: false,
-        by_corner: false,
-    });
+    ball.texture =
+        Some(TextureUse { texture: CUBE, repeat: [1.0; 2], uniform: false, by_corner: false });
     assert_eq!(
         part(&red_of_glowing(12, vec![ball]), 1..11, 2..10),
         [
@@ -139,11 +131,7 @@ fn shadows_have_the_texels_of_the_lights_maps() {
         specular: [0.0; 3],
         casts_shadow: true,
     };
-    let spot = LightKind::Spot {
-        cutoff: 45.0,
-        exponent: 0.0,
-        attenuation: [1.0, 0.0, 0.0],
-    };
+    let spot = LightKind::Spot { cutoff: 45.0, exponent: 0.0, attenuation: [1.0, 0.0, 0.0] };
     let mut scene = from_above(
         16,
         vec![
@@ -158,63 +146,26 @@ fn shadows_have_the_texels_of_the_lights_maps() {
             [0.0, 0.0, 8.0],
             0.5,
         ),
-        light(
-            spot,
-            [0.099_503_72, 0.0, -0.995_037_2],
-            [-2.0, 0.0, 12.0],
-            0.3,
-        ),
+        light(spot, [0.099_503_72, 0.0, -0.995_037_2], [-2.0, 0.0, 12.0], 0.3),
     ];
-    scene.shadows = Some(Shadows {
-        size: 24,
-        half_width: 12.0,
-        cone_share: 0.6,
-    });
+    scene.shadows = Some(Shadows { size: 24, half_width: 12.0, cone_share: 0.6 });
     assert_eq!(
         part(&red(16, &scene), 1..15, 1..15),
         [
-            [
-                168, 169, 169, 170, 170, 171, 171, 171, 169, 168, 166, 165, 163, 162
-            ],
-            [
-                169, 170, 170, 171, 171, 172, 173, 172, 171, 169, 168, 166, 165, 163
-            ],
-            [
-                171, 171, 172, 172, 173, 173, 174, 174, 172, 171, 169, 168, 166, 164
-            ],
-            [
-                172, 172, 173, 173, 174, 175, 176, 175, 174, 172, 171, 169, 167, 164
-            ],
-            [
-                173, 174, 174, 142, 143, 143, 142, 106, 175, 174, 172, 170, 167, 165
-            ],
-            [
-                174, 175, 176, 180, 181, 181, 180, 106, 177, 175, 173, 170, 168, 166
-            ],
-            [
-                176, 177, 177, 181, 182, 182, 181, 106, 72, 176, 173, 171, 169, 167
-            ],
-            [
-                176, 177, 177, 180, 180, 181, 180, 180, 71, 175, 173, 171, 169, 167
-            ],
-            [
-                175, 175, 176, 177, 178, 178, 179, 178, 176, 174, 172, 169, 167, 166
-            ],
-            [
-                173, 174, 175, 176, 176, 177, 177, 176, 174, 172, 170, 168, 166, 165
-            ],
-            [
-                172, 173, 174, 174, 175, 175, 176, 175, 173, 171, 168, 167, 165, 164
-            ],
-            [
-                171, 172, 172, 173, 173, 174, 174, 173, 171, 169, 168, 166, 165, 163
-            ],
-            [
-                170, 170, 171, 171, 172, 172, 173, 172, 170, 168, 167, 165, 164, 162
-            ],
-            [
-                168, 169, 169, 170, 170, 171, 171, 170, 169, 167, 166, 164, 163, 161
-            ],
+            [168, 169, 169, 170, 170, 171, 171, 171, 169, 168, 166, 165, 163, 162],
+            [169, 170, 170, 171, 171, 172, 173, 172, 171, 169, 168, 166, 165, 163],
+            [171, 171, 172, 172, 173, 173, 174, 174, 172, 171, 169, 168, 166, 164],
+            [172, 172, 173, 173, 174, 175, 176, 175, 174, 172, 171, 169, 167, 164],
+            [173, 174, 174, 142, 143, 143, 142, 106, 175, 174, 172, 170, 167, 165],
+            [174, 175, 176, 180, 181, 181, 180, 106, 177, 175, 173, 170, 168, 166],
+            [176, 177, 177, 181, 182, 182, 181, 106, 72, 176, 173, 171, 169, 167],
+            [176, 177, 177, 180, 180, 181, 180, 180, 71, 175, 173, 171, 169, 167],
+            [175, 175, 176, 177, 178, 178, 179, 178, 176, 174, 172, 169, 167, 166],
+            [173, 174, 175, 176, 176, 177, 177, 176, 174, 172, 170, 168, 166, 165],
+            [172, 173, 174, 174, 175, 175, 176, 175, 173, 171, 168, 167, 165, 164],
+            [171, 172, 172, 173, 173, 174, 174, 173, 171, 169, 168, 166, 165, 163],
+            [170, 170, 171, 171, 172, 172, 173, 172, 170, 168, 167, 165, 164, 162],
+            [168, 169, 169, 170, 170, 171, 171, 170, 169, 167, 166, 164, 163, 161],
         ]
     );
 }

@@ -12,11 +12,7 @@ pub(crate) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.
 
 /// Returns a model with a bumpy mesh, a plane, and textures of each kind.
 pub(crate) fn model() -> Model {
-    let quality = Quality {
-        slices: 12,
-        stacks: 8,
-        quads: 2,
-    };
+    let quality = Quality { slices: 12, stacks: 8, quads: 2 };
     let mut model = Model::new(quality).expect("shapes");
     let mut bumpy = MeshBuilder::default();
     let height = |x: i32, y: i32| ((x * 7 + y * 13) % 5) as f32 * 0.02;
@@ -77,59 +73,29 @@ pub(crate) fn geom(shape: Shape, pos: [f32; 3], size: [f32; 3], rgba: [f32; 4]) 
 }
 
 fn with_texture(mut geom: Geom, texture: usize, by_corner: bool) -> Geom {
-    geom.texture = Some(TextureUse {
-        texture,
-        repeat: [2.0, 3.0],
-        uniform: texture == 2,
-        by_corner,
-    });
+    geom.texture =
+        Some(TextureUse { texture, repeat: [2.0, 3.0], uniform: texture == 2, by_corner });
     geom
 }
 
 /// Returns the room, with a mirror and translucent geoms.
 pub(crate) fn room() -> Scene {
     let white = [1.0, 1.0, 1.0, 1.0];
-    let mut mirror = geom(
-        Shape::Box,
-        [0.3, 0.0, 0.1],
-        [0.25, 0.3, 0.1],
-        [0.4, 0.4, 0.5, 1.0],
-    );
+    let mut mirror = geom(Shape::Box, [0.3, 0.0, 0.1], [0.25, 0.3, 0.1], [0.4, 0.4, 0.5, 1.0]);
     mirror.reflectance = 0.4;
-    let mut tilted = geom(
-        Shape::Capsule,
-        [-0.2, 0.3, 0.4],
-        [0.08, 0.08, 0.2],
-        [0.2, 0.7, 0.3, 1.0],
-    );
+    let mut tilted =
+        geom(Shape::Capsule, [-0.2, 0.3, 0.4], [0.08, 0.08, 0.2], [0.2, 0.7, 0.3, 1.0]);
     tilted.mat = [0.8, 0.0, 0.6, 0.0, 1.0, 0.0, -0.6, 0.0, 0.8];
-    let mut dull = geom(
-        Shape::Cylinder,
-        [0.0, -0.5, 0.3],
-        [0.1, 0.1, 0.3],
-        [0.8, 0.3, 0.2, 1.0],
-    );
+    let mut dull = geom(Shape::Cylinder, [0.0, -0.5, 0.3], [0.1, 0.1, 0.3], [0.8, 0.3, 0.2, 1.0]);
     (dull.shininess, dull.specular, dull.emission) = (0.0, 0.3, 0.1);
     Scene {
         geoms: vec![
-            with_texture(
-                geom(Shape::Plane(0), [0.0; 3], [2.0, 2.0, 0.5], white),
-                2,
-                false,
-            ),
+            with_texture(geom(Shape::Plane(0), [0.0; 3], [2.0, 2.0, 0.5], white), 2, false),
             mirror,
             tilted,
             dull,
-            with_texture(
-                geom(Shape::Mesh(0), [-0.4, -0.1, 0.3], [0.3; 3], white),
-                1,
-                true,
-            ),
-            with_texture(
-                geom(Shape::Box, [-0.5, 0.6, 0.2], [0.15, 0.1, 0.2], white),
-                3,
-                false,
-            ),
+            with_texture(geom(Shape::Mesh(0), [-0.4, -0.1, 0.3], [0.3; 3], white), 1, true),
+            with_texture(geom(Shape::Box, [-0.5, 0.6, 0.2], [0.15, 0.1, 0.2], white), 3, false),
             with_texture(
                 geom(Shape::Ellipsoid, [0.3, 0.1, 0.45], [0.1, 0.15, 0.2], white),
                 0,
@@ -140,18 +106,8 @@ pub(crate) fn room() -> Scene {
                 0,
                 false,
             ),
-            geom(
-                Shape::Ellipsoid,
-                [0.1, -0.2, 0.35],
-                [0.2; 3],
-                [0.3, 0.5, 1.0, 0.4],
-            ),
-            geom(
-                Shape::Box,
-                [0.0, 0.3, 0.5],
-                [0.05, 0.2, 0.2],
-                [1.0, 0.6, 0.1, 0.6],
-            ),
+            geom(Shape::Ellipsoid, [0.1, -0.2, 0.35], [0.2; 3], [0.3, 0.5, 1.0, 0.4]),
+            geom(Shape::Box, [0.0, 0.3, 0.5], [0.05, 0.2, 0.2], [1.0, 0.6, 0.1, 0.6]),
         ],
         lights: vec![
             Light {
@@ -197,18 +153,10 @@ pub(crate) fn room() -> Scene {
 
 /// Returns a corner at a position, for special meshes.
 pub(crate) fn corner(pos: [f32; 3]) -> Corner {
-    Corner {
-        pos,
-        normal: [0.0, 0.0, 1.0],
-        st: [0.0; 2],
-    }
+    Corner { pos, normal: [0.0, 0.0, 1.0], st: [0.0; 2] }
 }
 
 /// Returns the quality of shadows with maps of this side, texels.
 pub(crate) fn shadows(size: usize) -> Shadows {
-    Shadows {
-        size,
-        half_width: 2.0,
-        cone_share: 0.6,
-    }
+    Shadows { size, half_width: 2.0, cone_share: 0.6 }
 }

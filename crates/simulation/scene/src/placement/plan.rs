@@ -50,11 +50,7 @@ impl Samplers {
             arena,
             parts,
             regions,
-            samplers: Self {
-                joints: Vec::new(),
-                poses: Vec::new(),
-                sites: Vec::new(),
-            },
+            samplers: Self { joints: Vec::new(), poses: Vec::new(), sites: Vec::new() },
         };
         for predicate in &problem.init {
             plan.add_joints(predicate)?;
@@ -85,8 +81,7 @@ impl<'a> Plan<'a> {
     }
 
     fn has_kind(&self, name: &str, kind: InstanceKind) -> bool {
-        self.part(name)
-            .is_some_and(|part| part.instance.kind == kind)
+        self.part(name).is_some_and(|part| part.instance.kind == kind)
     }
 
     /// Returns the place that a statement of `:init` assigns to its first argument; `None` for
@@ -124,9 +119,8 @@ impl<'a> Plan<'a> {
             // LIBERO ignores statements about unknown names.
             (None, None) => return Ok(()),
         };
-        let articulation = part.map_or(Articulation::None, |part| {
-            part.instance.category.articulation
-        });
+        let articulation =
+            part.map_or(Articulation::None, |part| part.instance.category.articulation);
         let range = match (statement, articulation) {
             ("open", Articulation::OpenClose { open_range, .. }) => open_range,
             ("close", Articulation::OpenClose { close_range, .. }) => close_range,
@@ -143,10 +137,7 @@ impl<'a> Plan<'a> {
             let problem = format!("`{name}` moves freely; declare it under `:fixtures`");
             return Err(inconsistent(predicate, &problem));
         }
-        self.samplers.joints.push(JointSampler {
-            joints: joints.clone(),
-            range,
-        });
+        self.samplers.joints.push(JointSampler { joints: joints.clone(), range });
         Ok(())
     }
 
@@ -178,20 +169,13 @@ impl<'a> Plan<'a> {
                 (
                     Base::Point(arena.workspace_offset),
                     region.ranges.iter().map(|r| bounds(r, inset)).collect(),
-                    if is_fixture {
-                        arena.fixture_z_offset
-                    } else {
-                        OBJECT_Z_OFFSET
-                    },
+                    if is_fixture { arena.fixture_z_offset } else { OBJECT_Z_OFFSET },
                 )
             }
             Place::OnSite(region) => {
                 let (base, [x, y, _]) = self.site(predicate, region, true)?;
                 // Half of the site's length along each axis, as in LIBERO.
-                let middle = Rectangle {
-                    x: [-x / 2.0, x / 2.0],
-                    y: [-y / 2.0, y / 2.0],
-                };
+                let middle = Rectangle { x: [-x / 2.0, x / 2.0], y: [-y / 2.0, y / 2.0] };
                 (base, vec![bounds(&middle, radius)], 0.0)
             }
             Place::InSite(region) => {
@@ -248,14 +232,7 @@ impl<'a> Plan<'a> {
             sites.push(region.name.clone());
             sites.len() - 1
         });
-        Ok((
-            Base::Site {
-                carrier,
-                is_relative_to_top,
-                site,
-            },
-            region_site.half_size,
-        ))
+        Ok((Base::Site { carrier, is_relative_to_top, site }, region_site.half_size))
     }
 
     fn index(&self, name: &str) -> Option<usize> {

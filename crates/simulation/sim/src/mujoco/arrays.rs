@@ -99,10 +99,7 @@ macro_rules! arrays {
 pub(super) fn all_arrays(model: &mjModel) -> Vec<NamedArray> {
     let named = |name: &&'static str| NamedArray {
         name,
-        values: array(model, name)
-            .expect("an array of the table")
-            .values
-            .widen(),
+        values: array(model, name).expect("an array of the table").values.widen(),
     };
     NAMES.iter().map(named).collect()
 }

@@ -87,10 +87,7 @@ impl Data {
     /// # Panics
     /// If this state was made for a model of another compilation.
     pub(super) fn assert_made_for(&self, model: &Model) {
-        assert!(
-            self.model == model.serial(),
-            "this is a state of another model"
-        );
+        assert!(self.model == model.serial(), "this is a state of another model");
     }
 
     /// Copies another state of the same model into this state.
@@ -126,10 +123,7 @@ impl Data {
         let data = self.raw();
         // SAFETY: `contact` holds `ncon` contacts until the next step.
         let contacts = unsafe { values(data.contact.cast_const(), data.ncon) };
-        contacts.iter().map(|contact| Contact {
-            geoms: contact.geom,
-            distance: contact.dist,
-        })
+        contacts.iter().map(|contact| Contact { geoms: contact.geom, distance: contact.dist })
     }
 
     /// Returns the number of times that MuJoCo found the simulation unstable since this state was
@@ -257,9 +251,7 @@ mod tests {
             format!(r#"<body><joint name="j{at}"/><geom size="0.1"/><site name="s{at}"/>"#)
         };
         let bodies_open: String = (0..bodies).map(body).collect();
-        let motors: String = (0..bodies)
-            .map(|at| format!(r#"<motor joint="j{at}"/>"#))
-            .collect();
+        let motors: String = (0..bodies).map(|at| format!(r#"<motor joint="j{at}"/>"#)).collect();
         Model::compile(&format!(
             "<mujoco><worldbody>{bodies_open}{}</worldbody><actuator>{motors}</actuator></mujoco>",
             "</body>".repeat(bodies)

@@ -74,9 +74,7 @@ impl Model {
             let offset = match pointer {
                 0 => NULL,
                 _ => {
-                    let offset = pointer
-                        .checked_sub(start)
-                        .filter(|offset| *offset <= length)?;
+                    let offset = pointer.checked_sub(start).filter(|offset| *offset <= length)?;
                     offset - if offset > cut { removed } else { 0 }
                 }
             };
@@ -86,10 +84,7 @@ impl Model {
             let field = offset_of!(mjModel, tex_data);
             structure[field..][..size_of::<usize>()].copy_from_slice(&NULL.to_ne_bytes());
         }
-        Some(ModelImage {
-            structure,
-            arrays: [&buffer[..cut], &buffer[cut + removed..]],
-        })
+        Some(ModelImage { structure, arrays: [&buffer[..cut], &buffer[cut + removed..]] })
     }
 
     /// Restores a model whose arrays stay in `arrays`, which holds both parts of the image's arrays
@@ -124,10 +119,7 @@ impl Model {
         // promises; its pointers point into `arrays`, which the compilation keeps alive. Nobody
         // writes through them: arrays that a model changes are copied first.
         let raw = NonNull::from(Box::leak(unsafe { raw.assume_init() }));
-        Some(Self::from_compilation(Arc::new(Compilation::new(
-            raw,
-            MemoryOwner::Shared(arrays),
-        ))))
+        Some(Self::from_compilation(Arc::new(Compilation::new(raw, MemoryOwner::Shared(arrays)))))
     }
 
     /// Returns true if the model has textures whose texels are not in memory.

@@ -47,11 +47,7 @@ impl Compilation {
     /// Takes ownership of a structure, which is freed on drop according to `owner`.
     pub(super) fn new(raw: NonNull<c::mjModel>, owner: MemoryOwner) -> Self {
         static COMPILED: AtomicU64 = AtomicU64::new(0);
-        Self {
-            raw,
-            owner,
-            serial: COMPILED.fetch_add(1, Ordering::Relaxed),
-        }
+        Self { raw, owner, serial: COMPILED.fetch_add(1, Ordering::Relaxed) }
     }
 
     pub(super) fn structure(&self) -> &c::mjModel {
@@ -128,24 +124,17 @@ impl Model {
                 ERROR_BYTES as i32,
             );
             if spec.is_null() {
-                let text = CStr::from_ptr(message.as_ptr())
-                    .to_string_lossy()
-                    .into_owned();
+                let text = CStr::from_ptr(message.as_ptr()).to_string_lossy().into_owned();
                 return Err(SimError::Compile(text));
             }
             let model = c::mj_compile(spec, std::ptr::null());
-            let text = CStr::from_ptr(c::mjs_getError(spec))
-                .to_string_lossy()
-                .into_owned();
+            let text = CStr::from_ptr(c::mjs_getError(spec)).to_string_lossy().into_owned();
             c::mj_deleteSpec(spec);
             (model, text)
         };
         super::return_freed_memory();
         let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
-        Ok(Self::from_compilation(Arc::new(Compilation::new(
-            raw,
-            MemoryOwner::Compiled,
-        ))))
+        Ok(Self::from_compilation(Arc::new(Compilation::new(raw, MemoryOwner::Compiled))))
     }
 
     /// Returns another model of this compilation, whose own arrays are copies of this model's own
@@ -161,11 +150,7 @@ impl Model {
         // SAFETY: the structure is initialised, and lives as long as the shared compilation.
         // Dropping the copy frees nothing.
         let mut raw = Box::new(unsafe { compilation.raw.read() });
-        Self {
-            _own: OwnArrays::copy_of(&mut raw),
-            raw,
-            compilation,
-        }
+        Self { _own: OwnArrays::copy_of(&mut raw), raw, compilation }
     }
 
     /// Copies the own arrays of another model of the same compilation.
@@ -173,10 +158,7 @@ impl Model {
     /// # Panics
     /// If the other model is of another compilation.
     pub fn copy_own(&mut self, other: &Self) {
-        assert!(
-            self.serial() == other.serial(),
-            "this is a model of another compilation"
-        );
+        assert!(self.serial() == other.serial(), "this is a model of another compilation");
         self.copy_arrays(other);
         self.raw.vis.clone_from(&other.raw.vis);
         self.raw.opt.clone_from(&other.raw.opt);
@@ -246,18 +228,13 @@ impl Model {
             return None;
         }
         // SAFETY: not null and NUL-terminated.
-        let name = unsafe { CStr::from_ptr(name) }
-            .to_string_lossy()
-            .into_owned();
+        let name = unsafe { CStr::from_ptr(name) }.to_string_lossy().into_owned();
         Some(name)
     }
 
     /// Returns the id of a named element, or an error that names it.
     pub fn id(&self, kind: ObjectKind, name: &str) -> Result<usize, SimError> {
-        let missing = || SimError::Missing {
-            kind,
-            name: name.to_owned(),
-        };
+        let missing = || SimError::Missing { kind, name: name.to_owned() };
         let text = CString::new(name).map_err(|_| missing())?;
         // SAFETY: a NUL-terminated name and a live model.
         let id = unsafe { c::mj_name2id(self.as_ptr(), kind.code(), text.as_ptr()) };

@@ -150,11 +150,7 @@ mod tests {
         add_one(&expected_model);
         add_one(&expected_model);
         assert_eq!(read(&model), read(&expected_model));
-        assert_eq!(
-            shared,
-            Arrays::with_rows(2),
-            "the shared arrays were written to"
-        );
+        assert_eq!(shared, Arrays::with_rows(2), "the shared arrays were written to");
         drop(last);
     }
 

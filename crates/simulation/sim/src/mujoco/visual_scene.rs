@@ -48,11 +48,7 @@ impl VisualScene {
             (options.assume_init(), scene)
         };
         options.geomgroup[COLLISION_GROUP] = 0;
-        Self {
-            options,
-            scene,
-            model: model.serial(),
-        }
+        Self { options, scene, model: model.serial() }
     }
 
     pub(crate) fn scene(&self) -> &c::mjvScene {
@@ -92,10 +88,7 @@ impl VisualScene {
         data: &mut Data,
         camera_id: usize,
     ) -> &mut c::mjvScene {
-        assert!(
-            self.model == model.serial(),
-            "this scene was made for another model"
-        );
+        assert!(self.model == model.serial(), "this scene was made for another model");
         data.assert_made_for(model);
         let mut camera = MaybeUninit::uninit();
         // SAFETY: the camera is written whole by its default function before it is

@@ -60,11 +60,7 @@ impl ActuationStage {
             gain: distortion.gain_log2.exp2(),
             misalignment: Rotation3::from_axis_angle(&axis, angle),
             bias: std::array::from_fn(|i| distortion.bias_frac * bias_direction[i] * scale[i]),
-            responsiveness: if lag > NEGLIGIBLE_LAG {
-                1.0 / (1.0 + lag)
-            } else {
-                1.0
-            },
+            responsiveness: if lag > NEGLIGIBLE_LAG { 1.0 / (1.0 + lag) } else { 1.0 },
             noise_sigma: scale.map(|scale| distortion.noise_frac.abs() * scale),
             noise: match *randomness {
                 Randomness::Matched(stream) => StepNoise::Matched(stream),
@@ -86,11 +82,7 @@ impl ActuationStage {
         let noise = self.next_noise();
         let mut output = *action;
         for i in 0..ARM {
-            let aligned = if i < 3 {
-                translation[i]
-            } else {
-                rotation[i - 3]
-            };
+            let aligned = if i < 3 { translation[i] } else { rotation[i - 3] };
             let share = self.responsiveness;
             self.lagged[i] = share * (aligned + self.bias[i]) + (1.0 - share) * self.lagged[i];
             output[i] = self.lagged[i] + noise[i] * self.noise_sigma[i];
@@ -102,12 +94,7 @@ impl ActuationStage {
     /// the noise of the next step.
     pub fn realised(&self) -> Vec<f64> {
         let noise = self.clone().next_noise();
-        [
-            self.fixed.bias_direction.as_slice(),
-            &self.fixed.misalignment_axis,
-            &noise,
-        ]
-        .concat()
+        [self.fixed.bias_direction.as_slice(), &self.fixed.misalignment_axis, &noise].concat()
     }
 
     /// Draws six standard normals; returns zeros without drawing if no component's noise exceeds
@@ -115,11 +102,7 @@ impl ActuationStage {
     fn next_noise(&mut self) -> [f64; ARM] {
         let step = self.step;
         self.step += 1;
-        if self
-            .noise_sigma
-            .iter()
-            .all(|&sigma| sigma <= NEGLIGIBLE_NOISE)
-        {
+        if self.noise_sigma.iter().all(|&sigma| sigma <= NEGLIGIBLE_NOISE) {
             return [0.0; ARM];
         }
         match &mut self.noise {
@@ -185,10 +168,7 @@ mod tests {
 
     #[test]
     fn lagged_actions_start_from_zero() {
-        let distortion = ActuationDistortion {
-            lag_tau: -1.0,
-            ..ActuationDistortion::default()
-        };
+        let distortion = ActuationDistortion { lag_tau: -1.0, ..ActuationDistortion::default() };
         let mut stage = stage("goal/t0/actuation/L1/c00", &distortion);
         assert!((stage.apply(&ACTION)[0] - 0.15).abs() < 1e-15);
         assert!((stage.apply(&ACTION)[0] - 0.225).abs() < 1e-15);
@@ -235,10 +215,7 @@ mod tests {
             -0.5024390165999141,
         ];
         for (value, expected) in stage.realised().into_iter().zip(expected) {
-            assert!(
-                (value - expected).abs() < 1e-15,
-                "{value} is not {expected}"
-            );
+            assert!((value - expected).abs() < 1e-15, "{value} is not {expected}");
         }
     }
 }

@@ -31,11 +31,7 @@ pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64
     let distance = (mean - position).dot(&forward);
     // Without movable objects the mean is 0/0, and the distance is NaN.
     let is_usable = distance.is_finite() && distance >= NEAREST_DISTANCE_M;
-    let distance = if is_usable {
-        distance
-    } else {
-        FALLBACK_DISTANCE_M
-    };
+    let distance = if is_usable { distance } else { FALLBACK_DISTANCE_M };
     (position + distance * forward).into()
 }
 
@@ -60,10 +56,7 @@ pub fn shift_camera(nominal: &CameraPose, look_at: [f64; 3], shift: &CameraShift
         elevation.sin(),
     );
     let position = target + distance * direction;
-    CameraPose {
-        position: position.into(),
-        quat_wxyz: looking_at(position, target),
-    }
+    CameraPose { position: position.into(), quat_wxyz: looking_at(position, target) }
 }
 
 fn looking_at(position: Vector3<f64>, target: Vector3<f64>) -> [f64; 4] {
@@ -83,10 +76,7 @@ mod tests {
     /// Returns a camera at (1, 0, 1) that looks at the origin.
     fn nominal() -> CameraPose {
         let position = Vector3::new(1.0, 0.0, 1.0);
-        CameraPose {
-            position: position.into(),
-            quat_wxyz: looking_at(position, Vector3::zeros()),
-        }
+        CameraPose { position: position.into(), quat_wxyz: looking_at(position, Vector3::zeros()) }
     }
 
     #[test]
@@ -107,10 +97,7 @@ mod tests {
 
     #[test]
     fn azimuth_turns_the_camera_about_the_look_at_point() {
-        let shift = CameraShift {
-            d_azimuth_deg: 90.0,
-            ..CameraShift::default()
-        };
+        let shift = CameraShift { d_azimuth_deg: 90.0, ..CameraShift::default() };
         let shifted = shift_camera(&nominal(), [0.0; 3], &shift);
         for (value, expected) in shifted.position.into_iter().zip([0.0, 1.0, 1.0]) {
             assert!((value - expected).abs() < 1e-12, "{shifted:?}");

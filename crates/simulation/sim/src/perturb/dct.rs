@@ -26,13 +26,7 @@ const F_3_072: i32 = 25172;
 pub(super) fn forward(samples: &Block) -> Block {
     let mut block = *samples;
     for row in 0..8 {
-        transform_line(
-            &mut block,
-            8 * row,
-            1,
-            forward_line,
-            FACTOR_BITS - PASS_BITS,
-        );
+        transform_line(&mut block, 8 * row, 1, forward_line, FACTOR_BITS - PASS_BITS);
     }
     for column in 0..8 {
         transform_line(&mut block, column, 8, forward_line, FACTOR_BITS + PASS_BITS);
@@ -95,13 +89,7 @@ fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     let even = [e0 + e3, e1 + e2, e1 - e2, e0 - e3];
     let [o0, o1, o2, o3] = odd_part([x[7], x[5], x[3], x[1]]);
     let odd = [o3, o2, o1, o0];
-    std::array::from_fn(|i| {
-        if i < 4 {
-            even[i] + odd[i]
-        } else {
-            even[7 - i] - odd[7 - i]
-        }
-    })
+    std::array::from_fn(|i| if i < 4 { even[i] + odd[i] } else { even[7 - i] - odd[7 - i] })
 }
 
 /// Computes the rotations for the odd coefficients, which the transform and its inverse share.
@@ -111,12 +99,7 @@ fn odd_part([a, b, c, d]: [i32; 4]) -> [i32; 4] {
     let bc = -(b + c) * F_2_562;
     let ac = common - (a + c) * F_1_961;
     let bd = common - (b + d) * F_0_390;
-    [
-        a * F_0_298 + ad + ac,
-        b * F_2_053 + bc + bd,
-        c * F_3_072 + bc + ac,
-        d * F_1_501 + ad + bd,
-    ]
+    [a * F_0_298 + ad + ac, b * F_2_053 + bc + bd, c * F_3_072 + bc + ac, d * F_1_501 + ad + bd]
 }
 
 #[cfg(test)]
@@ -136,14 +119,10 @@ mod tests {
         let cosine = |k: usize, n: usize| ((2 * n + 1) as f64 * k as f64 * PI / 16.0).cos();
         for (i, &coefficient) in coefficients.iter().enumerate() {
             let (v, u) = (i / 8, i % 8);
-            let sum: f64 = (0..64)
-                .map(|j| samples[j] as f64 * cosine(v, j / 8) * cosine(u, j % 8))
-                .sum();
+            let sum: f64 =
+                (0..64).map(|j| samples[j] as f64 * cosine(v, j / 8) * cosine(u, j % 8)).sum();
             let exact = 8.0 * 0.25 * scale(u) * scale(v) * sum;
-            assert!(
-                (coefficient as f64 - exact).abs() < 2.0,
-                "{i}: {coefficient} {exact}"
-            );
+            assert!((coefficient as f64 - exact).abs() < 2.0, "{i}: {coefficient} {exact}");
         }
     }
 

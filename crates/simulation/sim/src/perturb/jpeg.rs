@@ -118,12 +118,7 @@ impl Plane {
                 samples.push(((sum + bias) >> 2) as u8);
             }
         }
-        Self {
-            width,
-            height,
-            stride,
-            samples,
-        }
+        Self { width, height, stride, samples }
     }
 
     /// Doubles the size with a triangle filter: 9/16 of the nearest sample, 3/16 of each of its two
@@ -132,15 +127,10 @@ impl Plane {
         let mut samples = Vec::with_capacity(width * height);
         for y in 0..height {
             let near = y / 2;
-            let far = if y % 2 == 0 {
-                near.saturating_sub(1)
-            } else {
-                near + 1
-            };
+            let far = if y % 2 == 0 { near.saturating_sub(1) } else { near + 1 };
             let rows = self.row(near).iter().zip(self.row(far));
-            let columns: Vec<i32> = rows
-                .map(|(&near, &far)| 3 * i32::from(near) + i32::from(far))
-                .collect();
+            let columns: Vec<i32> =
+                rows.map(|(&near, &far)| 3 * i32::from(near) + i32::from(far)).collect();
             for x in 0..width {
                 let nearest = x / 2;
                 let (next, rounding) = match x % 2 {
@@ -150,23 +140,14 @@ impl Plane {
                 samples.push(((3 * columns[nearest] + columns[next] + rounding) >> 4) as u8);
             }
         }
-        Self {
-            width,
-            height,
-            stride: width,
-            samples,
-        }
+        Self { width, height, stride: width, samples }
     }
 }
 
 /// Scales a quantisation table to a quality: unchanged at 50, all ones at 100.
 fn scaled(steps: &[u16; 64], quality: u8) -> [i32; 64] {
     let quality = i32::from(quality);
-    let percent = if quality < 50 {
-        5000 / quality
-    } else {
-        200 - 2 * quality
-    };
+    let percent = if quality < 50 { 5000 / quality } else { 200 - 2 * quality };
     steps.map(|step| ((i32::from(step) * percent + 50) / 100).clamp(1, 255))
 }
 
@@ -250,15 +231,10 @@ mod tests {
     #[test]
     fn pictures_with_incomplete_blocks_equal_pillows_results() {
         let check = |width: usize, height: usize, quality, expected: &str| {
-            let mut rgb: Vec<u8> = (0..width * height * 3)
-                .map(|i| (i * i % 251) as u8)
-                .collect();
+            let mut rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * i % 251) as u8).collect();
             round_trip(&mut rgb, width, height, quality);
             let digest = Sha256::digest(&rgb);
-            let digest: String = digest[..8]
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect();
+            let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
             assert_eq!(digest, expected, "{width} x {height} at {quality}");
         };
         check(32, 20, 10, "961d1c801cfe51f4");

@@ -53,11 +53,7 @@ pub fn shift_lighting(nominal: &Lighting, look_at: [f64; 3], shift: &LightingShi
 /// Returns colour factors of unit luminance: warmth and tint do not change a light's brightness.
 fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
     let half_tint = (-log2_tint / 2.0).exp2();
-    let factors = [
-        log2_warm.exp2() * half_tint,
-        log2_tint.exp2(),
-        (-log2_warm).exp2() * half_tint,
-    ];
+    let factors = [log2_warm.exp2() * half_tint, log2_tint.exp2(), (-log2_warm).exp2() * half_tint];
     let luminance: f64 = factors.iter().zip(LUMINANCE).map(|(f, l)| f * l).sum();
     factors.map(|factor| factor / luminance)
 }

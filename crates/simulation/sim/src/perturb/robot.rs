@@ -109,9 +109,7 @@ impl Target {
     fn error(&self, state: &ArmState) -> Vector6<f64> {
         let position = self.position - state.position;
         let rotation = rotation_vector(&(self.rotation * state.rotation.transpose()));
-        Vector6::new(
-            position.x, position.y, position.z, rotation.x, rotation.y, rotation.z,
-        )
+        Vector6::new(position.x, position.y, position.z, rotation.x, rotation.y, rotation.z)
     }
 }
 

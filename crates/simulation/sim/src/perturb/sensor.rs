@@ -85,11 +85,7 @@ impl SensorStage {
                 FrameNoise::Reference(NumpyFrames::new(seed + 1)),
             ),
         };
-        Self {
-            corruption: *corruption,
-            motion_angle,
-            noise,
-        }
+        Self { corruption: *corruption, motion_angle, noise }
     }
 
     /// Corrupts a picture in place.
@@ -192,11 +188,7 @@ struct NumpyFrames {
 
 impl NumpyFrames {
     fn new(seed: u64) -> Self {
-        Self {
-            first: DefaultRng::seed(seed),
-            starts: Vec::new(),
-            values_per_frame: 0,
-        }
+        Self { first: DefaultRng::seed(seed), starts: Vec::new(), values_per_frame: 0 }
     }
 
     /// Returns the generator at the start of the picture with this index.
@@ -268,11 +260,7 @@ impl Picture {
                 values.extend_from_slice(&row[row.len() - 3..]);
             }
         }
-        Self {
-            width,
-            height,
-            values,
-        }
+        Self { width, height, values }
     }
 
     /// Convolves with a kernel centred at its element `size / 2`.
@@ -288,11 +276,7 @@ impl Picture {
                 let y = y + margin + centre - row;
                 let x = margin + centre - column;
                 let start = (y * padded.width + x) * 3;
-                add_scaled(
-                    output,
-                    &padded.values[start..start + row_len],
-                    kernel.weight,
-                );
+                add_scaled(output, &padded.values[start..start + row_len], kernel.weight);
             }
         }
         Self { values, ..*self }
@@ -313,10 +297,7 @@ impl Picture {
         }
         let mut values = vec![0.0; self.values.len()];
         let mut padded = vec![0.0; row_len + 2 * radius * 3];
-        for (output, input) in values
-            .chunks_exact_mut(row_len)
-            .zip(columns.chunks_exact(row_len))
-        {
+        for (output, input) in values.chunks_exact_mut(row_len).zip(columns.chunks_exact(row_len)) {
             replicate_ends(&mut padded, input, radius);
             let shifted = |offset: isize| {
                 let start = (radius as isize + offset) as usize * 3;
@@ -383,11 +364,7 @@ fn motion_kernel(length_px: f64, angle: f64) -> LineKernel {
     places.sort_unstable();
     places.dedup();
     let weight = 1.0 / places.len() as f64;
-    LineKernel {
-        size,
-        places,
-        weight,
-    }
+    LineKernel { size, places, weight }
 }
 
 /// Returns a normalised Gaussian from its centre outwards.
@@ -395,14 +372,9 @@ fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
     let radius = (TRUNCATE_SIGMAS * sigma_px + 0.5) as usize;
     let exponent = -0.5 / (sigma_px * sigma_px);
     let weight = |x: usize| (exponent * (x * x) as f64).exp();
-    let weights: Vec<f64> = (0..=2 * radius)
-        .map(|i| weight(i.abs_diff(radius)))
-        .collect();
+    let weights: Vec<f64> = (0..=2 * radius).map(|i| weight(i.abs_diff(radius))).collect();
     let sum = numpy_sum(&weights);
-    weights[radius..]
-        .iter()
-        .map(|weight| weight / sum)
-        .collect()
+    weights[radius..].iter().map(|weight| weight / sum).collect()
 }
 
 /// Sums in NumPy's order, which for 8 to 128 values is eight parallel sums. A uniform patch of a
@@ -439,13 +411,7 @@ mod tests {
 
     fn corrupted(stage: &mut SensorStage, source: FrameSource, step: u32) -> Vec<u8> {
         let mut rgb: Vec<u8> = (0..SIZE * SIZE * 3).map(|i| (i * 7 % 256) as u8).collect();
-        stage.apply(&mut Frame {
-            source,
-            step,
-            width: SIZE,
-            height: SIZE,
-            rgb: &mut rgb,
-        });
+        stage.apply(&mut Frame { source, step, width: SIZE, height: SIZE, rgb: &mut rgb });
         rgb
     }
 
@@ -457,22 +423,13 @@ mod tests {
         let mut single_axis = stage("goal/t3/sensor/L3/c02", &corruption);
         let mut combined = stage("goal/t3/combination/L3/c02", &corruption);
         assert_eq!(single_axis.realised(), combined.realised());
-        let requests = [
-            (FrameSource::Wrist, 4),
-            (FrameSource::Agentview, 0),
-            (FrameSource::Agentview, 4),
-        ];
+        let requests =
+            [(FrameSource::Wrist, 4), (FrameSource::Agentview, 0), (FrameSource::Agentview, 4)];
         let pictures = requests.map(|(source, step)| corrupted(&mut single_axis, source, step));
         let expected = corrupted(&mut combined, FrameSource::Agentview, 4);
         assert_eq!(pictures[2], expected);
-        assert_ne!(
-            pictures[1], expected,
-            "different steps have different noise"
-        );
-        assert_ne!(
-            pictures[0], expected,
-            "different cameras have different noise"
-        );
+        assert_ne!(pictures[1], expected, "different steps have different noise");
+        assert_ne!(pictures[0], expected, "different cameras have different noise");
     }
 
     #[test]

@@ -43,11 +43,7 @@ impl GlCanvas {
             c::mjr_setBuffer(c::mjtFramebuffer::mjFB_OFFSCREEN as i32, &mut *context);
             context
         };
-        let canvas = Self {
-            visual_scene,
-            context,
-            opengl: Rc::clone(opengl),
-        };
+        let canvas = Self { visual_scene, context, opengl: Rc::clone(opengl) };
         let offscreen = c::mjtFramebuffer::mjFB_OFFSCREEN as i32;
         if canvas.context.currentBuffer != offscreen || !canvas.fits([width, height]) {
             return Err(SimError::Graphics {
@@ -66,9 +62,7 @@ impl GlCanvas {
 
     fn fits(&self, size: [u32; 2]) -> bool {
         let buffer_size = [self.context.offWidth, self.context.offHeight];
-        size.into_iter()
-            .zip(buffer_size)
-            .all(|(side, limit)| i64::from(side) <= i64::from(limit))
+        size.into_iter().zip(buffer_size).all(|(side, limit)| i64::from(side) <= i64::from(limit))
     }
 
     /// Renders a camera of the model as 8-bit RGB; rows from bottom to top.
@@ -97,13 +91,10 @@ impl GlCanvas {
         let mut rgb = vec![0; pixels(view.size) * 3];
         self.render(view, &FLAGS, Target::Colours(&mut rgb))?;
         let segments = self.visual_scene.segments();
-        let numbers = rgb
-            .chunks_exact(3)
-            .map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
+        let numbers =
+            rgb.chunks_exact(3).map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
         // 0 is the background; any other number is a geom's id plus 1.
-        Ok(numbers
-            .map(|number| segments.get(&number.checked_sub(1)?).copied())
-            .collect())
+        Ok(numbers.map(|number| segments.get(&number.checked_sub(1)?).copied()).collect())
     }
 
     /// Renders into `target` with these flags set.

@@ -55,25 +55,16 @@ impl GlContext {
             match open_on(&egl, display) {
                 Ok(context) => {
                     let renderer = renderer(&egl);
-                    return Ok(Rc::new(Self {
-                        egl,
-                        display,
-                        context,
-                        renderer,
-                    }));
+                    return Ok(Rc::new(Self { egl, display, context, renderer }));
                 }
                 Err(error) => problem = error.to_string(),
             }
         }
-        Err(graphics(format!(
-            "no EGL device gives an OpenGL context ({problem})"
-        )))
+        Err(graphics(format!("no EGL device gives an OpenGL context ({problem})")))
     }
 
     pub(super) fn make_current(&self) -> Result<(), SimError> {
-        let result = self
-            .egl
-            .make_current(self.display, None, None, Some(self.context));
+        let result = self.egl.make_current(self.display, None, None, Some(self.context));
         result.map_err(|error| graphics(format!("the OpenGL context is lost ({error})")))
     }
 
@@ -94,10 +85,7 @@ impl Drop for GlContext {
 }
 
 fn graphics(problem: String) -> SimError {
-    SimError::Graphics {
-        problem,
-        remedy: REMEDY,
-    }
+    SimError::Graphics { problem, remedy: REMEDY }
 }
 
 /// Returns the displays to try, in order.
@@ -117,9 +105,7 @@ fn candidates(egl: &Egl, device: GlDevice) -> Result<Vec<egl::Display>, SimError
         })?;
         return Ok(display(PLATFORM_DEVICE, native).into_iter().collect());
     }
-    let listed = devices
-        .into_iter()
-        .filter_map(|native| display(PLATFORM_DEVICE, native));
+    let listed = devices.into_iter().filter_map(|native| display(PLATFORM_DEVICE, native));
     let surfaceless = display(PLATFORM_SURFACELESS, egl::DEFAULT_DISPLAY.cast());
     Ok(listed.chain(surfaceless).collect())
 }
@@ -167,9 +153,7 @@ fn open_on(egl: &Egl, display: egl::Display) -> Result<egl::Context, egl::Error>
         egl::OPENGL_BIT,
         egl::NONE,
     ];
-    let config = egl
-        .choose_first_config(display, &wanted)?
-        .ok_or(egl::Error::BadConfig)?;
+    let config = egl.choose_first_config(display, &wanted)?.ok_or(egl::Error::BadConfig)?;
     let context = egl.create_context(display, config, None, &[egl::NONE])?;
     if let Err(error) = egl.make_current(display, None, None, Some(context)) {
         let _ = egl.destroy_context(display, context);
@@ -187,10 +171,6 @@ fn renderer(egl: &Egl) -> String {
     unsafe {
         let get_string: GetString = std::mem::transmute(get_string);
         let text = get_string(GL_RENDERER);
-        if text.is_null() {
-            String::new()
-        } else {
-            CStr::from_ptr(text).to_string_lossy().into()
-        }
+        if text.is_null() { String::new() } else { CStr::from_ptr(text).to_string_lossy().into() }
     }
 }

@@ -61,10 +61,8 @@ impl Prepared {
     /// If the software renderer cannot draw the model.
     pub(crate) fn from_model(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
-        let largest_levels: Vec<Bytes> = model
-            .textures()
-            .map(|texture| texels.slice(texture.texels()))
-            .collect();
+        let largest_levels: Vec<Bytes> =
+            model.textures().map(|texture| texels.slice(texture.texels())).collect();
         let meshes = model.meshes();
         let mesh = |index| {
             let mesh = meshes.get(index);
@@ -146,8 +144,7 @@ impl Prepared {
 }
 
 fn share_part<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
-    part.map(Arc::new)
-        .map_err(|error| graphics(error.to_string()))
+    part.map(Arc::new).map_err(|error| graphics(error.to_string()))
 }
 
 /// Creates a model with the built-in shapes and the planes, which are computed faster than they
@@ -171,9 +168,7 @@ fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
         let material = usize::try_from(model.geom_matid()[geom]).ok();
         let lines = |axis: usize| {
             let repeat = material.map(|material| f64::from(repeat[material * 2 + axis]));
-            let period = repeat
-                .filter(|repeat| *repeat > 0.0)
-                .map(|repeat| 2.0 / repeat);
+            let period = repeat.filter(|repeat| *repeat > 0.0).map(|repeat| 2.0 / repeat);
             plane_grid(size[axis], size[2], period, far)
         };
         prepared.planes.push(plane(&lines(0), &lines(1)));
@@ -200,17 +195,8 @@ fn shared<T>(
 
 fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {
     let integers = [mesh.faces, mesh.face_normals, mesh.face_texture_coordinates];
-    let numbers = [
-        mesh.vertices,
-        mesh.normals,
-        mesh.texture_coordinates.unwrap_or_default(),
-    ];
-    digest(
-        integers
-            .map(bytemuck::cast_slice)
-            .into_iter()
-            .chain(numbers.map(bytemuck::cast_slice)),
-    )
+    let numbers = [mesh.vertices, mesh.normals, mesh.texture_coordinates.unwrap_or_default()];
+    digest(integers.map(bytemuck::cast_slice).into_iter().chain(numbers.map(bytemuck::cast_slice)))
 }
 
 pub(crate) fn digest_of_texture(texture: &TextureData, texels: &[u8]) -> u128 {
@@ -240,12 +226,7 @@ fn texture_kind(texture: &TextureData) -> TextureKind {
 }
 
 fn build_texture(texture: &TextureData, texels: &[u8]) -> Result<Texture, SimError> {
-    let TextureData {
-        width,
-        height,
-        channels,
-        ..
-    } = *texture;
+    let TextureData { width, height, channels, .. } = *texture;
     Texture::new(texture_kind(texture), width, height, channels, texels)
         .map_err(|error| graphics(error.to_string()))
 }
@@ -278,21 +259,14 @@ fn materials(model: &Model) -> Vec<Option<Material>> {
     let all = textures.zip(repeats).zip(model.mat_texuniform());
     all.map(|((textures, repeat), uniform)| {
         let texture = usize::try_from(textures[COLOUR_ROLE]).ok()?;
-        Some(Material {
-            texture,
-            repeat: [repeat[0], repeat[1]],
-            uniform: *uniform != 0,
-        })
+        Some(Material { texture, repeat: [repeat[0], repeat[1]], uniform: *uniform != 0 })
     })
     .collect()
 }
 
 /// Returns the error for content that the software renderer cannot draw.
 pub(super) fn graphics(problem: String) -> SimError {
-    SimError::Graphics {
-        problem,
-        remedy: REMEDY,
-    }
+    SimError::Graphics { problem, remedy: REMEDY }
 }
 
 #[cfg(test)]
@@ -313,11 +287,8 @@ mod tests {
             ))
             .expect("a model")
         };
-        let [first, second] = [2.5, 3.5].map(|height| {
-            Prepared::from_model(&scene(height))
-                .expect("prepared")
-                .model
-        });
+        let [first, second] =
+            [2.5, 3.5].map(|height| Prepared::from_model(&scene(height)).expect("prepared").model);
         assert!(Arc::ptr_eq(&first.meshes[0], &second.meshes[0]));
         assert!(!Arc::ptr_eq(&first.meshes[1], &second.meshes[1]));
         assert!(Arc::ptr_eq(&first.textures[0], &second.textures[0]));

@@ -72,10 +72,7 @@ impl SoftwareCanvas {
         let numbers = raster::segments(&self.prepared.model, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))?;
         let segments = self.visual_scene.segments();
-        Ok(numbers
-            .into_iter()
-            .map(|number| segments.get(&number?).copied())
-            .collect())
+        Ok(numbers.into_iter().map(|number| segments.get(&number?).copied()).collect())
     }
 
     fn draw_on_canvas<T>(
@@ -118,10 +115,7 @@ impl SoftwareCanvas {
             orthographic: eye.orthographic != 0,
         };
         self.scene.reflections = flag(c::mjtRndFlag::mjRND_REFLECTION);
-        self.scene.sky = self
-            .prepared
-            .sky
-            .filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
+        self.scene.sky = self.prepared.sky.filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
         self.scene.shadows = read_shadows(view.model).filter(|_| flag(c::mjtRndFlag::mjRND_SHADOW));
         self.scene.lights.clear();
         for light in &visual.lights[..visual.nlight as usize] {
@@ -137,9 +131,7 @@ impl SoftwareCanvas {
         }
         self.scene.geoms.clear();
         for geom in self.visual_scene.geoms() {
-            self.scene
-                .geoms
-                .push(read_geom(geom, &self.prepared.materials)?);
+            self.scene.geoms.push(read_geom(geom, &self.prepared.materials)?);
         }
         Ok(())
     }
@@ -199,14 +191,10 @@ fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, 
         (BOX, _) => Shape::Box,
         (MESH, Some(index)) if index % 2 == 0 => Shape::Mesh(index / 2),
         (MESH, Some(_)) => {
-            return Err(graphics(
-                "a geom is drawn as its mesh's convex hull".to_owned(),
-            ));
+            return Err(graphics("a geom is drawn as its mesh's convex hull".to_owned()));
         }
         (kind, _) => {
-            return Err(graphics(format!(
-                "a geom has the unsupported type {kind} (mjtGeom)"
-            )));
+            return Err(graphics(format!("a geom has the unsupported type {kind} (mjtGeom)")));
         }
     };
     let material = usize::try_from(geom.matid).ok();

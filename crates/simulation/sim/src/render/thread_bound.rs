@@ -15,10 +15,7 @@ unsafe impl<T> Send for ThreadBound<T> {}
 
 impl<T> ThreadBound<T> {
     pub(crate) fn new(value: T) -> Self {
-        Self {
-            owner: thread::current().id(),
-            value: ManuallyDrop::new(value),
-        }
+        Self { owner: thread::current().id(), value: ManuallyDrop::new(value) }
     }
 
     fn is_owner_thread(&self) -> bool {
@@ -35,10 +32,7 @@ impl<T> ThreadBound<T> {
     /// # Panics
     /// On another thread.
     pub(crate) fn get_mut(&mut self) -> &mut T {
-        assert!(
-            self.is_owner_thread(),
-            "the value belongs to another thread"
-        );
+        assert!(self.is_owner_thread(), "the value belongs to another thread");
         &mut self.value
     }
 }
@@ -65,11 +59,7 @@ mod tests {
         assert!(kept.get().is_some());
         let other_thread = thread::spawn(move || moved.get().is_none());
         assert!(other_thread.join().expect("a thread that ends"));
-        assert_eq!(
-            Rc::strong_count(&value),
-            3,
-            "the other thread has dropped the value"
-        );
+        assert_eq!(Rc::strong_count(&value), 3, "the other thread has dropped the value");
         drop(kept);
         assert_eq!(Rc::strong_count(&value), 2);
     }

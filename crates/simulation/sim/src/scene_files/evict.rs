@@ -42,11 +42,9 @@ impl SceneFolder {
             total += metadata.len();
             let last_used = metadata.modified()?;
             match kind {
-                "scene" => scenes.push(Scene {
-                    name: name.to_owned(),
-                    bytes: metadata.len(),
-                    last_used,
-                }),
+                "scene" => {
+                    scenes.push(Scene { name: name.to_owned(), bytes: metadata.len(), last_used })
+                }
                 "texture" => textures.push((name.to_owned(), metadata.len())),
                 _ if kind.ends_with(".checked") => records.push((name.to_owned(), last_used, file)),
                 _ => {}
@@ -101,9 +99,7 @@ impl SceneFolder {
         let all = scenes.iter().filter_map(sections);
         all.flat_map(|sections| {
             let names = names_of_textures(&sections).unwrap_or_default().iter();
-            names
-                .map(|name| name_text(name).to_owned())
-                .collect::<Vec<_>>()
+            names.map(|name| name_text(name).to_owned()).collect::<Vec<_>>()
         })
         .collect()
     }

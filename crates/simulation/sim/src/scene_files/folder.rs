@@ -54,11 +54,7 @@ pub enum SceneFileError {
          this user or root, and nobody else may write to it: correct that, or choose another \
          folder with ROLLOUT_SCENES", path.display()
     )]
-    Untrusted {
-        path: PathBuf,
-        owner: u32,
-        mode: u32,
-    },
+    Untrusted { path: PathBuf, owner: u32, mode: u32 },
     #[error("wait for {}: other processes have held it for {secs} s", path.display())]
     Busy { path: PathBuf, secs: u64 },
     #[error("use ROLLOUT_SCENES_GIB={given}: write a whole number of GiB, such as 16")]
@@ -100,9 +96,7 @@ fn given_limit() -> Option<String> {
 pub(super) fn limit(given: Option<&str>) -> Result<u64, SceneFileError> {
     let gib = given.map_or(Ok(LIMIT_GIB), |text| text.trim().parse());
     let limit = gib.ok().and_then(|gib| gib.checked_mul(1 << 30));
-    limit.ok_or_else(|| SceneFileError::Limit {
-        given: given.unwrap_or_default().to_owned(),
-    })
+    limit.ok_or_else(|| SceneFileError::Limit { given: given.unwrap_or_default().to_owned() })
 }
 
 impl SceneFolder {
@@ -130,10 +124,7 @@ impl SceneFolder {
         if self.exists_and_is_trusted()? {
             return Ok(());
         }
-        let created = DirBuilder::new()
-            .recursive(true)
-            .mode(0o700)
-            .create(&self.dir);
+        let created = DirBuilder::new().recursive(true).mode(0o700).create(&self.dir);
         created.map_err(|source| failure("create", &self.dir, source))?;
         self.exists_and_is_trusted().map(drop)
     }
@@ -216,15 +207,11 @@ impl SceneFolder {
             names.extend(name);
         }
         let meshes: Vec<Vec<u8>> = prepared.meshes().collect();
-        let mut sections = vec![
-            vec![names.as_slice()],
-            vec![image.structure.as_slice()],
-            image.arrays.to_vec(),
-        ];
+        let mut sections =
+            vec![vec![names.as_slice()], vec![image.structure.as_slice()], image.arrays.to_vec()];
         sections.extend(meshes.iter().map(|mesh| vec![mesh.as_slice()]));
         self.write(&self.scene(name_text(name)), name, &sections)?;
-        self.make_room(name_text(name))
-            .map_err(|source| failure("make room in", &self.dir, source))
+        self.make_room(name_text(name)).map_err(|source| failure("make room in", &self.dir, source))
     }
 
     /// Waits for the lock with this name, up to the time limit; dropping the file releases it.
@@ -251,10 +238,7 @@ impl SceneFolder {
                     thread::sleep(POLL);
                 }
                 Err(TryLockError::WouldBlock) => {
-                    return Err(SceneFileError::Busy {
-                        path,
-                        secs: self.max_wait.as_secs(),
-                    });
+                    return Err(SceneFileError::Busy { path, secs: self.max_wait.as_secs() });
                 }
             }
         }
@@ -292,10 +276,7 @@ impl SceneFolder {
     /// Opens a file; `None` if it is missing or not trusted, or if its header has another name or
     /// length.
     fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
-        let options = OpenOptions::new()
-            .read(true)
-            .custom_flags(no_links())
-            .open(path);
+        let options = OpenOptions::new().read(true).custom_flags(no_links()).open(path);
         let file = match options {
             Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -339,28 +320,19 @@ impl SceneFolder {
         sections: &[Vec<&[u8]>],
     ) -> Result<(), SceneFileError> {
         let written = (|| {
-            let mut temporary = tempfile::Builder::new()
-                .prefix(TEMPORARY_PREFIX)
-                .tempfile_in(&self.dir)?;
+            let mut temporary =
+                tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempfile_in(&self.dir)?;
             // The lock is released when this process ends, even if it is killed; a process that
             // then acquires the lock may remove the file.
             let _ = temporary.as_file().try_lock();
             let out = temporary.as_file_mut();
             #[cfg(test)]
-            let out = &mut super::tests::Disk {
-                file: out,
-                room: &self.room,
-            };
+            let out = &mut super::tests::Disk { file: out, room: &self.room };
             container::write(out, name, sections)?;
             // Some file systems report a full disk only here.
             temporary.as_file().sync_data()?;
-            temporary
-                .as_file()
-                .set_permissions(Permissions::from_mode(READ_ONLY))?;
-            temporary
-                .persist(path)
-                .map_err(|error| error.error)
-                .map(drop)
+            temporary.as_file().set_permissions(Permissions::from_mode(READ_ONLY))?;
+            temporary.persist(path).map_err(|error| error.error).map(drop)
         })();
         written.map_err(|source| failure("write", path, source))
     }
@@ -375,17 +347,8 @@ impl SceneFolder {
             // Sets the modification time, which eviction uses as the time of last use. In a folder
             // of another user, the time cannot be set.
             if let Ok(file) = OpenOptions::new().write(true).open(record) {
-                let now = Timespec {
-                    tv_sec: 0,
-                    tv_nsec: UTIME_NOW,
-                };
-                let _ = futimens(
-                    &file,
-                    &Timestamps {
-                        last_access: now,
-                        last_modification: now,
-                    },
-                );
+                let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
+                let _ = futimens(&file, &Timestamps { last_access: now, last_modification: now });
             }
             return true;
         }
@@ -399,9 +362,8 @@ impl SceneFolder {
             return;
         };
         let written = (|| {
-            let temporary = tempfile::Builder::new()
-                .prefix(TEMPORARY_PREFIX)
-                .tempfile_in(&self.dir)?;
+            let temporary =
+                tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempfile_in(&self.dir)?;
             fs::write(temporary.path(), stamps)?;
             temporary.persist(record).map_err(|error| error.error)
         })();
@@ -432,9 +394,7 @@ fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<Loa
     // checksum that the sections were not changed since.
     #[allow(unsafe_code, reason = "a model of mapped arrays")]
     let model = unsafe { Model::from_image(structure, arrays.clone())? };
-    let textures = textures
-        .into_iter()
-        .map(|sections| <[Bytes; 2]>::try_from(sections?).ok());
+    let textures = textures.into_iter().map(|sections| <[Bytes; 2]>::try_from(sections?).ok());
     Some(LoadedScene {
         model,
         prepared: Preparation::InFile(PreparedBytes {
@@ -445,11 +405,7 @@ fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<Loa
 }
 
 fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileError {
-    SceneFileError::File {
-        doing,
-        path: path.to_owned(),
-        source,
-    }
+    SceneFileError::File { doing, path: path.to_owned(), source }
 }
 
 /// Returns the flag that refuses symbolic links, which could lead to a file that changes.

@@ -93,10 +93,7 @@ fn compile(size: f64) -> Result<Model, SimError> {
 
 /// Simulates half a second. Returns the final positions and a frame that shows them.
 fn behaviour(obtained: LoadedScene) -> (Vec<f64>, Vec<u8>) {
-    let LoadedScene {
-        model: shared,
-        prepared,
-    } = obtained;
+    let LoadedScene { model: shared, prepared } = obtained;
     let mut model = shared.share();
     let mut data = Data::new(&model).expect("a state");
     for _ in 0..250 {
@@ -147,18 +144,13 @@ impl Fixture {
         });
         let obtained = obtained.expect("a scene");
         let mapped = matches!(obtained.prepared, Preparation::InFile(_));
-        assert!(
-            behaviour(obtained) == self.expected,
-            "the obtained scene behaves differently"
-        );
+        assert!(behaviour(obtained) == self.expected, "the obtained scene behaves differently");
         (compiled, mapped)
     }
 
     fn files(&self, ending: &str) -> Vec<PathBuf> {
         let entries = fs::read_dir(&self.folder.dir).into_iter().flatten();
-        let mut files: Vec<_> = entries
-            .map(|entry| entry.expect("an entry").path())
-            .collect();
+        let mut files: Vec<_> = entries.map(|entry| entry.expect("an entry").path()).collect();
         files.retain(|file| file.to_string_lossy().ends_with(ending));
         files
     }
@@ -166,9 +158,7 @@ impl Fixture {
     fn temporary_files(&self) -> usize {
         let entries = fs::read_dir(&self.folder.dir).into_iter().flatten();
         let names = entries.map(|entry| entry.expect("an entry").file_name());
-        names
-            .filter(|name| name.to_string_lossy().starts_with(folder::TEMPORARY_PREFIX))
-            .count()
+        names.filter(|name| name.to_string_lossy().starts_with(folder::TEMPORARY_PREFIX)).count()
     }
 }
 
@@ -186,18 +176,12 @@ fn a_scene_is_compiled_once_and_its_file_gives_the_same_behaviour() {
     let fixture = Fixture::new();
     assert_eq!(fixture.obtain(), (true, true));
     assert_eq!(fixture.obtain(), (false, true));
-    for file in fixture
-        .files(".scene")
-        .iter()
-        .chain(&fixture.files(".texture"))
-    {
+    for file in fixture.files(".scene").iter().chain(&fixture.files(".texture")) {
         let mode = fs::metadata(file).expect("there").permissions().mode();
         assert_eq!(mode & 0o7777, 0o444, "{}", file.display());
     }
     let [compiled, mapped] = [compile(0.1).expect("a model"), {
-        let obtained = fixture
-            .folder
-            .obtain(&NAME, || unreachable!("the file exists"));
+        let obtained = fixture.folder.obtain(&NAME, || unreachable!("the file exists"));
         obtained.expect("a scene").model
     }];
     for (array, mapped_array) in compiled.arrays().iter().zip(&mapped.arrays()) {
@@ -268,15 +252,9 @@ fn a_full_disk_leaves_no_incomplete_file() {
         assert!(fixture.files(".scene").is_empty(), "full at {full_at}");
         full_at += 6000;
     }
-    assert!(
-        full_at > 12_000,
-        "the disk was full only below {full_at} bytes"
-    );
+    assert!(full_at > 12_000, "the disk was full only below {full_at} bytes");
     let message = SceneFolder::take_problem().expect("a problem");
-    assert!(
-        message.contains(".texture") && message.contains("ROLLOUT_SCENES=off"),
-        "{message}"
-    );
+    assert!(message.contains(".texture") && message.contains("ROLLOUT_SCENES=off"), "{message}");
     assert_eq!(SceneFolder::take_problem(), None, "reported twice");
     assert_eq!(fixture.obtain(), (false, true));
 }
@@ -285,9 +263,7 @@ fn a_full_disk_leaves_no_incomplete_file() {
 fn a_killed_writer_leaves_no_incomplete_file() {
     if let (Some(dir), Ok(at)) = (std::env::var_os(KILLED_IN), std::env::var(KILLED_AT)) {
         let folder = SceneFolder::new(Path::new(&dir));
-        folder
-            .room
-            .store(at.parse().expect("bytes"), Ordering::Relaxed);
+        folder.room.store(at.parse().expect("bytes"), Ordering::Relaxed);
         folder.obtain(&NAME, || compile(0.1)).expect("a scene");
         return;
     }
@@ -310,10 +286,7 @@ fn a_killed_writer_leaves_no_incomplete_file() {
         fs::remove_dir_all(&fixture.folder.dir).expect("removed");
         killed_at += 6000;
     }
-    assert!(
-        killed_at > 12_000,
-        "the writer was killed only below {killed_at} bytes"
-    );
+    assert!(killed_at > 12_000, "the writer was killed only below {killed_at} bytes");
     assert_eq!(fixture.obtain(), (false, true));
 }
 
@@ -325,10 +298,7 @@ fn temporary_files_of_a_crashed_writer_are_ignored_and_removed() {
     for length in [0, 40, whole.len() / 2, whole.len()] {
         fs::remove_dir_all(&fixture.folder.dir).expect("removed");
         fixture.folder.check().expect("a folder");
-        let temporary = fixture
-            .folder
-            .dir
-            .join(format!("{}left", folder::TEMPORARY_PREFIX));
+        let temporary = fixture.folder.dir.join(format!("{}left", folder::TEMPORARY_PREFIX));
         fs::write(temporary, &whole[..length]).expect("written");
         assert_eq!(fixture.obtain(), (true, true), "{length} bytes");
         assert_eq!(fixture.temporary_files(), 0, "{length} bytes");
@@ -355,12 +325,7 @@ fn a_truncated_or_changed_file_is_compiled_again() {
         }
         for at in [0, 17, 50, 70, 90, 200, length / 2, length - 1] {
             tamper(&file, |bytes| bytes[at] ^= 0x81);
-            assert_eq!(
-                fixture.obtain(),
-                (true, true),
-                "byte {at} changed in {}",
-                file.display()
-            );
+            assert_eq!(fixture.obtain(), (true, true), "byte {at} changed in {}", file.display());
         }
         fs::remove_file(&file).expect("removed");
         assert_eq!(fixture.obtain(), (true, true), "{} removed", file.display());
@@ -389,10 +354,7 @@ fn scenes_stay_in_memory_if_the_folder_cannot_be_created() {
     fixture.folder.dir = "/proc/rollout-scenes".into();
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("no folder").to_string();
-    assert!(
-        error.starts_with("create /proc/rollout-scenes: "),
-        "{error}"
-    );
+    assert!(error.starts_with("create /proc/rollout-scenes: "), "{error}");
 }
 
 #[test]
@@ -441,15 +403,8 @@ fn a_folder_that_others_own_or_may_write_to_is_not_used() {
         user => fixture.folder.user = user + 1,
     }
     assert_eq!(fixture.obtain(), (true, false));
-    let error = fixture
-        .folder
-        .check()
-        .expect_err("owned by another user")
-        .to_string();
-    assert!(
-        error.contains("user ") && error.contains("owns it"),
-        "{error}"
-    );
+    let error = fixture.folder.check().expect_err("owned by another user").to_string();
+    assert!(error.contains("user ") && error.contains("owns it"), "{error}");
 }
 
 #[test]
@@ -503,26 +458,14 @@ fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
         names
     };
     drop(obtain(&fixture, &OTHER_NAME, 0.2));
-    assert_eq!(
-        names(&fixture),
-        ["a", "b"],
-        "the first scene is mapped, the second is new"
-    );
+    assert_eq!(names(&fixture), ["a", "b"], "the first scene is mapped, the second is new");
     drop(obtain(&fixture, &[b'c'; NAME_DIGITS], 0.3));
-    assert_eq!(
-        names(&fixture),
-        ["a", "c"],
-        "the second scene is not mapped"
-    );
+    assert_eq!(names(&fixture), ["a", "c"], "the second scene is not mapped");
     // The two scenes share two of their three textures.
     assert_eq!(fixture.files(".texture").len(), 4);
     assert!(behaviour(first) == fixture.expected);
     drop(obtain(&fixture, &[b'd'; NAME_DIGITS], 0.4));
     assert_eq!(names(&fixture), ["d"]);
     assert_eq!(fixture.files(".checked").len(), 1);
-    assert_eq!(
-        fixture.obtain(),
-        (true, true),
-        "the first scene was evicted"
-    );
+    assert_eq!(fixture.obtain(), (true, true), "the first scene was evicted");
 }

@@ -12,10 +12,8 @@ fn action_sequences_of_all_presets_equal_the_reference() {
         return;
     };
     let arrays = arrays(&folder.join("actuation.npz"));
-    let actions: Vec<[f64; 7]> = arrays["actions"]
-        .chunks_exact(7)
-        .map(|action| action.try_into().expect("seven"))
-        .collect();
+    let actions: Vec<[f64; 7]> =
+        arrays["actions"].chunks_exact(7).map(|action| action.try_into().expect("seven")).collect();
     for suite in Suite::ALL {
         for (level, config, perturbation) in presets(Axis::Actuation) {
             for condition in ["actuation", "combination"] {

@@ -14,9 +14,7 @@ pub(crate) type Arrays = BTreeMap<String, Vec<f64>>;
 
 /// Returns a folder of the reference data; if there is none, prints that the test is skipped.
 pub(crate) fn folder(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../../shared/oracle")
-        .join(name);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/oracle").join(name);
     if folder.is_dir() {
         return Some(folder);
     }
@@ -43,10 +41,8 @@ fn open(path: &Path) -> ZipArchive<File> {
 /// Reads the float arrays of an archive; leaves out text and integers.
 pub(crate) fn arrays(path: &Path) -> Arrays {
     let mut archive = open(path);
-    let names: Vec<String> = archive
-        .file_names()
-        .map(|name| name.expect("a name").into_owned())
-        .collect();
+    let names: Vec<String> =
+        archive.file_names().map(|name| name.expect("a name").into_owned()).collect();
     let mut arrays = Arrays::new();
     for name in names {
         let file = archive.by_name(&name).expect("listed");

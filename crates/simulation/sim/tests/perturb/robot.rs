@@ -51,10 +51,7 @@ impl Arm {
             body = parents[body] as usize;
         }
         links.reverse();
-        Self {
-            links,
-            ranges: std::array::from_fn(|i| group(&model["jnt_range"], i)),
-        }
+        Self { links, ranges: std::array::from_fn(|i| group(&model["jnt_range"], i)) }
     }
 
     fn state_at(&self, joints: &JointVector) -> ArmState {

@@ -48,12 +48,7 @@ fn lights_of_all_presets_equal_the_reference() {
             let column = |array: &str| format!("{level}_{array}");
             let expected = lighting(&model, column, config.into());
             let case = format!("{name} {level} c{config}");
-            check_close(
-                &shifted.headlight_ambient,
-                &expected.headlight_ambient,
-                TOLERANCE,
-                &case,
-            );
+            check_close(&shifted.headlight_ambient, &expected.headlight_ambient, TOLERANCE, &case);
             for (light, expected) in shifted.lights.iter().zip(&expected.lights) {
                 check_close(&light.position, &expected.position, TOLERANCE, &case);
                 check_close(&light.direction, &expected.direction, TOLERANCE, &case);
@@ -74,10 +69,7 @@ fn rounded_like_the_reference(shift: LightingShift, level: Level, config: u16) -
         _ => return shift,
     };
     assert_eq!(shift.d_log2_warm, by_python, "{level} c{config}");
-    LightingShift {
-        d_log2_warm: by_numpy,
-        ..shift
-    }
+    LightingShift { d_log2_warm: by_numpy, ..shift }
 }
 
 /// Returns the `index`-th set of lights. `column` converts the name of a quantity to the name of

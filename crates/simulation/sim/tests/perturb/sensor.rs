@@ -18,11 +18,7 @@ fn read(folder: &Path, name: &str) -> Picture {
     let path = folder.join(name);
     let picture = image::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let rgb = picture.to_rgb8();
-    Picture {
-        width: rgb.width() as usize,
-        height: rgb.height() as usize,
-        rgb: rgb.into_raw(),
-    }
+    Picture { width: rgb.width() as usize, height: rgb.height() as usize, rgb: rgb.into_raw() }
 }
 
 fn stage(corruption: &SensorCorruption, level: Level, config: u16) -> SensorStage {
@@ -62,10 +58,7 @@ fn blur_and_compression_of_all_presets_equal_the_reference() {
     };
     let agentview = read(&folder, "sensor_in_agentview.png");
     for (level, config, perturbation) in presets(Axis::Sensor) {
-        let corruption = SensorCorruption {
-            noise_sigma: 0.0,
-            ..perturbation.sensor.expect("set")
-        };
+        let corruption = SensorCorruption { noise_sigma: 0.0, ..perturbation.sensor.expect("set") };
         let mut stage = stage(&corruption, level, config);
         let output = corrupted(&mut stage, &agentview, FrameSource::Agentview, 0);
         let name = format!("sensor_{level}_c{config:02}_nonoise_agentview.png");

@@ -104,9 +104,7 @@ fn check(task: TaskRef, recorded: &Recorded) {
     let text = std::fs::read_to_string(&files.bddl).unwrap();
     let mut environment = compile(&text, &packs()[0]).unwrap();
     let mut rng = LegacyRng::seed(SEED);
-    environment
-        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
-        .unwrap();
+    environment.reset(&mut rng, Reset::Hard, LOADED_TWICE).unwrap();
     assert_eq!(rng, recorded_rng, "{task}: the number of draws differs");
     let model = environment.model();
     for (name, (pos, quat)) in &recorded.body_pos_seed0 {

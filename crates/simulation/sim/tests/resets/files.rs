@@ -35,9 +35,7 @@ pub(crate) fn packs() -> Vec<AssetPack> {
 /// Returns a folder of the reference data beside this checkout; prints that the test is skipped and
 /// returns `None` if it does not exist.
 pub(crate) fn shared(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../../shared")
-        .join(name);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared").join(name);
     if folder.is_dir() {
         return Some(folder);
     }

@@ -25,9 +25,7 @@ fn loading_a_state_after_a_reset_restores_the_campaign_fixtures() {
     let campaign = poses(&environment);
 
     let mut rng = LegacyRng::seed(1);
-    environment
-        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
-        .unwrap();
+    environment.reset(&mut rng, Reset::Hard, LOADED_TWICE).unwrap();
     assert_ne!(poses(&environment), campaign, "the reset places fixtures");
     environment.load(&state);
     assert_eq!(poses(&environment), campaign);
@@ -45,9 +43,7 @@ fn a_diverging_environment_does_not_stop_other_environments_on_its_thread() {
         state[joints].fill(1e9);
         first.load(&state);
         assert!(first.step(&[0.0; 7]).is_err());
-        second
-            .step(&[0.0; 7])
-            .expect("the second environment is stable");
+        second.step(&[0.0; 7]).expect("the second environment is stable");
     }
 }
 
@@ -57,19 +53,9 @@ fn a_hard_reset_removes_perturbations_and_a_soft_reset_keeps_them() {
     let nominal_diffuse = environment.model().light_diffuse().to_vec();
     let mut rng = LegacyRng::seed(2);
     environment.model_mut().light_diffuse_mut().fill(0.1);
-    environment
-        .reset(&mut rng, Reset::Soft, LOADED_TWICE)
-        .unwrap();
-    assert!(
-        environment
-            .model()
-            .light_diffuse()
-            .iter()
-            .all(|c| *c == 0.1)
-    );
-    environment
-        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
-        .unwrap();
+    environment.reset(&mut rng, Reset::Soft, LOADED_TWICE).unwrap();
+    assert!(environment.model().light_diffuse().iter().all(|c| *c == 0.1));
+    environment.reset(&mut rng, Reset::Hard, LOADED_TWICE).unwrap();
     assert_eq!(environment.model().light_diffuse(), nominal_diffuse);
 }
 
@@ -77,20 +63,14 @@ fn a_hard_reset_removes_perturbations_and_a_soft_reset_keeps_them() {
 fn a_reset_updates_the_observation() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
     let mut rng = LegacyRng::seed(3);
-    environment
-        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
-        .unwrap();
+    environment.reset(&mut rng, Reset::Hard, LOADED_TWICE).unwrap();
     let first = environment.robot_state();
     for _ in 0..3 {
-        environment
-            .step(&[0.5, 0.5, -0.5, 0.1, 0.0, 0.0, 1.0])
-            .unwrap();
+        environment.step(&[0.5, 0.5, -0.5, 0.1, 0.0, 0.0, 1.0]).unwrap();
     }
     assert_ne!(environment.robot_state(), first);
     assert_eq!(environment.control_steps(), 3);
-    environment
-        .reset(&mut rng, Reset::Soft, LOADED_TWICE)
-        .unwrap();
+    environment.reset(&mut rng, Reset::Soft, LOADED_TWICE).unwrap();
     assert_eq!(environment.robot_state(), first);
     assert_eq!(environment.control_steps(), 0);
     assert_eq!(environment.data().time_secs(), 0.0);

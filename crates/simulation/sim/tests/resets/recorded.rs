@@ -84,35 +84,18 @@ fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], 
         rounds = environment.reset(&mut rng, kind, rounds).unwrap();
         let loads = if scenario.hard { expected.attempts } else { 0 };
         assert_eq!(rounds, before + loads, "{reset_name}");
-        assert_eq!(
-            Generator::from_rng(&rng),
-            expected.generator,
-            "{reset_name}"
-        );
+        assert_eq!(Generator::from_rng(&rng), expected.generator, "{reset_name}");
 
         let (model, data) = (environment.model(), environment.data());
-        assert_close(
-            data.qpos(model),
-            &expected.qpos,
-            PLACEMENT_TOLERANCE,
-            &reset_name,
-        );
+        assert_close(data.qpos(model), &expected.qpos, PLACEMENT_TOLERANCE, &reset_name);
         assert!(data.qvel(model).iter().all(|v| *v == 0.0), "{reset_name}");
         let names = fixtures(environment.scene());
         assert_eq!(names.len(), expected.fixtures.len(), "{reset_name}");
         for name in names {
             let body = model.id(ObjectKind::Body, name).unwrap();
-            let pose = [
-                &model.body_pos()[body * 3..][..3],
-                &model.body_quat()[body * 4..][..4],
-            ]
-            .concat();
-            assert_close(
-                &pose,
-                &expected.fixtures[name],
-                PLACEMENT_TOLERANCE,
-                &reset_name,
-            );
+            let pose =
+                [&model.body_pos()[body * 3..][..3], &model.body_quat()[body * 4..][..4]].concat();
+            assert_close(&pose, &expected.fixtures[name], PLACEMENT_TOLERANCE, &reset_name);
         }
 
         if let Some(robot_qpos) = expected.robot_qpos {

@@ -28,23 +28,15 @@ fn add_helps(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
     let mut rendered = command.clone();
     let short = rendered.render_help().to_string();
     let lines = short.lines().count();
-    assert!(
-        lines <= MAX_SHORT_LINES,
-        "`{words} -h` has {lines} lines:\n{short}"
-    );
+    assert!(lines <= MAX_SHORT_LINES, "`{words} -h` has {lines} lines:\n{short}");
     let long = rendered.render_long_help().to_string();
-    let old = long
-        .split(|letter: char| !letter.is_alphanumeric())
-        .find(|word| ID_WORDS.contains(word));
+    let old =
+        long.split(|letter: char| !letter.is_alphanumeric()).find(|word| ID_WORDS.contains(word));
     assert_eq!(
         old, None,
         "`{words} --help` contains a word that only ids have (write `nominal`, `simultaneous`):\n{long}"
     );
-    helps.push(Help {
-        words: words.to_owned(),
-        short,
-        long,
-    });
+    helps.push(Help { words: words.to_owned(), short, long });
     for command in command.get_subcommands() {
         if !command.is_hide_set() && command.get_name() != "help" {
             add_helps(command, &format!("{words} {}", command.get_name()), helps);

@@ -42,10 +42,7 @@ pub(super) fn registration(worker_id: &str) -> EncodedCall {
 }
 
 pub(super) fn create() -> EncodedCall {
-    let request = wire::CreateCampaignRequest {
-        spec: SPEC.into(),
-        priority: 3,
-    };
+    let request = wire::CreateCampaignRequest { spec: SPEC.into(), priority: 3 };
     ("OperatorService/CreateCampaign", request.encode_to_vec())
 }
 
@@ -61,10 +58,7 @@ pub(super) fn claim() -> EncodedCall {
 pub(super) fn heartbeat() -> EncodedCall {
     let request = wire::HeartbeatRequest {
         worker_id: "w".into(),
-        progress: vec![wire::Progress {
-            attempt_id: attempt(),
-            control_steps: 9,
-        }],
+        progress: vec![wire::Progress { attempt_id: attempt(), control_steps: 9 }],
         filming: 1,
     };
     ("WorkerService/Heartbeat", request.encode_to_vec())
@@ -77,16 +71,8 @@ pub(super) fn commit() -> EncodedCall {
             success: true,
             steps: STEPS,
             wall_secs: 1.5,
-            parts: Some(wire::Parts {
-                physics_secs: 0.5,
-                drawing_secs: 0.25,
-                policy_secs: 0.5,
-            }),
-            goal: Some(wire::GoalProgress {
-                predicates: 2,
-                at_end: 2,
-                at_most: 2,
-            }),
+            parts: Some(wire::Parts { physics_secs: 0.5, drawing_secs: 0.25, policy_secs: 0.5 }),
+            goal: Some(wire::GoalProgress { predicates: 2, at_end: 2, at_most: 2 }),
             ..wire::RolloutResult::default()
         }),
         provenance: Some(wire::Provenance {
@@ -101,10 +87,7 @@ pub(super) fn commit() -> EncodedCall {
             policy_name: "p".into(),
             ..wire::Provenance::default()
         }),
-        motion: Some(wire::Motion {
-            path: vec![0; (STEPS as usize + 1) * 6],
-            actions: vec![],
-        }),
+        motion: Some(wire::Motion { path: vec![0; (STEPS as usize + 1) * 6], actions: vec![] }),
     };
     ("WorkerService/Commit", request.encode_to_vec())
 }
@@ -124,16 +107,11 @@ pub(super) fn release_of(attempt_id: String) -> EncodedCall {
 }
 
 pub(super) fn get_campaign() -> wire::GetCampaignRequest {
-    wire::GetCampaignRequest {
-        campaign: "c".into(),
-    }
+    wire::GetCampaignRequest { campaign: "c".into() }
 }
 
 pub(super) fn job() -> wire::JobName {
-    wire::JobName {
-        rollout_id: "object/t0/camera/L1/c00".into(),
-        replicate: 0,
-    }
+    wire::JobName { rollout_id: "object/t0/camera/L1/c00".into(), replicate: 0 }
 }
 
 /// Returns the id of the first attempt that a coordinator with this seed grants.

@@ -18,10 +18,7 @@ const VIDEO: &str = "video.mp4";
 /// export; and those of a released rollout whose campaign is cancelled, deleted and created anew.
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let campaign = get_campaign().encode_to_vec();
-    let job = wire::GetJobRequest {
-        campaign: "c".into(),
-        job: Some(job()),
-    };
+    let job = wire::GetJobRequest { campaign: "c".into(), job: Some(job()) };
     let jobs = wire::ListJobsRequest {
         campaign: "c".into(),
         state: "leased".into(),
@@ -41,24 +38,13 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     };
     let forecast = wire::ForecastRequest {
         policy: "p".into(),
-        rollouts: vec![wire::SuiteRollouts {
-            suite: "libero_object".into(),
-            rollouts: 9,
-        }],
+        rollouts: vec![wire::SuiteRollouts { suite: "libero_object".into(), rollouts: 9 }],
         policy_rate: Some(40.0),
     };
-    let sign_off = wire::SignOffRequest {
-        worker_id: "w".into(),
-    };
-    let retry = wire::RetryJobsRequest {
-        campaign: "c".into(),
-        jobs: vec![],
-        all: true,
-    };
-    let skip = wire::SkipJobsRequest {
-        campaign: "c".into(),
-        jobs: job.job.iter().cloned().collect(),
-    };
+    let sign_off = wire::SignOffRequest { worker_id: "w".into() };
+    let retry = wire::RetryJobsRequest { campaign: "c".into(), jobs: vec![], all: true };
+    let skip =
+        wire::SkipJobsRequest { campaign: "c".into(), jobs: job.job.iter().cloned().collect() };
     let pause = wire::ChangeCampaignRequest {
         campaign: "c".into(),
         change: wire::change_campaign_request::Change::Pause.into(),
@@ -67,19 +53,11 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         change: wire::change_campaign_request::Change::Cancel.into(),
         ..pause.clone()
     };
-    let delete = wire::DeleteCampaignRequest {
-        campaign: "c".into(),
-        confirm: "c".into(),
-    };
-    let import = wire::ImportChunk {
-        name: "d".into(),
-        archive: "c.tar.gz".into(),
-        data: archive(),
-    };
-    let film = wire::NextFilmRequest {
-        asset_pack_digest: digest(),
-        mujoco_version: "3.3.7".into(),
-    };
+    let delete = wire::DeleteCampaignRequest { campaign: "c".into(), confirm: "c".into() };
+    let import =
+        wire::ImportChunk { name: "d".into(), archive: "c.tar.gz".into(), data: archive() };
+    let film =
+        wire::NextFilmRequest { asset_pack_digest: digest(), mujoco_version: "3.3.7".into() };
     let single_calls = [
         ("WorkerService/NextFilm", film.encode_to_vec()),
         ("OperatorService/ListCampaigns", vec![]),
@@ -109,14 +87,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     seeds.push(committed.concat());
     let cancelled = ("OperatorService/ChangeCampaign", cancel.encode_to_vec());
     let deleted = ("OperatorService/DeleteCampaign", delete.encode_to_vec());
-    seeds.push(calls(&[
-        &release(),
-        &claim(),
-        &cancelled,
-        &commit(),
-        &deleted,
-        &create(),
-    ]));
+    seeds.push(calls(&[&release(), &claim(), &cancelled, &commit(), &deleted, &create()]));
     seeds
 }
 
@@ -141,15 +112,9 @@ fn method_number(method: &str) -> u8 {
 
 /// Returns the messages of a video upload in two chunks.
 fn upload() -> [Vec<u8>; 2] {
-    let first = wire::ArtifactChunk {
-        attempt_id: attempt(),
-        name: VIDEO.into(),
-        data: vec![1, 2, 3],
-    };
-    let second = wire::ArtifactChunk {
-        data: vec![4, 5],
-        ..wire::ArtifactChunk::default()
-    };
+    let first =
+        wire::ArtifactChunk { attempt_id: attempt(), name: VIDEO.into(), data: vec![1, 2, 3] };
+    let second = wire::ArtifactChunk { data: vec![4, 5], ..wire::ArtifactChunk::default() };
     let number = method_number("WorkerService/PutArtifact");
     [
         script::write(number, &first.encode_to_vec()),

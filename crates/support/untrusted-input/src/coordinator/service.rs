@@ -48,10 +48,7 @@ impl TestCoordinator {
             storage: None,
         });
         let coordinator = coordinator.await.expect("a coordinator");
-        TestCoordinator {
-            services: coordinator.services(),
-            coordinator,
-        }
+        TestCoordinator { services: coordinator.services(), coordinator }
     }
 
     /// Calls a method; returns `None` if the call waits for a job.

@@ -12,10 +12,7 @@ use super::{measure, record, thresholds};
 const CONFIGS: u16 = 10;
 const CAMPAIGNS: u64 = 60;
 /// Fewer resamplings than in reports: interval ends differ by a few per cent of the width.
-const BOOTSTRAP: Bootstrap = Bootstrap {
-    replicates: 300,
-    seed: 1,
-};
+const BOOTSTRAP: Bootstrap = Bootstrap { replicates: 300, seed: 1 };
 
 /// A log-normal population of thresholds, with part of its variance between tasks.
 #[derive(Clone, Copy)]
@@ -51,9 +48,7 @@ impl Population {
             }
         }
         let planted = |task: TaskRef, config: u16| {
-            let task = TaskRef::all()
-                .position(|other| other == task)
-                .expect("one of all");
+            let task = TaskRef::all().position(|other| other == task).expect("one of all");
             fails_at[task * usize::from(CONFIGS) + usize::from(config)]
         };
         let outcome = |id: RolloutId| match id.config() {
@@ -80,10 +75,8 @@ impl Population {
         let mut source: Vec<Record> = source.map(|id| record(id, outcome(id))).collect();
         source.sort_by_key(|record| record.id);
         source.dedup_by_key(|record| record.id);
-        let thresholds = Thresholds {
-            conditions: vec![self.condition],
-            ..thresholds(0.5, LARGEST)
-        };
+        let thresholds =
+            Thresholds { conditions: vec![self.condition], ..thresholds(0.5, LARGEST) };
         let further = measure(&source, &thresholds, outcome);
         let measurement = Measurement::of(&source, &further, &thresholds);
         measurement.curves(&BOOTSTRAP).remove(0)
@@ -115,24 +108,14 @@ const MOST_MISSED: u64 = 4;
 #[test]
 fn an_interval_covers_the_median_of_the_population() {
     let covered = CAMERA.covered();
-    assert!(
-        covered + MOST_MISSED >= CAMPAIGNS,
-        "{covered} of {CAMPAIGNS}"
-    );
+    assert!(covered + MOST_MISSED >= CAMPAIGNS, "{covered} of {CAMPAIGNS}");
 }
 
 #[test]
 fn thresholds_without_a_known_failure_are_censored_and_cause_no_bias() {
-    let population = Population {
-        median: 9.0,
-        quarantined: 0.3,
-        ..CAMERA
-    };
+    let population = Population { median: 9.0, quarantined: 0.3, ..CAMERA };
     let covered = population.covered();
-    assert!(
-        covered + MOST_MISSED >= CAMPAIGNS,
-        "{covered} of {CAMPAIGNS}"
-    );
+    assert!(covered + MOST_MISSED >= CAMPAIGNS, "{covered} of {CAMPAIGNS}");
     let curve = population.curve(0);
     assert_eq!((curve.n, curve.left_out), (400, 0));
     assert!(curve.censored > 10, "{}", curve.censored);
@@ -162,8 +145,5 @@ fn without_radii_between_levels_the_interval_is_as_wide_as_the_bracket() {
         quarantined: 0.0,
     };
     let covered = spread.covered();
-    assert!(
-        covered + MOST_MISSED >= CAMPAIGNS,
-        "{covered} of {CAMPAIGNS}"
-    );
+    assert!(covered + MOST_MISSED >= CAMPAIGNS, "{covered} of {CAMPAIGNS}");
 }

@@ -12,11 +12,7 @@ use super::{measure, record};
 const CONFIGS: u16 = 10;
 
 fn thresholds(budget: Option<u32>, seed: u64) -> Thresholds {
-    Thresholds {
-        budget,
-        seed,
-        ..super::thresholds(0.5, 16.0)
-    }
+    Thresholds { budget, seed, ..super::thresholds(0.5, 16.0) }
 }
 
 /// Radius from which a configuration fails: evenly spaced from 0 to 12, and halved under both axes
@@ -83,19 +79,14 @@ fn a_curve_begins_at_the_nominal_rate_and_equals_the_planted_curve_at_the_grid()
         let tasks: Vec<TaskRef> = TaskRef::all().take(10).collect();
         for &radius in &curve.grid {
             let level = Level::of_radius(radius).expect("a radius");
-            let survives = tasks
-                .iter()
-                .flat_map(|&task| (0..CONFIGS).map(move |c| (task, c)));
+            let survives = tasks.iter().flat_map(|&task| (0..CONFIGS).map(move |c| (task, c)));
             let survives = survives.filter(|&(task, config)| {
                 let id = RolloutId::perturbed(task, curve.condition, level, config);
                 outcome(id.expect("perturbed")) == Outcome::Success
             });
             let expected = survives.count() as f64 / 100.0;
             let point = curve.at(radius).expect("a point of the grid");
-            assert!(
-                (point.survival - expected).abs() < 1e-12,
-                "{radius}: {point:?}"
-            );
+            assert!((point.survival - expected).abs() < 1e-12, "{radius}: {point:?}");
             let [low, high] = point.band;
             assert!((high - low).abs() < 1e-12, "{radius}: {point:?}");
         }
@@ -119,11 +110,7 @@ fn the_half_success_radius_is_found_within_the_tolerance() {
             .flat_map(|task| (0..CONFIGS).map(move |config| (task, config)))
             .map(|(task, config)| {
                 let id = RolloutId::perturbed(task, curve.condition, Level::L1, config);
-                if config == 0 {
-                    0.0
-                } else {
-                    fails_at(id.expect("perturbed"))
-                }
+                if config == 0 { 0.0 } else { fails_at(id.expect("perturbed")) }
             })
             .collect();
         planted.sort_by(f64::total_cmp);
@@ -147,15 +134,9 @@ fn configurations_with_missing_outcomes_are_left_out_and_counted() {
     let thresholds = thresholds(None, 0);
     let before = Measurement::of(&source, &[], &thresholds).curves(&Bootstrap::default());
     // Without further radii, only the thresholds of nominal failures are known.
-    assert!(
-        before
-            .iter()
-            .all(|curve| (curve.n, curve.left_out) == (10, 90))
-    );
+    assert!(before.iter().all(|curve| (curve.n, curve.left_out) == (10, 90)));
     let mut further = measure(&source, &thresholds, outcome);
-    let largest = further
-        .iter_mut()
-        .find(|record| record.id.level().radius() == 16.0);
+    let largest = further.iter_mut().find(|record| record.id.level().radius() == 16.0);
     let largest = largest.expect("the grid was run");
     largest.outcome = Outcome::Quarantined;
     let after = Measurement::of(&source, &further, &thresholds).curves(&Bootstrap::default());
@@ -180,10 +161,7 @@ fn a_budget_measures_a_random_sample_and_is_not_exceeded() {
         for (ray, outcomes) in measurement.rays() {
             assert_eq!(measurement.decision(ray, outcomes), Decision::Done);
         }
-        measurement
-            .rays()
-            .map(|(ray, _)| (ray.task, ray.config))
-            .collect()
+        measurement.rays().map(|(ray, _)| (ray.task, ray.config)).collect()
     };
     assert!(sample(most - 1, 1).is_empty());
     let twelve = sample(12 * most, 1);

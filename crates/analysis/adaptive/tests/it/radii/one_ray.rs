@@ -50,13 +50,9 @@ fn pseudorandom(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outc
 
 /// Returns the first failure and all successes beyond it, computed without the code under test.
 fn expected_finding(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
-    let fails = outcomes
-        .perturbed()
-        .find(|(_, outcome)| *outcome == Outcome::Failure);
+    let fails = outcomes.perturbed().find(|(_, outcome)| *outcome == Outcome::Failure);
     let fails = fails.map(|(level, _)| level);
-    let succeeds = outcomes
-        .perturbed()
-        .filter(|(_, outcome)| *outcome == Outcome::Success);
+    let succeeds = outcomes.perturbed().filter(|(_, outcome)| *outcome == Outcome::Success);
     let beyond = succeeds.map(|(level, _)| level);
     let beyond = beyond.filter(|level| fails.is_some_and(|fails| *level > fails));
     (fails, beyond.collect())
@@ -177,12 +173,9 @@ proptest! {
 /// Delays are whole control steps, that is, radii of 2, 4, 6, …
 #[test]
 fn a_latency_threshold_is_found_to_the_control_step() {
-    for (max_radius, grid) in [
-        (16.0, "L1 L2 L3 r16"),
-        (15.0, "L1 L2 L3 r14"),
-        (14.0, "L1 L2 L3 r14"),
-        (5.5, "L1 L2"),
-    ] {
+    for (max_radius, grid) in
+        [(16.0, "L1 L2 L3 r16"), (15.0, "L1 L2 L3 r14"), (14.0, "L1 L2 L3 r14"), (5.5, "L1 L2")]
+    {
         let measured = thresholds(0.5, max_radius);
         let search = Search::of(&measured, Condition::Latency, AxisSet::ALL);
         let radii: Vec<String> = search.grid.iter().map(Level::to_string).collect();
@@ -192,11 +185,7 @@ fn a_latency_threshold_is_found_to_the_control_step() {
             let outcome = |level: Level| Outcome::from(level.radius() <= radius);
             let outcomes = run(&search, outcome);
             let steps = |level: Level| level.radius() / 2.0;
-            assert!(
-                outcomes
-                    .perturbed()
-                    .all(|(level, _)| steps(level).fract() == 0.0)
-            );
+            assert!(outcomes.perturbed().all(|(level, _)| steps(level).fract() == 0.0));
             let largest = search.largest().expect("a radius");
             let expected = match radius >= largest.radius() {
                 true => Threshold::Beyond,
@@ -208,11 +197,7 @@ fn a_latency_threshold_is_found_to_the_control_step() {
                     fails_at: level(radius + 2.0),
                 },
             };
-            assert_eq!(
-                Finding::new(&outcomes, &search).threshold,
-                expected,
-                "{tolerated} steps"
-            );
+            assert_eq!(Finding::new(&outcomes, &search).threshold, expected, "{tolerated} steps");
         }
     }
 }
@@ -222,10 +207,7 @@ fn configurations_that_fail_nominally_are_not_perturbed_further() {
     let search = search(0.5, 16.0);
     let mut outcomes = Outcomes::from_nominal(Outcome::Failure);
     assert_eq!(next(&outcomes, &search), Decision::Done);
-    assert_eq!(
-        Finding::new(&outcomes, &search).threshold,
-        Threshold::NominalFails
-    );
+    assert_eq!(Finding::new(&outcomes, &search).threshold, Threshold::NominalFails);
     // A perturbed rollout may succeed nevertheless; `recovers_at` then contains its level.
     outcomes.record_source(Level::L2, Outcome::Success);
     let finding = Finding::new(&outcomes, &search);
@@ -248,10 +230,7 @@ fn language_is_measured_only_at_the_levels_that_have_paraphrases() {
         let radii: Vec<Level> = outcomes.perturbed().map(|(level, _)| level).collect();
         assert_eq!(radii, Level::PERTURBED);
         let threshold = Finding::new(&outcomes, &search).threshold;
-        let expected = Threshold::Between {
-            succeeds_at: Level::L2,
-            fails_at: Level::L3,
-        };
+        let expected = Threshold::Between { succeeds_at: Level::L2, fails_at: Level::L3 };
         assert_eq!(threshold, expected);
     }
     let metric = AxisSet::from_iter(Axis::METRIC);

@@ -25,9 +25,7 @@ fn subsets_with(
 ) -> BoxedStrategy<Outcomes> {
     let sets = full(axes).subsets();
     let outcomes = prop::collection::vec(outcomes, sets.len());
-    outcomes
-        .prop_map(move |outcomes| sets.iter().copied().zip(outcomes).collect())
-        .boxed()
+    outcomes.prop_map(move |outcomes| sets.iter().copied().zip(outcomes).collect()).boxed()
 }
 
 /// Outcomes under every subset of two to six axes. `quarantine` is the weight of quarantined
@@ -38,9 +36,7 @@ fn any_outcomes(quarantine: u32) -> BoxedStrategy<Outcomes> {
         10 => Just(Outcome::Failure),
         quarantine => Just(Outcome::Quarantined),
     ];
-    (2..=6_usize)
-        .prop_flat_map(move |axes| subsets_with(outcome.clone(), axes))
-        .boxed()
+    (2..=6_usize).prop_flat_map(move |axes| subsets_with(outcome.clone(), axes)).boxed()
 }
 
 /// Outcomes that form a transition, in either direction.
@@ -108,11 +104,7 @@ fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
         assert!(!batch.is_empty());
         for Request { set, rollouts } in batch.into_iter().take(cut) {
             assert_eq!(rollouts, 1);
-            assert_eq!(
-                lattice.tally(set).requested(),
-                0,
-                "{set} was requested before"
-            );
+            assert_eq!(lattice.tally(set).requested(), 0, "{set} was requested before");
             lattice.record(set, outcomes[&set]).expect("a subset");
         }
     }
@@ -329,17 +321,9 @@ const EMERGENT: [(&str, Outcome); 4] = [
 
 #[test]
 fn without_a_transition_the_error_names_the_reason() {
-    assert_eq!(
-        explain(&lattice_of(&EMERGENT[1..])),
-        Err(Unexplained::Incomplete)
-    );
-    let unchanged = lattice_of(
-        &[
-            &EMERGENT[..3],
-            &[("camera+lighting+robot", Outcome::Success)],
-        ]
-        .concat(),
-    );
+    assert_eq!(explain(&lattice_of(&EMERGENT[1..])), Err(Unexplained::Incomplete));
+    let unchanged =
+        lattice_of(&[&EMERGENT[..3], &[("camera+lighting+robot", Outcome::Success)]].concat());
     let reason = Unexplained::Unchanged(Transition::StillSucceeds);
     assert_eq!(explain(&unchanged), Err(reason));
     assert_eq!(
@@ -370,14 +354,8 @@ fn a_quarantined_pair_is_neither_run_again_nor_inferred() {
     let answer = &explain(&lattice).expect("a transition").answers[0];
     assert_eq!(answer.minimal.len(), 1);
     assert_eq!(answer.minimal[0].set, lattice.full());
-    assert_eq!(
-        answer.minimal[0].open,
-        ["camera+lighting".parse().expect("a set")]
-    );
-    assert_eq!(
-        lattice.verdict(answer.minimal[0].open[0]),
-        Verdict::Quarantined
-    );
+    assert_eq!(answer.minimal[0].open, ["camera+lighting".parse().expect("a set")]);
+    assert_eq!(lattice.verdict(answer.minimal[0].open[0]), Verdict::Quarantined);
 }
 
 fn simultaneous_id(task: usize) -> RolloutId {

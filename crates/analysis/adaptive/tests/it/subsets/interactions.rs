@@ -7,10 +7,7 @@ use proptest::prelude::*;
 
 use super::full;
 
-const FEW: Bootstrap = Bootstrap {
-    replicates: 50,
-    seed: 7,
-};
+const FEW: Bootstrap = Bootstrap { replicates: 50, seed: 7 };
 
 fn lattice(task: usize, full: AxisSet, success: impl Fn(AxisSet) -> bool) -> CompleteLattice {
     let task = TaskRef::all().nth(task).expect("a task");
@@ -18,10 +15,7 @@ fn lattice(task: usize, full: AxisSet, success: impl Fn(AxisSet) -> bool) -> Com
 }
 
 fn sum<'a>(estimates: impl IntoIterator<Item = &'a Estimate>) -> i64 {
-    estimates
-        .into_iter()
-        .map(|estimate| estimate.numerator)
-        .sum()
+    estimates.into_iter().map(|estimate| estimate.numerator).sum()
 }
 
 /// Configurations of 2 to 6 axes: the bits of a number are the outcomes.
@@ -36,10 +30,7 @@ fn any_configurations() -> impl Strategy<Value = (usize, Vec<CompleteLattice>)> 
                 bits >> index.expect("a subset") & 1 == 1
             })
         };
-        (
-            axes,
-            configurations.into_iter().map(configuration).collect(),
-        )
+        (axes, configurations.into_iter().map(configuration).collect())
     })
 }
 
@@ -113,11 +104,8 @@ proptest! {
 /// Returns one configuration per task. The pair of the first two axes fails in even tasks.
 fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
     let pair = full(2);
-    let configuration = |task| {
-        lattice(task, AxisSet::ALL, |set| {
-            task % 2 == 1 || !pair.is_subset(set)
-        })
-    };
+    let configuration =
+        |task| lattice(task, AxisSet::ALL, |set| task % 2 == 1 || !pair.is_subset(set));
     (0..tasks).map(configuration).collect()
 }
 
@@ -142,22 +130,13 @@ fn intervals_contain_their_values_and_need_spread_and_ten_tasks() {
     let [low, high] = m.ci95.expect("ten tasks");
     assert!(low < m.value && m.value < high, "{low} {high}");
     // The mean of ten values, −1 or 0 equally often, has the standard error √(0.25 / 10).
-    assert!(
-        (high - low - 2.0 * 1.96 * 0.025_f64.sqrt()).abs() < 0.1,
-        "{low} {high}"
-    );
+    assert!((high - low - 2.0 * 1.96 * 0.025_f64.sqrt()).abs() < 0.1, "{low} {high}");
     let constant = ten.shapley[&Axis::Robot];
-    assert_eq!(
-        (constant.ci95, constant.no_interval),
-        (None, Some(NoInterval::NoSpread))
-    );
+    assert_eq!((constant.ci95, constant.no_interval), (None, Some(NoInterval::NoSpread)));
     let nine =
         Interactions::of(&pair_fails_in_half(9), &Bootstrap::default()).expect("configurations");
     let m = nine.moebius[&full(2)];
-    assert_eq!(
-        (m.ci95, m.no_interval),
-        (None, Some(NoInterval::TooFewTasks))
-    );
+    assert_eq!((m.ci95, m.no_interval), (None, Some(NoInterval::TooFewTasks)));
 }
 
 #[test]
@@ -167,8 +146,5 @@ fn interactions_need_a_configuration_and_an_outcome_under_every_subset() {
     let missing: AxisSet = "camera+robot".parse().expect("a set");
     let error = CompleteLattice::new(task, full(3), |set| (set != missing).then_some(true));
     let error = error.expect_err("a subset without an outcome").to_string();
-    assert_eq!(
-        error,
-        "axes camera+lighting+robot: camera+robot has no outcome"
-    );
+    assert_eq!(error, "axes camera+lighting+robot: camera+robot has no outcome");
 }

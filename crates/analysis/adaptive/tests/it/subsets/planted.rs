@@ -37,21 +37,12 @@ pub(crate) enum Kind {
 
 impl Kind {
     /// The kinds whose outcomes are monotone.
-    pub(crate) const MONOTONE: [Self; 5] = [
-        Self::Pair,
-        Self::Triple,
-        Self::DisjointPairs,
-        Self::PairOrTriple,
-        Self::Compensation,
-    ];
+    pub(crate) const MONOTONE: [Self; 5] =
+        [Self::Pair, Self::Triple, Self::DisjointPairs, Self::PairOrTriple, Self::Compensation];
 
     /// The kinds whose outcomes are not monotone.
-    pub(crate) const NON_MONOTONE: [Self; 4] = [
-        Self::TwoCompensations,
-        Self::MaskedPair,
-        Self::MaskedTriple,
-        Self::CoinFlips,
-    ];
+    pub(crate) const NON_MONOTONE: [Self; 4] =
+        [Self::TwoCompensations, Self::MaskedPair, Self::MaskedTriple, Self::CoinFlips];
 
     /// The monotone kinds and [`Self::MaskedPair`].
     pub(crate) const MIXTURE: [Self; 6] = [
@@ -121,12 +112,8 @@ impl Rule {
             };
             // A planted set that contains another planted set is not minimal: draws again until
             // both sets of the rule are minimal.
-            let sizes: Vec<usize> = rule
-                .truth()
-                .iter()
-                .flat_map(|(_, sets)| sets)
-                .map(|set| set.len())
-                .collect();
+            let sizes: Vec<usize> =
+                rule.truth().iter().flat_map(|(_, sets)| sets).map(|set| set.len()).collect();
             let are_minimal = match kind {
                 Kind::PairOrTriple => sizes == [2, 3],
                 Kind::MaskedPair => sizes.len() == 2,
@@ -154,10 +141,7 @@ impl Rule {
         let simultaneous = self.succeeds(AxisSet::ALL);
         let singles = Axis::ALL.map(AxisSet::of);
         let starts = match simultaneous {
-            true => singles
-                .into_iter()
-                .filter(|single| !self.succeeds(*single))
-                .collect(),
+            true => singles.into_iter().filter(|single| !self.succeeds(*single)).collect(),
             false => vec![AxisSet::EMPTY],
         };
         let of_start = |start: AxisSet| {
@@ -189,10 +173,7 @@ pub(crate) struct SearchResult {
 impl SearchResult {
     /// Returns true if exactly the planted minimal subsets were found.
     pub(crate) fn is_exact(&self, rule: &Rule) -> bool {
-        let answers = self
-            .explanation
-            .iter()
-            .flat_map(|explanation| &explanation.answers);
+        let answers = self.explanation.iter().flat_map(|explanation| &explanation.answers);
         let by_start = answers.map(|answer| {
             let minimal = answer.minimal.iter().map(|minimal| minimal.set);
             (answer.start, minimal.collect::<Vec<_>>())
@@ -209,9 +190,7 @@ pub(crate) fn search(
 ) -> SearchResult {
     let mut lattice = source(AxisSet::ALL, evidence, &mut outcome);
     let batches = run(&mut lattice, strategy, outcome);
-    let further = lattice
-        .tallies()
-        .filter(|(set, _)| !is_of_source(*set, AxisSet::ALL));
+    let further = lattice.tallies().filter(|(set, _)| !is_of_source(*set, AxisSet::ALL));
     SearchResult {
         subsets: further.count(),
         rollouts: lattice.outcomes().requested(),
@@ -261,9 +240,7 @@ pub(crate) fn run(
 
 /// Runs a search over the outcomes of a rule.
 pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> SearchResult {
-    search(strategy, Evidence::Once, |set| {
-        Outcome::from(rule.succeeds(set))
-    })
+    search(strategy, Evidence::Once, |set| Outcome::from(rule.succeeds(set)))
 }
 
 /// Runs a search over a rule that each rollout contradicts with probability `noise`.

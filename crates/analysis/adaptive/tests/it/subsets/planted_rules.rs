@@ -19,17 +19,13 @@ fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, SearchResult)> {
 }
 
 fn mean_subsets(kind: Kind, strategy: Strategy) -> f64 {
-    let subsets = searches(kind, strategy)
-        .into_iter()
-        .map(|(_, result)| result.subsets as f64);
+    let subsets = searches(kind, strategy).into_iter().map(|(_, result)| result.subsets as f64);
     subsets.sum::<f64>() / RULES as f64
 }
 
 fn exact_share(kind: Kind, strategy: Strategy) -> f64 {
     let results = searches(kind, strategy);
-    let exact = results
-        .iter()
-        .filter(|(rule, result)| result.is_exact(rule));
+    let exact = results.iter().filter(|(rule, result)| result.is_exact(rule));
     exact.count() as f64 / RULES as f64
 }
 
@@ -38,27 +34,12 @@ fn every_monotone_rule_is_recovered_exactly_and_established() {
     for strategy in Strategy::ALL {
         for kind in Kind::MONOTONE {
             for (rule, result) in searches(kind, strategy) {
-                assert!(
-                    result.is_exact(&rule),
-                    "{strategy:?} {kind:?} {rule:?} {result:?}"
-                );
-                assert_eq!(
-                    result.rollouts as usize, result.subsets,
-                    "each subset runs once"
-                );
-                assert!(
-                    result.batches <= 6,
-                    "{strategy:?} {kind:?}: {}",
-                    result.batches
-                );
+                assert!(result.is_exact(&rule), "{strategy:?} {kind:?} {rule:?} {result:?}");
+                assert_eq!(result.rollouts as usize, result.subsets, "each subset runs once");
+                assert!(result.batches <= 6, "{strategy:?} {kind:?}: {}", result.batches);
                 let explanation = result.explanation.expect("a transition");
                 for answer in &explanation.answers {
-                    assert!(
-                        answer
-                            .minimal
-                            .iter()
-                            .all(|minimal| minimal.is_established())
-                    );
+                    assert!(answer.minimal.iter().all(|minimal| minimal.is_established()));
                     assert_eq!(answer.non_monotone, []);
                 }
             }
@@ -69,9 +50,7 @@ fn every_monotone_rule_is_recovered_exactly_and_established() {
 #[test]
 fn searches_of_the_mixture_run_at_most_a_third_of_the_lattice() {
     let share = |strategy| {
-        let means = Kind::MIXTURE
-            .iter()
-            .map(|&kind| mean_subsets(kind, strategy));
+        let means = Kind::MIXTURE.iter().map(|&kind| mean_subsets(kind, strategy));
         means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER_SUBSETS
     };
     let (adaptive, top_down) = (share(Strategy::Adaptive), share(Strategy::TopDown));

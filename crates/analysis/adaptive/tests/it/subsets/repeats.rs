@@ -43,10 +43,7 @@ fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     if explain(lattice).is_err() {
         return [0, 0];
     }
-    let sets = AxisSet::ALL
-        .subsets()
-        .into_iter()
-        .filter(|set| !set.is_empty());
+    let sets = AxisSet::ALL.subsets().into_iter().filter(|set| !set.is_empty());
     let mut claims = [0, 0];
     for set in sets {
         if let Some(success) = lattice.verdict(set).success() {
@@ -77,32 +74,21 @@ fn at_most_five_percent_of_lattices_of_coin_flips_lead_to_a_false_claim() {
     let cases: [(&str, Coins); 5] = [
         ("fair coins", |_| 0.5),
         ("coins of 95 %", |_| 0.95),
-        ("a fair coin under all axes", |set| {
-            if set == AxisSet::ALL { 0.5 } else { 1.0 }
-        }),
+        ("a fair coin under all axes", |set| if set == AxisSet::ALL { 0.5 } else { 1.0 }),
         ("a fair coin under one axis", |set| {
-            if set == "camera".parse().expect("a set") {
-                0.5
-            } else {
-                1.0
-            }
+            if set == "camera".parse().expect("a set") { 0.5 } else { 1.0 }
         }),
-        ("a fair coin under every further subset", |set| {
-            match set.len() {
-                6 => 0.0,
-                0 | 1 => 1.0,
-                _ => 0.5,
-            }
+        ("a fair coin under every further subset", |set| match set.len() {
+            6 => 0.0,
+            0 | 1 => 1.0,
+            _ => 0.5,
         }),
     ];
     for (name, coins) in cases {
         for strategy in [Strategy::Adaptive, Strategy::Exhaustive] {
             let [_, wrong] = lattices_with_claims(coins, strategy, 3);
             println!("{name}, {}: {wrong} of {LATTICES}", strategy.name());
-            assert!(
-                wrong * 20 <= LATTICES,
-                "{name} {strategy:?}: {wrong} of {LATTICES}"
-            );
+            assert!(wrong * 20 <= LATTICES, "{name} {strategy:?}: {wrong} of {LATTICES}");
         }
     }
 }
@@ -120,9 +106,7 @@ fn a_real_transition_is_claimed_with_its_minimal_pair() {
         let answers =
             explain(&lattice).map_or_else(|_| Vec::new(), |explanation| explanation.answers);
         let minimal = answers.iter().flat_map(|answer| &answer.minimal);
-        minimal
-            .map(|minimal| minimal.set.name())
-            .eq(["camera+robot"])
+        minimal.map(|minimal| minimal.set.name()).eq(["camera+robot"])
     };
     let count = (0..200).filter(is_claimed).count();
     // Fewer than 200, because some transitions form by chance and are not confirmed by the repeats.

@@ -113,17 +113,10 @@ impl Wheels {
             let sha256 = hex(&Sha256::digest(&bytes));
             wheels += &format!("part-{wheel}\t1.0\t{name}\t{size}\t{sha256}\n");
         }
-        let text = Text {
-            wheels: wheels.leak(),
-            files: files.leak(),
-            models: "heading\n",
-            digest: "0",
-        };
+        let text =
+            Text { wheels: wheels.leak(), files: files.leak(), models: "heading\n", digest: "0" };
         let table = Table::parse(text).expect("well-formed");
-        Self {
-            bytes,
-            table: Box::leak(Box::new(table)),
-        }
+        Self { bytes, table: Box::leak(Box::new(table)) }
     }
 
     /// Writes the wheels into a folder.
@@ -150,11 +143,7 @@ impl TestIndex {
     pub(super) fn start(fault: Fault) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = listener.local_addr().expect("an address");
-        let server = Arc::new(Server {
-            wheels: Wheels::make(),
-            fault,
-            requests: Mutex::default(),
-        });
+        let server = Arc::new(Server { wheels: Wheels::make(), fault, requests: Mutex::default() });
         let serving = Arc::clone(&server);
         thread::spawn(move || {
             for stream in listener.incoming() {
@@ -249,11 +238,7 @@ impl Server {
                 range = Some(first.parse().expect("a number")..last + 1);
             }
         }
-        Ok(Some(Request {
-            path,
-            range,
-            is_authorized,
-        }))
+        Ok(Some(Request { path, range, is_authorized }))
     }
 
     fn send_page(&self, stream: TcpStream, wheel: usize) -> std::io::Result<()> {
@@ -264,12 +249,7 @@ impl Server {
         };
         if self.fault == Fault::HtmlPages {
             let page = format!("<a href=\"../../files/{name}#sha256=0\">{name}</a>");
-            return send(
-                stream,
-                "200 OK",
-                "Content-Type: text/html\r\n",
-                page.as_bytes(),
-            );
+            return send(stream, "200 OK", "Content-Type: text/html\r\n", page.as_bytes());
         }
         let page = format!(
             "{{\"name\": \"part-{wheel}\", \"files\": [
@@ -337,10 +317,7 @@ impl Server {
     /// Returns the number of requests for wheels so far.
     fn wheel_request_count(&self) -> usize {
         let requests = self.requests.lock().expect("not poisoned");
-        requests
-            .iter()
-            .filter(|request| request.contains(".whl"))
-            .count()
+        requests.iter().filter(|request| request.contains(".whl")).count()
     }
 }
 

@@ -14,11 +14,7 @@ pub(crate) fn arm(joints: &JointVector) -> ArmState {
     let mut rotation = Matrix3::identity();
     let mut pivots = Vec::new();
     for i in 0..JOINTS {
-        let local = if i % 2 == 0 {
-            Vector3::z_axis()
-        } else {
-            Vector3::y_axis()
-        };
+        let local = if i % 2 == 0 { Vector3::z_axis() } else { Vector3::y_axis() };
         pivots.push((position, rotation * local.into_inner()));
         rotation *= Rotation3::from_axis_angle(&local, joints[i]).matrix();
         position += rotation * Vector3::new(0.05, 0.0, 0.2);
@@ -30,9 +26,5 @@ pub(crate) fn arm(joints: &JointVector) -> ArmState {
             Vector6::new(linear.x, linear.y, linear.z, axis.x, axis.y, axis.z)
         })
         .collect();
-    ArmState {
-        position,
-        rotation,
-        jacobian: Jacobian::from_columns(&columns),
-    }
+    ArmState { position, rotation, jacobian: Jacobian::from_columns(&columns) }
 }
