@@ -432,7 +432,7 @@ def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
     """Compiles the tasks' scenes concurrently and keeps the scenes in ``SCENES``."""
 
     def compile_scene(task: int) -> Any:
-        return scene_of_task(rollout_libero.Task.of(TASK_NAMES[task]), assets)
+        return scene_of_task(rollout_libero.Task.of(TASK_NAMES[task]), assets, None)
 
     with ThreadPoolExecutor(threads) as pool:
         SCENES.extend(pool.map(compile_scene, sorted(set(tasks))))

@@ -351,6 +351,7 @@ fn pin() -> Pin {
         asset_pack_digest: digest("pack"),
         mujoco_version: "simulated".to_owned(),
         renderer: "simulated".to_owned(),
+        look: libero_ctrl::Look::default(),
     }
 }
 

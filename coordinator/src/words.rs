@@ -51,14 +51,16 @@ pub fn rfc3339(at: UnixMillis) -> String {
     format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
 }
 
-/// Describes the assets, simulator, renderer and program of a worker; empty values are left out.
-pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> String {
+/// Describes the assets, simulator, renderer, look and program of a worker; empty values are left
+/// out.
+pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, look: &str, program: &str) -> String {
     let labelled = |prefix: &str, version: &str| match version {
         "" => String::new(),
         version => format!("{prefix} {version}"),
     };
-    let (mujoco, program) = (labelled("MuJoCo", mujoco), labelled("program", program));
-    let parts = [pack, &mujoco, renderer, &program];
+    let (mujoco, look) = (labelled("MuJoCo", mujoco), labelled("look", look));
+    let program = labelled("program", program);
+    let parts = [pack, &mujoco, renderer, &look, &program];
     let present: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
     present.join(", ")
 }
@@ -110,12 +112,12 @@ mod tests {
     #[test]
     fn missing_worker_properties_leave_no_gap() {
         assert_eq!(
-            runs_on("primitives", "3.3.7", "", "0.1.0"),
+            runs_on("primitives", "3.3.7", "", "", "0.1.0"),
             "primitives, MuJoCo 3.3.7, program 0.1.0"
         );
         assert_eq!(
-            runs_on("primitives", "3.3.7", "llvmpipe", ""),
-            "primitives, MuJoCo 3.3.7, llvmpipe"
+            runs_on("primitives", "3.3.7", "llvmpipe", "mujoco-3.3.2", ""),
+            "primitives, MuJoCo 3.3.7, llvmpipe, look mujoco-3.3.2"
         );
     }
 }

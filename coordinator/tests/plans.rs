@@ -121,6 +121,7 @@ fn pin() -> Pin {
         asset_pack_digest: digest('a'),
         mujoco_version: "3.3.7".to_owned(),
         renderer: "llvmpipe".to_owned(),
+        look: libero_ctrl::Look::default(),
     }
 }
 

@@ -157,6 +157,7 @@ def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:
         "asset_pack": worker.asset_pack,
         "mujoco_version": worker.mujoco_version,
         "renderer": worker.renderer,
+        "look": worker.look,
         "program_version": worker.program_version,
         "is_alive": worker.alive,
         "has_signed_off": worker.signed_off,

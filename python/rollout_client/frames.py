@@ -61,6 +61,7 @@ WORKERS = {
     "asset_pack": TEXT,
     "mujoco_version": TEXT,
     "renderer": TEXT,
+    "look": TEXT,
     "program_version": TEXT,
     "is_alive": FLAG,
     "has_signed_off": FLAG,

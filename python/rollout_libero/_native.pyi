@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 F64 = NDArray[np.float64]
+LOOKS: tuple[str, ...] | list[str]
+"""Names of the looks, the default first."""
 # Result of numpy.random.get_state(): "MT19937", 624 words, position, has_gauss, cached_gaussian.
 LegacyState = tuple[str, NDArray[np.uint32], int, int, float]
 
@@ -131,8 +133,11 @@ class Scene:
         *,
         assets: str,
         sources: str | PathLike[str],
+        look: str,
         init_file: str | PathLike[str] | None = None,
     ) -> None: ...
+    @property
+    def look(self) -> str: ...
     @property
     def bddl_file(self) -> str: ...
     @property

@@ -80,7 +80,7 @@ class PlusRows(Rows):
         change = native.PlusPath(file)
         width, height = self._size
         change.check(height, width)
-        scene = scenes.scene(os.path.realpath(change.file), assets_of_libero())
+        scene = scenes.scene(os.path.realpath(change.file), assets_of_libero(), None)
         previous = self._rows.simulations[row]
         if previous is not None:
             previous.close()

@@ -63,6 +63,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             axis.
         renderer: ``"software"``; ``"gl"`` for OpenGL, or ``"gl:N"`` for OpenGL on device N, from
             0. Each thread that renders opens an OpenGL context of its own.
+        look: how texture files are read: ``"mujoco-3.3.2"``, as LIBERO's demonstrations were drawn,
+            or ``"mujoco-3.3.3"``, as MuJoCo draws them since; by default ``$ROLLOUT_LOOK``, else
+            the first.
 
     The reward is 1 in the successful step, which ends the rollout, and 0 in all other steps.
     ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.
@@ -89,12 +92,13 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         perturbation: str | Mapping[str, Any] | None = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
+        look: str | None = None,
         render_mode: str | None = None,
     ) -> None:
         self._absolute = is_absolute(control)
         self._mirrored = is_mirrored(orientation)
         self.task = Task.of(task)
-        self.scene = scene_of_task(self.task, assets)
+        self.scene = scene_of_task(self.task, assets, look)
         self.simulation = native.Simulation(self.scene, renderer=renderer)
         self.starts = Starts(
             self.task,

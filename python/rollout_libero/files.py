@@ -145,6 +145,11 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
     return str(Path(pack).absolute())
 
 
+def look(name: str | None = None) -> str:
+    """Returns the look: the given one, else ``$ROLLOUT_LOOK``, else ``"mujoco-3.3.2"``."""
+    return name or os.environ.get("ROLLOUT_LOOK") or native.LOOKS[0]
+
+
 def bddl_file(task: Task) -> Path:
     """Returns the path of a task's BDDL file."""
     return sources() / "libero" / "bddl_files" / task.suite / f"{task.file}.bddl"

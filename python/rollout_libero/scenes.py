@@ -1,4 +1,4 @@
-"""Compiled scenes, one per task and asset pack in a process, shared by all
+"""Compiled scenes, one per task, asset pack and look in a process, shared by all
 environments of the task. Recent scenes outlive their environments, so that frameworks
 that close and create an environment at every reset do not compile them again."""
 
@@ -27,27 +27,35 @@ MAX_NAMES = 5
 """Number of files of a pack that a warning names."""
 
 
-def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scene:
+def scene_of_task(
+    task: Task, assets: str | PathLike[str] | None, look: str | None
+) -> native.Scene:
     """Returns the compiled scene of a task, with its initial states.
 
     Raises:
         FileNotFoundError: if files are missing.
+        ValueError: if there is no such look.
     """
     init = files.sources() / "libero" / "init_files" / task.suite / f"{task.file}.pruned_init"
-    return scene(str(files.bddl_file(task)), assets, init_file=str(init))
+    return scene(str(files.bddl_file(task)), assets, look, init_file=str(init))
 
 
 def scene(
-    bddl_file: str, assets: str | PathLike[str] | None, *, init_file: str | None = None
+    bddl_file: str,
+    assets: str | PathLike[str] | None,
+    look: str | None,
+    *,
+    init_file: str | None = None,
 ) -> native.Scene:
     """Returns the compiled scene of a BDDL file. With the pack ``libero``, files that the scene
     needs are fetched if they are missing.
 
     Raises:
         FileNotFoundError: if files are missing.
+        ValueError: if there is no such look.
     """
-    sources, pack = str(files.sources()), files.assets(assets)
-    key = (_version(bddl_file), pack, init_file and _version(init_file))
+    sources, pack, look = str(files.sources()), files.assets(assets), files.look(look)
+    key = (_version(bddl_file), pack, look, init_file and _version(init_file))
     # Compiling takes a second; two threads that need the same scene wait for one compilation.
     with _lock:
         compiling = _compiling.setdefault(key, threading.Lock())
@@ -56,7 +64,9 @@ def scene(
         if compiled is None:
             if pack == files.LIBERO:
                 native.fetch_assets(sources, [bddl_file])
-            compiled = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
+            compiled = native.Scene(
+                bddl_file, assets=pack, sources=sources, look=look, init_file=init_file
+            )
             _scenes[key] = compiled
             if compiled.pack == "custom":
                 warnings.warn(

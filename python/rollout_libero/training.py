@@ -69,7 +69,7 @@ class TrainingEnvironment:
 
     Args:
         num_envs: the number of rows.
-        assets: as in ``Environment``.
+        assets, look: as in ``Environment``.
         threads: number of threads; by default one per core.
         cameras, height, width, orientation: settings of the frames, as in ``Environment``. Arrays
             are contiguous, and new in each call, so ``torch.from_numpy`` can take them over.
@@ -96,6 +96,7 @@ class TrainingEnvironment:
         control: Literal["relative", "absolute"] = "relative",
         settle_steps: int = 10,
         settle_action: Sequence[float] = (0, 0, 0, 0, 0, 0, -1),
+        look: str | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"failed to make {num_envs} environments: at least one is needed")
@@ -106,6 +107,7 @@ class TrainingEnvironment:
             )
         self.num_envs = num_envs
         self._assets = assets
+        self._look = look
         self._threads = threads or len(os.sched_getaffinity(0))
         self._cameras = [(camera, width, height) for camera in cameras]
         self._mirrored = is_mirrored(orientation)
@@ -134,7 +136,7 @@ class TrainingEnvironment:
                 f"failed to begin in {len(rows)} rows: {len(starts)} starts were given"
             )
         # All scenes are compiled before any row changes, as files may be missing.
-        compiled = [scenes.scene(_bddl_file(start.task), self._assets) for start in starts]
+        compiled = [scenes.scene(_bddl_file(start.task), self._assets, self._look) for start in starts]
         for row, scene in zip(rows, compiled, strict=True):
             self._assign(row, scene)
         # Equal starts are simulated once, in the first row that has them.

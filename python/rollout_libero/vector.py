@@ -94,6 +94,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         ) = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
+        look: str | None = None,
         execution: str | None = None,
         execute: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -108,7 +109,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self._execute = execute
         self._mirrored = is_mirrored(orientation)
         self.tasks = [Task.of(names[at % len(names)]) for at in range(self.num_envs)]
-        scenes = [scene_of_task(task, assets) for task in self.tasks]
+        scenes = [scene_of_task(task, assets, look) for task in self.tasks]
         self.simulations = [native.Simulation(scene, renderer=renderer) for scene in scenes]
         sharing = Counter(task.name for task in self.tasks)
         ranks: Counter[str] = Counter()

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use libero_ctrl::presets::ENV_SEED;
-use libero_ctrl::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
+use libero_ctrl::{Look, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
 use scene::{InitialStates, TaskFiles, compose};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -19,14 +19,16 @@ use worker::measure::open_loop::smooth_action;
 fn check_suite(suite: &str) {
     let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");
     let sources = sources();
-    let (Some(reference), Some(pack)) =
-        (shared("oracle/tasks-real", &test), libero(&sources, &test))
-    else {
+    let (Some(reference), Some(frames), Some(pack)) = (
+        shared("oracle/tasks-real", &test),
+        shared("oracle/tasks-look", &test),
+        libero(&sources, &test),
+    ) else {
         return;
     };
     let drawer = Drawer::open(Renderer::default()).unwrap();
     let limits = Limits::new(RendererRelation::for_drawer(&drawer, false));
-    let tasks = find_tasks(&reference).unwrap();
+    let tasks = find_tasks(&reference, Some(&frames)).unwrap();
     let mut compared = 0;
     for task in tasks.iter().filter(|task| task.suite == suite) {
         let findings = compare(task, &sources, &pack, &drawer).unwrap();
@@ -57,17 +59,34 @@ fn every_reference_task_of_libero_10_agrees_with_the_original() {
     check_suite("libero_10");
 }
 
+/// Compares one task of each suite in the look of MuJoCo 3.3.3; the tests above use the default
+/// look.
+#[test]
+fn the_newer_look_equals_the_originals_under_a_newer_mujoco() {
+    let test = "the_newer_look_equals_the_originals_under_a_newer_mujoco";
+    check_one_task_of_each_suite(Renderer::Software, Look::Mujoco333, test);
+}
+
 /// Compares one task of each suite with frames drawn through OpenGL; the tests above draw with the
 /// software renderer.
 #[test]
 fn frames_drawn_through_opengl_equal_the_originals_within_bounds() {
     let test = "frames_drawn_through_opengl_equal_the_originals_within_bounds";
+    check_one_task_of_each_suite(Renderer::Gl(GlDevice::Auto), Look::Mujoco332, test);
+}
+
+fn check_one_task_of_each_suite(renderer: Renderer, look: Look, test: &str) {
     let sources = sources();
-    let (Some(reference), Some(pack)) = (shared("oracle/tasks-real", test), libero(&sources, test))
-    else {
+    let (Some(reference), Some(frames), Some(pack)) = (
+        shared("oracle/tasks-real", test),
+        shared("oracle/tasks-look", test),
+        libero(&sources, test),
+    ) else {
         return;
     };
-    let drawer = match Drawer::open(Renderer::Gl(GlDevice::Auto)) {
+    let pack = pack.with_look(look);
+    let frames = (look == Look::Mujoco332).then_some(frames);
+    let drawer = match Drawer::open(renderer) {
         Ok(drawer) => drawer,
         Err(error) => {
             println!("skipped {test}: {error}");
@@ -75,7 +94,7 @@ fn frames_drawn_through_opengl_equal_the_originals_within_bounds() {
         }
     };
     let limits = Limits::new(RendererRelation::for_drawer(&drawer, false));
-    let mut tasks = find_tasks(&reference).unwrap();
+    let mut tasks = find_tasks(&reference, frames.as_deref()).unwrap();
     tasks.dedup_by_key(|task| task.suite.clone());
     assert_eq!(tasks.len(), 4, "the reference has tasks of all suites");
     for task in tasks {

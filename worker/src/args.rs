@@ -8,7 +8,7 @@ use std::str::FromStr;
 use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use libero_ctrl::{Execution, Level, Realisation, RolloutId, Suite, TaskRef};
+use libero_ctrl::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
 use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use sim::Renderer;
@@ -265,7 +265,7 @@ impl LoadArguments {
     }
 }
 
-/// Simulator, assets and renderer.
+/// Simulator, assets, renderer and look.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Scenes")]
 pub struct SimulatorArguments {
@@ -292,6 +292,10 @@ pub struct SimulatorArguments {
     /// that works; `gl:N` on the N-th, from 0)
     #[arg(long, value_name = "software|gl|gl:N", default_value_t, hide_short_help = true)]
     pub renderer: Renderer,
+    /// How texture files are read: `mujoco-3.3.2` (as LIBERO's demonstrations were drawn), or
+    /// `mujoco-3.3.3` (darker, as MuJoCo draws them since 3.3.3)
+    #[arg(long, value_name = "LOOK", default_value_t)]
+    pub look: Look,
 }
 
 /// A single rollout and its policy or actions.

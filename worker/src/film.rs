@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
-use libero_ctrl::{ManifestRow, Realisation, TaskRef};
+use libero_ctrl::{Look, ManifestRow, Realisation, TaskRef};
 use proto::coordinator::{Film, NextFilmRequest};
 use rollout_types::{AttemptId, Motion};
 use sim::{Simulator, SimulatorConfig};
@@ -29,6 +29,7 @@ pub struct Config {
     pub coordinator: String,
     pub access: Access,
     pub asset_pack_digest: String,
+    pub look: Look,
     /// Number of rollouts that are filmed in parallel.
     pub at_a_time: NonZeroUsize,
     /// Seed of the jitter in waits.
@@ -123,6 +124,7 @@ impl Filming<'_> {
             let request = NextFilmRequest {
                 asset_pack_digest: self.config.asset_pack_digest.clone(),
                 mujoco_version: Simulator::mujoco_version(),
+                look: self.config.look.to_string(),
             };
             let answer = self.handle.block_on(self.link.next_film(request));
             let answer = answer.map_err(|status| FilmError::Refused {

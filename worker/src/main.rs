@@ -113,7 +113,7 @@ fn open_simulator(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorCon
     }
     Ok(SimulatorConfig {
         sources,
-        pack,
+        pack: pack.with_look(arguments.look),
         renderer: arguments.renderer,
         cached_scenes: CACHED_SCENES,
     })
@@ -189,6 +189,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
         at_a_time,
         access: arguments.access.access(&[Role::Worker])?,
         asset_pack_digest: simulator.pack.digest().to_owned(),
+        look: simulator.pack.look(),
         seed: random_number(),
     };
     let pack = simulator.pack.name().to_owned();
@@ -202,9 +203,10 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     };
     let filmed = film::run(&config, &simulator, &provide)?;
     print_line(&format!(
-        "{} stored; no rollout is left to film with asset pack {pack} and MuJoCo {}",
+        "{} stored; no rollout is left to film with asset pack {pack}, MuJoCo {} and look {}",
         counted(filmed.stored, "video"),
-        Simulator::mujoco_version()
+        Simulator::mujoco_version(),
+        config.look
     ))?;
     anyhow::ensure!(
         filmed.failed == 0,
@@ -289,7 +291,8 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let is_users_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
     if is_users_folder && choice.may_need_further_assets(&cases) {
         // Besides LIBERO's own files, the rollouts also use further files in the user's folder.
-        simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
+        let look = simulator.pack.look();
+        simulator.pack = AssetPack::open_whole(simulator.pack.dir())?.with_look(look);
     }
     let audit = variants::Audit::new(cases, &rules, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
@@ -453,14 +456,16 @@ fn run_worker(
         asset_pack: simulator.pack.name().to_owned(),
         asset_pack_digest: simulator.pack.digest().to_owned(),
         mujoco_version: Simulator::mujoco_version(),
+        look: simulator.pack.look(),
     };
     print_line(&format!(
-        "worker {}: {}, assets {} ({}), MuJoCo {}, coordinator {}",
+        "worker {}: {}, assets {} ({}), MuJoCo {}, look {}, coordinator {}",
         identity.worker,
         counted(slots.get() as u64, "slot"),
         identity.asset_pack,
         identity.asset_pack_digest.get(..12).unwrap_or_default(),
         identity.mujoco_version,
+        identity.look,
         arguments.connect
     ))?;
     let scratch = tempfile::tempdir().context("make a folder for videos")?;
@@ -533,7 +538,7 @@ fn slot_program(
 }
 
 /// Returns the command line of `program` in a simulating mode (`slot` or `bench-slot`), with the
-/// worker's assets, sources, renderer and scene folder.
+/// worker's assets, sources, renderer, look and scene folder.
 fn program_of(
     mode: &str,
     program: PathBuf,
@@ -552,6 +557,8 @@ fn program_of(
             simulator.sources.dir().into(),
             "--renderer".into(),
             arguments.renderer.to_string().into(),
+            "--look".into(),
+            arguments.look.name().into(),
         ],
     };
     if let Some(scenes) = &arguments.scenes {

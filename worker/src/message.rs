@@ -10,7 +10,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::{ManifestRow, Realisation, RolloutId};
+use libero_ctrl::{Look, ManifestRow, Realisation, RolloutId};
 use proto::coordinator::release_request::Reason;
 use rollout_types::{AttemptId, Motion, Realised, RolloutResult};
 use serde::{Deserialize, Serialize};
@@ -169,6 +169,7 @@ pub struct Evidence {
     pub renderer: String,
     /// See [`sim::fingerprint`]; empty if no renderer was opened.
     pub fingerprint: String,
+    pub look: Look,
     /// Digest of the composed MJCF.
     pub scene_digest: String,
     /// Digest of the initial state's bytes.

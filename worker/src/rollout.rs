@@ -171,10 +171,12 @@ pub(crate) fn run_resumed(
     let (renderer, fingerprint) = stage
         .renderer_and_fingerprint(needs_renderer)
         .map_err(|source| run.simulator_failed(source))?;
+    let look = stage.look();
     let (result, digests, realised) = run.simulate(stage)?;
     let evidence = Evidence {
         renderer,
         fingerprint,
+        look,
         scene_digest: digests.scene,
         init_state_digest: digests.init_state,
         realised,

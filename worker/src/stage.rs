@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use libero_ctrl::{ManifestRow, Realisation};
+use libero_ctrl::{Look, ManifestRow, Realisation};
 use proto::policy as wire;
 use scene::TaskFiles;
 use sim::{Episode, SimError, Simulator, VariantStart};
@@ -54,6 +54,10 @@ impl<'a> Stage<'a> {
         }
         let renderer = self.simulator.renderer_name()?;
         Ok((renderer, self.simulator.fingerprint()?))
+    }
+
+    pub(crate) fn look(&self) -> Look {
+        self.simulator.look()
     }
 
     /// Prepares a rollout up to its loaded, perturbed initial state.

@@ -81,8 +81,9 @@ enum Command {
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
     Parity {
-        /// Passed on: --reference DIR [--assets PACK_OR_PATH] [--tasks SUITE/N,…]
-        /// [--renderer software|gl] [--frames-of-this-machine], or --family [--pictures DIR].
+        /// Passed on: --reference DIR [--overlay DIR] [--assets PACK_OR_PATH] [--look LOOK]
+        /// [--tasks SUITE/N,…] [--renderer software|gl] [--frames-of-this-machine], or --family
+        /// [--pictures DIR].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },

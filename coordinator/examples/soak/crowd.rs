@@ -292,6 +292,7 @@ impl Crowd {
             let request = wire::NextFilmRequest {
                 asset_pack_digest: sha(PACK),
                 mujoco_version: MUJOCO.to_owned(),
+                look: libero_ctrl::Look::default().to_string(),
             };
             let film = match client.next_film(request).await {
                 Ok(answer) => answer.into_inner().film,
@@ -335,6 +336,7 @@ fn registration(id: &str, slots: u32) -> wire::RegisterRequest {
         asset_pack_digest: sha(PACK),
         mujoco_version: MUJOCO.to_owned(),
         renderer: "none".to_owned(),
+        look: libero_ctrl::Look::default().to_string(),
         cores: slots,
         ..wire::RegisterRequest::default()
     }
@@ -372,6 +374,7 @@ fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
         provenance: Some(wire::Provenance {
             host: "soak".to_owned(),
             renderer: "none".to_owned(),
+            look: libero_ctrl::Look::default().to_string(),
             fingerprint: sha("bits"),
             mujoco_version: MUJOCO.to_owned(),
             asset_pack: PACK.to_owned(),

@@ -12,9 +12,9 @@ use coordinator::client::Service;
 use coordinator::video_estimate;
 use libero_ctrl::{
     Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution, ExecutionError,
-    Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo, PolicyRoute, Realisation,
-    Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName, Wanted,
-    select_tasks,
+    Level, Look, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo, PolicyRoute,
+    Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName,
+    Wanted, select_tasks,
 };
 use proto::coordinator::CreateCampaignRequest;
 use queue::expand::NewCampaign;
@@ -30,10 +30,11 @@ use super::{forecast, horizon, stopping};
 
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 23] = [
+const SPEC_FLAGS: [&str; 24] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
     "renderer", "stop", "stop_seed", "stop_strata", "execution", "suite", "protocol", "variants",
     "suites", "dimensions", "difficulties", "paraphrases", "trials", "runnable", "suite_file",
+    "look",
 ];
 /// Valid values of `--record`, `--nominal`, `--renderer`, `--directions` and `--stop-strata`.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
@@ -158,6 +159,10 @@ struct SpecFlags {
     /// Renderer required of the workers: `software` or `gl`. If omitted, the first result sets it.
     #[arg(long, value_parser = enum_parser::<RendererKind>(RENDERERS), hide_short_help = true)]
     renderer: Option<RendererKind>,
+    /// Look required of the workers: `mujoco-3.3.2` or `mujoco-3.3.3`. If omitted, the first result
+    /// sets it.
+    #[arg(long, hide_short_help = true)]
+    look: Option<Look>,
     /// Motion of the robot while an answer is under way, which takes N control steps of 50 ms:
     /// `wait`; `hold:N`, the arm holds still; `overlap:N`, it continues with the previous answer;
     /// `overlap:N,rtc`, the same, and each query carries the actions that are executed meanwhile.
@@ -413,6 +418,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         wanted: Wanted {
             assets: arguments.flags.assets.clone(),
             renderer: arguments.flags.renderer,
+            look: arguments.flags.look,
         },
         stop: arguments.stop.stop.clone().map(|rule| Stop {
             strata: arguments.stop.stop_strata.unwrap_or_else(|| Strata::default_for(&rule)),

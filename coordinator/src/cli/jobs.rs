@@ -258,11 +258,12 @@ fn describe_job(details: &GetJobResponse) -> String {
     }
     if let Some(result) = &details.result {
         lines.push(format!(
-            "  result         attempt {} by {} on {} ({}), {:.1} s, {} ago",
+            "  result         attempt {} by {} on {} ({}, look {}), {:.1} s, {} ago",
             result.attempt,
             result.worker_id,
             result.host,
             result.renderer,
+            result.look,
             result.wall_secs,
             duration_text(result.ago_secs)
         ));

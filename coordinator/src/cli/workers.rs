@@ -96,6 +96,7 @@ fn describe_worker(worker: &WorkerStatus) -> String {
             &worker.asset_pack,
             &worker.mujoco_version,
             &worker.renderer,
+            &worker.look,
             &worker.program_version
         )
     )

@@ -4,7 +4,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Axis, Suite, select_tasks};
+use libero_ctrl::{Axis, Look, Suite, select_tasks};
 use proto::{MAX_MOTION_STEPS, MAX_TEXT_BYTES, coordinator as wire};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
 use queue::read::JobFilter;
@@ -77,17 +77,19 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
             asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
             mujoco_version: required("mujoco_version", request.mujoco_version)?,
             renderer: required("renderer", request.renderer)?,
+            look: look(&request.look)?,
         },
         program_version: text("program_version", request.program_version)?,
     })
 }
 
-/// Reads the asset pack digest and simulator version of a film worker. The pack's name and the
+/// Reads the asset pack digest, simulator version and look of a film worker. The pack's name and the
 /// renderer do not matter, since films are for viewing and never compared.
 pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     Ok(Pin {
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
         mujoco_version: required("mujoco_version", request.mujoco_version)?,
+        look: look(&request.look)?,
         ..Pin::default()
     })
 }
@@ -111,6 +113,7 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
                 asset_pack_digest: required("asset_pack_digest", provenance.asset_pack_digest)?,
                 mujoco_version: required("mujoco_version", provenance.mujoco_version)?,
                 renderer: required("renderer", provenance.renderer)?,
+                look: look(&provenance.look)?,
             },
             fingerprint: digest("fingerprint", &provenance.fingerprint)?,
             realisation: realisation(&provenance.realisation)?,
@@ -370,6 +373,10 @@ fn realisation(name: &str) -> Result<String, Status> {
     name.parse::<libero_ctrl::Realisation>()
         .map(|realisation| realisation.to_string())
         .map_err(invalid)
+}
+
+fn look(name: &str) -> Result<Look, Status> {
+    name.parse().map_err(invalid)
 }
 
 fn text(field: &str, value: String) -> Result<String, Status> {

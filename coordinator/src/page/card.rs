@@ -276,6 +276,7 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("assets", format!("{} {pack_digest}", pin.asset_pack)),
         ("simulator", format!("MuJoCo {}", pin.mujoco_version)),
         ("renderer", pin.renderer.clone()),
+        ("look", pin.look.to_string()),
         ("fingerprint", short_digest(&provenance.fingerprint)),
         ("machine", provenance.host.clone()),
         ("worker's program", provenance.program_version.clone()),

@@ -112,6 +112,7 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
                     &line.asset_pack,
                     &line.mujoco_version,
                     &line.renderer,
+                    &line.look,
                     &line.program_version,
                 ))
             }

@@ -30,8 +30,11 @@ async fn commit_all_but_combination(outcome: bool) -> (Bench, Worker, wire::Leas
 }
 
 async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
-    let request =
-        wire::NextFilmRequest { asset_pack_digest: sha(pack), mujoco_version: "3.3.7".to_owned() };
+    let request = wire::NextFilmRequest {
+        asset_pack_digest: sha(pack),
+        mujoco_version: "3.3.7".to_owned(),
+        look: worker.look.clone(),
+    };
     let answer = worker.service.next_film(request).await;
     answer.expect("an answer").into_inner()
 }

@@ -48,6 +48,7 @@ pub(crate) struct Worker {
     pub(crate) id: String,
     pub(crate) pack: String,
     pub(crate) renderer: String,
+    pub(crate) look: String,
     pub(crate) fingerprint: String,
     pub(crate) service: WorkerServiceClient<Channel>,
 }
@@ -152,26 +153,25 @@ impl Bench {
         pack: &str,
         renderer: &str,
     ) -> Worker {
+        let renderer = renderer.to_owned();
+        self.register(wire::RegisterRequest { renderer, ..registration(id, pack) }).await
+    }
+
+    pub(crate) async fn register(&self, request: wire::RegisterRequest) -> Worker {
         let channel = Channel::from_shared(self.url.clone())
             .expect("a URL")
             .connect()
             .await
             .expect("a connection");
         let mut worker = Worker {
-            id: id.to_owned(),
-            pack: pack.to_owned(),
-            renderer: renderer.to_owned(),
+            id: request.worker_id.clone(),
+            pack: request.asset_pack.clone(),
+            renderer: request.renderer.clone(),
+            look: request.look.clone(),
             fingerprint: "bits".to_owned(),
             service: WorkerServiceClient::new(channel),
         };
-        worker
-            .service
-            .register(wire::RegisterRequest {
-                renderer: renderer.to_owned(),
-                ..registration(id, pack)
-            })
-            .await
-            .expect("registers");
+        worker.service.register(request).await.expect("registers");
         worker
     }
 
@@ -347,6 +347,7 @@ impl Worker {
             provenance: Some(wire::Provenance {
                 host: "bench".to_owned(),
                 renderer: self.renderer.clone(),
+                look: self.look.clone(),
                 fingerprint: sha(&self.fingerprint),
                 mujoco_version: "3.3.7".to_owned(),
                 asset_pack: self.pack.clone(),
@@ -467,6 +468,7 @@ pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
         asset_pack_digest: sha(pack),
         mujoco_version: "3.3.7".to_owned(),
         renderer: "llvmpipe".to_owned(),
+        look: "mujoco-3.3.2".to_owned(),
         cores: 2,
         ..wire::RegisterRequest::default()
     }

@@ -1,8 +1,8 @@
 //! Assets, simulator and renderer that a campaign requires of its workers, by its specification or
 //! after its first result pinned it.
 
-use proto::coordinator::Provenance;
 use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::{self as wire, Provenance};
 use serde_json::json;
 
 use crate::harness::{Bench, registration, small_spec, with};
@@ -64,6 +64,33 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     }
     assert_eq!(bench.status("pinned").await.live_workers, 1);
     assert_eq!(first.claim_warm(4, "libero_object/0").await.len(), 3);
+}
+
+#[tokio::test]
+async fn a_campaign_of_one_look_refuses_a_worker_of_the_other() {
+    let with_look = |id: &str, look: &str| wire::RegisterRequest {
+        look: look.to_owned(),
+        ..registration(id, "primitives")
+    };
+    let bench = Bench::start().await;
+    bench.create(&small_spec("pinned")).await.expect("created");
+    let wanted = with(small_spec("wanted"), json!({ "look": "mujoco-3.3.3" }));
+    bench.create(&wanted).await.expect("created");
+    let mut first = bench.register(with_look("a", "mujoco-3.3.2")).await;
+    let mut second = bench.register(with_look("b", "mujoco-3.3.3")).await;
+    let (lease, other_lease) = (first.claim_one().await, second.claim_one().await);
+    assert_eq!([&*lease.campaign, &*other_lease.campaign], ["pinned"; 2]);
+    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
+    let (verdict, detail) = second.commit_request(second.report(&other_lease, true)).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    assert!(detail.contains("and look `mujoco-3.3.2` and this result is of"), "{detail}");
+    assert!(detail.ends_with("and look `mujoco-3.3.3`"), "{detail}");
+    assert_eq!(second.claim_one().await.campaign, "wanted");
+    assert_eq!(first.claim(4).await.len(), 3);
+    let response = first.claim_response("").await;
+    assert!(response.idle_reason.contains("wants look `mujoco-3.3.3`"), "{response:?}");
+    let charged = "SELECT max(charged_attempts) FROM job";
+    assert_eq!(bench.count(charged).await, 0);
 }
 
 #[tokio::test]

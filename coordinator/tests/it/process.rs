@@ -111,6 +111,7 @@ impl Serve {
             id: id.to_owned(),
             pack: "primitives".to_owned(),
             renderer: "llvmpipe".to_owned(),
+            look: "mujoco-3.3.2".to_owned(),
             fingerprint: "bits".to_owned(),
             service: service.map_err(|error| Status::unavailable(error.to_string()))?,
         };

@@ -49,6 +49,13 @@ mod _native {
 
     use super::*;
 
+    /// Names of the looks, the default first.
+    #[pymodule_export]
+    const LOOKS: [&str; 2] = {
+        let [default, other] = libero_ctrl::Look::ALL;
+        [default.name(), other.name()]
+    };
+
     /// Version of the loaded MuJoCo library.
     #[pyfunction]
     fn mujoco_version() -> String {

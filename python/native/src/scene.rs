@@ -4,6 +4,7 @@ use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use libero_ctrl::Look;
 use libero_ctrl::presets::ENV_SEED;
 use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
@@ -25,6 +26,7 @@ pub(crate) struct Scene {
     bddl_file: PathBuf,
     #[pyo3(get)]
     pack: String,
+    look: Look,
     #[pyo3(get)]
     digest: String,
     /// Files in which the pack differs from LIBERO's.
@@ -40,16 +42,19 @@ impl Scene {
     /// Compiles the scene of a BDDL file, or maps the stored scene into memory if this machine has
     /// compiled it before.
     /// `init_file` provides the initial states of rollouts.
+    /// `look` is one of `LOOKS`.
     #[new]
-    #[pyo3(signature = (bddl_file, *, assets, sources, init_file = None))]
+    #[pyo3(signature = (bddl_file, *, assets, sources, look, init_file = None))]
     fn new(
         py: Python<'_>,
         bddl_file: PathBuf,
         assets: &str,
         sources: PathBuf,
+        look: &str,
         init_file: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let scene = py.detach(|| Self::compile(bddl_file, assets, &sources, init_file))?;
+        let look = look.parse().map_err(|error| invalid(format_args!("{error}")))?;
+        let scene = py.detach(|| Self::compile(bddl_file, assets, &sources, look, init_file))?;
         if let Some(problem) = SceneFolder::take_problem() {
             let problem = CString::new(problem)?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &problem, 1)?;
@@ -67,6 +72,11 @@ impl Scene {
     #[getter]
     fn language(&self) -> &str {
         &self.problem.language
+    }
+
+    #[getter]
+    fn look(&self) -> &'static str {
+        self.look.name()
     }
 
     #[getter]
@@ -116,13 +126,14 @@ impl Scene {
         bddl_file: PathBuf,
         assets: &str,
         sources: &Path,
+        look: Look,
         init_file: Option<PathBuf>,
     ) -> PyResult<Self> {
         let sources = Sources::open(sources).map_err(error::scene)?;
         let files =
             TaskFiles { bddl: bddl_file.clone(), init: init_file.clone().unwrap_or_default() };
         let named_pack = opened(assets, &sources).map_err(error::scene)?;
-        let pack = opened_for(&files, assets, &sources).map_err(error::scene)?;
+        let pack = opened_for(&files, assets, &sources).map_err(error::scene)?.with_look(look);
         let problem = files.problem().map_err(error::scene)?;
         let (compiled, ready) = if init_file.is_some() {
             let ready = ReadyScene::compile(files, &pack, &sources).map_err(error::simulation)?;
@@ -140,6 +151,7 @@ impl Scene {
             problem,
             bddl_file,
             pack: named_pack.name().to_owned(),
+            look,
             pack_differences: named_pack.differences().to_vec(),
         })
     }

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use libero_ctrl::{Benchmark, TaskRef};
+use libero_ctrl::{Benchmark, Look, TaskRef};
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};
@@ -24,6 +24,12 @@ struct Arguments {
     /// folder are used if they exist.
     #[arg(long, required_unless_present = "family")]
     reference: Option<PathBuf>,
+    /// Folder of the same layout whose frames and arrays replace those of the reference.
+    #[arg(long, requires = "reference")]
+    overlay: Option<PathBuf>,
+    /// Look of the scenes that are compared.
+    #[arg(long, default_value_t)]
+    look: Look,
     /// Compare LIBERO-Plus, LIBERO-PRO and LIBERO-Para with the committed recordings instead.
     /// `ROLLOUT_PRO_ASSETS` names the folder of LIBERO-PRO's assets, `ROLLOUT_PARA` the checkout of
     /// LIBERO-Para.
@@ -73,12 +79,13 @@ fn run(arguments: &Arguments) -> Result<bool> {
     let Some(reference) = &arguments.reference else {
         return family(arguments, sources);
     };
-    let tasks = select(find_tasks(reference)?, &arguments.tasks)?;
+    let tasks = select(find_tasks(reference, arguments.overlay.as_deref())?, &arguments.tasks)?;
     let references = tasks.iter().map(|task| task.id().parse());
     let references = references.collect::<Result<Vec<TaskRef>, _>>()?;
-    let pack = open_pack(&arguments.assets, &sources, references)?;
+    let pack = open_pack(&arguments.assets, &sources, references)?.with_look(arguments.look);
     let drawer = Drawer::open(arguments.renderer)?;
-    println!("MuJoCo {}, drawn by {}", sim::mujoco::version(), drawer.name());
+    let version = sim::mujoco::version();
+    println!("MuJoCo {version}, drawn by {}, look {}", drawer.name(), arguments.look);
     let limits =
         Limits::new(RendererRelation::for_drawer(&drawer, arguments.frames_of_this_machine));
     println!(

@@ -156,6 +156,7 @@ fn play(
         evidence: Evidence {
             renderer: RENDERER.to_owned(),
             fingerprint: digest(RENDERER),
+            look: libero_ctrl::Look::default(),
             scene_digest: digest(&row.id.task().to_string()),
             init_state_digest: digest(&format!("{} {}", row.id.task(), row.init_id)),
             realised: realised(assignment),

@@ -19,6 +19,8 @@ pub struct ReferenceTask {
     /// Index in the suite.
     pub index: usize,
     dir: PathBuf,
+    /// Folder whose files replace those of `dir`.
+    overlay: Option<PathBuf>,
     /// Folder of the recordings that cover several tasks.
     root: PathBuf,
     meta: Value,
@@ -45,8 +47,9 @@ impl Array {
     }
 }
 
-/// Finds all tasks in a folder, ordered by suite and index.
-pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
+/// Finds all tasks in a folder, ordered by suite and index. Files in `overlay`, a folder of the same
+/// layout, replace theirs.
+pub fn find_tasks(reference: &Path, overlay: Option<&Path>) -> Result<Vec<ReferenceTask>> {
     ensure!(
         reference.is_dir(),
         "read the reference {}: no such folder; --reference takes the folder that holds \
@@ -68,7 +71,9 @@ pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
                 .with_context(|| format!("read {}", path.display()))?;
             let meta = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
             let suite = suite.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            tasks.push(ReferenceTask { suite, index, dir, root: root.to_owned(), meta });
+            let overlay = overlay.map(|overlay| overlay.join(&suite).join(&name));
+            let root = root.to_owned();
+            tasks.push(ReferenceTask { suite, index, dir, overlay, root, meta });
         }
     }
     tasks.sort_by_key(|task| (task.suite.clone(), task.index));
@@ -109,7 +114,8 @@ impl ReferenceTask {
     }
 
     pub(crate) fn path(&self, file: &str) -> PathBuf {
-        self.dir.join(file)
+        let overlay = self.overlay.iter().map(|overlay| overlay.join(file));
+        overlay.filter(|path| path.is_file()).next().unwrap_or_else(|| self.dir.join(file))
     }
 
     /// Returns the path of the recording of contact-rich steps, if it exists.
@@ -196,7 +202,7 @@ mod tests {
         let tasks = root.path().join("tasks");
         fs::create_dir_all(tasks.join("libero_goal/03_task")).unwrap();
         fs::write(tasks.join("libero_goal/03_task/meta.json"), "{}").unwrap();
-        let sensitivity = || find_tasks(&tasks).unwrap()[0].contact_sensitivity().unwrap();
+        let sensitivity = || find_tasks(&tasks, None).unwrap()[0].contact_sensitivity().unwrap();
         assert_eq!(sensitivity(), None, "no file");
         let file = root.path().join("sensitivity.json");
         fs::write(&file, r#"{"tasks":{"libero_goal/4":{"contact":[1e-15]}}}"#).unwrap();
@@ -215,7 +221,7 @@ mod tests {
         fs::create_dir(&contact).unwrap();
         fs::write(contact.join("libero_goal_03.npz"), "").unwrap();
         for name in ["", "libero_goal/..", "libero_goal/../."] {
-            let found = find_tasks(&tasks.join(name)).unwrap();
+            let found = find_tasks(&tasks.join(name), None).unwrap();
             assert!(found[0].contact_path().is_some(), "`{name}`");
         }
     }

@@ -23,7 +23,7 @@ fn short_help_fits_a_screen_and_scene_options_have_their_own_section() {
         assert!(!short.contains("--scenes"), "{short}");
         let section = |title: &str| long.split_once(title).expect(title).1;
         let scenes = section("\nScenes:\n");
-        for option in ["--assets", "--sources", "--scenes", "--renderer"] {
+        for option in ["--assets", "--sources", "--scenes", "--renderer", "--look"] {
             assert!(scenes.contains(option), "{words}: {long}");
         }
         assert!(section("\nConnection:\n").contains("--token-file"), "{long}");

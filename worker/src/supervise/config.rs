@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::TaskRef;
+use libero_ctrl::{Look, TaskRef};
 use libero_family::TaskKey;
 use proto::COORDINATOR_PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
@@ -56,6 +56,7 @@ pub struct Identity {
     pub asset_pack_digest: String,
     /// The simulator's version.
     pub mujoco_version: String,
+    pub look: Look,
 }
 
 impl Config {
@@ -84,6 +85,7 @@ pub(super) fn registration(config: &Config, renderer: String) -> RegisterRequest
         renderer,
         cores: cores(),
         machine: identity.machine,
+        look: identity.look.to_string(),
     }
 }
 

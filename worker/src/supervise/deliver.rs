@@ -212,5 +212,6 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         policy_settings: evidence.policy_settings,
         batch_mode: evidence.batch_mode,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        look: evidence.look.to_string(),
     }
 }

@@ -7,7 +7,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{JsonError, ManifestRow};
+use libero_ctrl::{JsonError, Look, ManifestRow};
 use libero_family::Case;
 use libero_family::protocol::Protocol;
 use scene::AssetPack;
@@ -42,6 +42,8 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of MuJoCo.
     pub mujoco: String,
+    #[serde(default = "Look::of_unnamed_results")]
+    pub look: Look,
 }
 
 /// A rollout's result.
@@ -98,6 +100,7 @@ impl Pin {
             corruption_rules: CORRUPTION_RULES.to_owned(),
             asset_pack_digest: pack.digest().to_owned(),
             mujoco: Simulator::mujoco_version(),
+            look: pack.look(),
         }
     }
 
@@ -114,9 +117,10 @@ impl Pin {
                 pin.corruption_rules.clone(),
                 pin.asset_pack_digest.clone(),
                 pin.mujoco.clone(),
+                pin.look.to_string(),
             ]
         };
-        const NAMES: [&str; 9] = [
+        const NAMES: [&str; 10] = [
             "benchmark",
             "protocol",
             "prompt source",
@@ -126,6 +130,7 @@ impl Pin {
             "corruption rules",
             "asset pack",
             "MuJoCo",
+            "look",
         ];
         let pairs = values(self).into_iter().zip(values(other));
         let mut named = NAMES.into_iter().zip(pairs);
@@ -333,6 +338,7 @@ mod tests {
             corruption_rules: CORRUPTION_RULES.to_owned(),
             asset_pack_digest: "ab".to_owned(),
             mujoco: "3.3.7".to_owned(),
+            look: Look::default(),
         }
     }
 

@@ -27,7 +27,7 @@ send_event() { send_line '{"rollout": {"attempt": "'"$attempt"'", "event": '"$1"
 result() {
     printf '{"finished": {"result": {"success": true, "steps": %s, "wall_secs": 1.0,
         "ik": null, "clipped_actions": 0, "policy_queries": 1},
-        "evidence": {"renderer": "shell", "fingerprint": "ff", "scene_digest": "aa",
+        "evidence": {"renderer": "shell", "fingerprint": "ff", "look": "mujoco-3.3.2", "scene_digest": "aa",
         "init_state_digest": "bb", "realised": {}, "first_frame_digest": "",
         "policy_name": "", "policy_checkpoint": "", "policy_checkpoint_digest": "",
         "policy_privileged": false, "policy_canonical_only": false,

@@ -243,6 +243,7 @@ fn pin() -> Pin {
         asset_pack_digest: sha("primitives"),
         mujoco_version: "3.3.7".to_owned(),
         renderer: "llvmpipe".to_owned(),
+        look: libero_ctrl::Look::default(),
     }
 }
 

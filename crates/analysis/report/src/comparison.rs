@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::analysis::Analysis;
 use crate::sequential_comparison::{NoCommonOrder, SequentialComparison};
 use crate::subject::{Origin, Setups, Subject};
-use crate::warnings::{Property, mujoco, pack, renderer};
+use crate::warnings::{Property, look, mujoco, pack, renderer};
 
 /// A completed comparison of two policies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -56,16 +56,16 @@ pub struct Unpairable {
 }
 
 /// Properties of the measurement that both policies must share.
-pub(crate) const SHARED: [(&str, Property); 3] =
-    [("asset pack", pack), ("MuJoCo version", mujoco), ("renderer", renderer)];
+pub(crate) const SHARED: [(&str, Property); 4] =
+    [("asset pack", pack), ("MuJoCo version", mujoco), ("renderer", renderer), ("look", look)];
 
 impl Comparison {
     /// Compares two policies, A − B. `setups` are the known digests of their rollouts.
     ///
     /// # Errors
     /// If no rollouts can be paired: a campaign is of LIBERO's family or of a suite file, the
-    /// policies were measured with different asset packs, MuJoCo versions, renderers or realisation
-    /// modes, or they have no rollout in common.
+    /// policies were measured with different asset packs, MuJoCo versions, renderers, looks or
+    /// realisation modes, or they have no rollout in common.
     pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
         let [a, b] = analyses;
         let sides = sides(a, b);

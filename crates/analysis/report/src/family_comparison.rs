@@ -72,7 +72,7 @@ impl FamilyComparison {
     /// file.
     ///
     /// # Errors
-    /// If the campaigns are of different benchmarks, asset packs, MuJoCo versions or renderers,
+    /// If the campaigns are of different benchmarks, asset packs, MuJoCo versions, renderers or looks,
     /// have an unknown variant or protocol, or have no rollout in common.
     pub fn of(a: &Subject, b: &Subject) -> Result<Option<Self>, FamilyComparisonError> {
         let (Some(family_a), Some(family_b)) = (Family::of(a)?, Family::of(b)?) else {

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use libero_ctrl::{Condition, delay_at};
+use libero_ctrl::{Condition, Look, delay_at};
 use rollout_types::{Fingerprints, Provenance};
 
 use crate::subject::{Subject, pluralise};
@@ -31,6 +31,15 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
         "never pooled: the robot moves differently under each",
     ));
     warnings.extend(subject.fingerprints.as_ref().map(describe_fingerprints));
+    if let Some(p) = provenances.iter().find(|p| p.pin.look != Look::default()) {
+        warnings.push(format!(
+            "drawn with the look `{}`: LIBERO's demonstrations and published figures of most \
+             policies have `{}`, and a policy trained on one look may lose much in the other \
+             (docs/LOOKS.md)",
+            p.pin.look,
+            Look::default()
+        ));
+    }
     if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
@@ -78,6 +87,7 @@ pub(crate) fn comparison_warnings(subjects: &[Subject]) -> Vec<String> {
         ("MuJoCo version", "each simulates differently", mujoco as Property),
         ("asset pack", "each is a benchmark of its own", pack),
         ("renderer", "each draws different pictures", renderer),
+        ("look", "each shows other colours", look),
     ];
     for (name, consequence, property) in comparable {
         let values = subjects.iter().flat_map(|s| s.provenances.iter().map(property));
@@ -107,12 +117,13 @@ pub(crate) type Property = fn(&Provenance) -> String;
 
 /// Properties that all results of a campaign should share, and the consequence if they
 /// differ.
-const MIXTURES: [(&str, &str, Property); 6] = [
+const MIXTURES: [(&str, &str, Property); 7] = [
     ("MuJoCo version", "never pooled: each simulates differently", mujoco),
     ("asset pack", "never pooled: each is a benchmark of its own", pack),
     ("policy checkpoint", "each is a policy of its own", checkpoint),
     ("batch mode", "batched queries can change a policy's answers", |p| p.batch_mode.clone()),
     ("renderer", "never pooled: each draws different pictures", renderer),
+    ("look", "never pooled: each shows other colours", look),
     ("program version", "compare with care", |p| p.program_version.clone()),
 ];
 
@@ -128,6 +139,10 @@ pub(crate) fn pack(p: &Provenance) -> String {
 /// frame.
 pub(crate) fn renderer(p: &Provenance) -> String {
     p.pin.renderer.clone()
+}
+
+pub(crate) fn look(p: &Provenance) -> String {
+    p.pin.look.to_string()
 }
 
 /// Returns the execution models of the results, without those of the latency axis.

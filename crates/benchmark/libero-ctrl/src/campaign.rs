@@ -13,6 +13,7 @@ use crate::execution::Execution;
 use crate::explanation::Explanation;
 use crate::latency::AnyAxis;
 use crate::level::Level;
+use crate::look::Look;
 use crate::manifest;
 use crate::names::UnknownName;
 use crate::placebo::Placebo;
@@ -49,7 +50,7 @@ pub struct CampaignSpec {
     pub replicates: u32,
     /// Rollouts to record on video.
     pub record: Record,
-    /// Asset pack and renderer required of workers. The first result fixes them if they are
+    /// Asset pack, renderer and look required of workers. The first result fixes them if they are
     /// unspecified.
     pub wanted: Wanted,
     /// Rule for stopping early; without a rule, all rollouts run.
@@ -303,6 +304,8 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     renderer: Option<RendererKind>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    look: Option<Look>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     stop: Option<Stop>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     execution: Option<Execution>,
@@ -349,7 +352,7 @@ impl TryFrom<SpecText> for CampaignSpec {
             realisation: text.realisation,
             replicates: text.replicates,
             record: text.record,
-            wanted: Wanted { assets: text.assets, renderer: text.renderer },
+            wanted: Wanted { assets: text.assets, renderer: text.renderer, look: text.look },
             stop: text.stop,
             execution: text.execution.unwrap_or_else(|| rollouts.execution()),
             rollouts,
@@ -382,6 +385,7 @@ impl From<CampaignSpec> for SpecText {
             record: spec.record,
             assets: spec.wanted.assets,
             renderer: spec.wanted.renderer,
+            look: spec.wanted.look,
             stop: spec.stop,
             execution: (!spec.execution.is_wait()).then_some(spec.execution),
         };

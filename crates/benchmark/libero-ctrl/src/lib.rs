@@ -28,6 +28,7 @@ mod expansion;
 mod explanation;
 mod latency;
 mod level;
+mod look;
 mod manifest_version;
 mod measurable;
 mod names;
@@ -67,6 +68,7 @@ pub use execution::{
 pub use explanation::Explanation;
 pub use latency::{AnyAxis, STEPS_PER_RADIUS, delay_at};
 pub use level::Level;
+pub use look::Look;
 pub use measurable::NotMeasurable;
 pub use names::UnknownName;
 pub use own_task::{Beginning, Changes, OwnTask};

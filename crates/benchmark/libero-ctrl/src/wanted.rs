@@ -5,12 +5,14 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::look::Look;
+
 /// Smallest number of digits of a digest that identifies an asset pack.
 pub(crate) const MIN_DIGEST_DIGITS: usize = 8;
 /// Asset packs by name.
 const PACKS: [&str; 2] = ["primitives", "libero"];
 
-/// Asset pack and renderer required of a campaign's workers.
+/// Asset pack, renderer and look required of a campaign's workers.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Wanted {
     /// The asset pack: `primitives`, `libero`, or the first digits of a pack's
@@ -18,6 +20,8 @@ pub struct Wanted {
     pub assets: Option<String>,
     /// The renderer.
     pub renderer: Option<RendererKind>,
+    /// The look.
+    pub look: Option<Look>,
 }
 
 /// Renderer of a worker's frames.
@@ -57,7 +61,8 @@ impl fmt::Display for Wanted {
         let assets = self.assets.iter().map(|name| format!("assets `{name}`"));
         let renderer = self.renderer.iter();
         let renderer = renderer.map(|kind| format!("renderer `{}`", kind.name()));
-        let parts: Vec<String> = assets.chain(renderer).collect();
+        let look = self.look.iter().map(|look| format!("look `{look}`"));
+        let parts: Vec<String> = assets.chain(renderer).chain(look).collect();
         f.write_str(&parts.join(" and "))
     }
 }
@@ -69,7 +74,7 @@ mod tests {
     #[test]
     fn assets_are_a_packs_name_or_the_beginning_of_its_digest() {
         let check = |assets: &str, is_known: bool| {
-            let wanted = Wanted { assets: Some(assets.to_owned()), renderer: None };
+            let wanted = Wanted { assets: Some(assets.to_owned()), ..Wanted::default() };
             assert_eq!(wanted.unknown_assets().is_none(), is_known, "{assets}");
         };
         check("primitives", true);

@@ -215,12 +215,14 @@ pub const INVARIANTS: [Invariant; 20] = [
     // its results, which have no fingerprint, may come from any renderer.
     Invariant {
         name: "results_are_of_the_pin",
-        query: "SELECT format('the result of job %d is not of the assets, simulator, renderer, '
+        query:
+            "SELECT format('the result of job %d is not of the assets, simulator, renderer, look, '
              || 'realisation or job of campaign %s', r.job_id, c.name)
          FROM result r JOIN campaign c ON c.id = r.campaign_id
          JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
          WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
              OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
+             OR p.look IS NOT c.look
              OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)",
     },
     // A result is within the step budget of its job, and its numbers are within the bounds of

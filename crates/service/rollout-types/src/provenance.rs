@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use libero_ctrl::{RendererKind, Wanted};
+use libero_ctrl::{Look, RendererKind, Wanted};
 use serde::{Deserialize, Serialize};
 
 /// Name of this project's renderer, up to its version.
@@ -18,9 +18,8 @@ pub const EXECUTION: &str = "execution model";
 /// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
 
-/// Asset pack, simulator and renderer of a worker. A campaign is pinned to one combination: results
-/// of different asset packs, simulators or renderers belong to different benchmarks and are never
-/// pooled.
+/// Asset pack, simulator, renderer and look of a worker. A campaign is pinned to one combination:
+/// results of different combinations belong to different benchmarks and are never pooled.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
     pub asset_pack: String,
@@ -32,6 +31,8 @@ pub struct Pin {
     /// result sets it.
     #[serde(alias = "gl_renderer")]
     pub renderer: String,
+    #[serde(default = "Look::of_unnamed_results")]
+    pub look: Look,
 }
 
 /// The part of a result's origin that many results share.
@@ -39,7 +40,7 @@ pub struct Pin {
 pub struct Provenance {
     /// Name of the machine.
     pub host: String,
-    /// The worker's asset pack, simulator and renderer.
+    /// The worker's asset pack, simulator, renderer and look.
     #[serde(flatten)]
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex. Slots with equal fingerprints simulate and
@@ -99,6 +100,7 @@ impl Pin {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
+            && self.look == worker.look
     }
 
     /// Returns true if a worker with this pin meets a campaign's requirements.
@@ -108,7 +110,9 @@ impl Pin {
         };
         let is_software = self.renderer.starts_with(SOFTWARE_RENDERER);
         let draws = |kind| (kind == RendererKind::Software) == is_software;
-        wanted.assets.as_ref().is_none_or(has_pack) && wanted.renderer.is_none_or(draws)
+        wanted.assets.as_ref().is_none_or(has_pack)
+            && wanted.renderer.is_none_or(draws)
+            && wanted.look.is_none_or(|look| look == self.look)
     }
 }
 
@@ -174,9 +178,9 @@ impl fmt::Display for Pin {
         let (pack, version) = (&self.asset_pack, &self.mujoco_version);
         write!(f, "asset pack `{pack}` ({digest}) with MuJoCo {version}")?;
         if !self.renderer.is_empty() {
-            write!(f, " and renderer `{}`", self.renderer)?;
+            write!(f, ", renderer `{}`", self.renderer)?;
         }
-        Ok(())
+        write!(f, " and look `{}`", self.look)
     }
 }
 

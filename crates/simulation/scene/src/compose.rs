@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use libero_ctrl::Predicate;
+use libero_ctrl::{Look, Predicate};
 use sha2::{Digest, Sha256};
 
 use crate::arena::{Arena, arena, known_problems};
@@ -98,7 +98,8 @@ impl Scene {
     }
 }
 
-/// Composes a problem with a pack; `env_seed` determines the poses of fixtures in campaigns.
+/// Composes a problem with a pack, in the pack's look; `env_seed` determines the poses of fixtures
+/// in campaigns.
 pub fn compose(
     problem: &Problem,
     pack: &AssetPack,
@@ -122,6 +123,14 @@ pub fn compose(
     for part in &parts {
         model.merge_assets(&part.part);
         model.worldbody_mut().children.push(part.body.clone());
+    }
+    if pack.look() == Look::Mujoco332 {
+        // MuJoCo 3.3.7 otherwise takes the colour space from the file.
+        for asset in &mut model.root.child_mut("asset").children {
+            if asset.tag == "texture" && asset.get("file").is_some() {
+                asset.set("colorspace", "linear");
+            }
+        }
     }
     let samplers = Samplers::new(problem, &arena, &parts, &regions)?;
     let scene = Scene {

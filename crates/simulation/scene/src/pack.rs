@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use assets::{Table, VerifiedFolder};
+use libero_ctrl::Look;
 use sha2::{Digest, Sha256};
 
 use crate::error::SceneError;
@@ -35,6 +36,7 @@ pub struct AssetPack {
     verified: Option<Arc<VerifiedFolder>>,
     is_managed: bool,
     differences: Vec<String>,
+    look: Look,
 }
 
 impl AssetPack {
@@ -79,11 +81,13 @@ impl AssetPack {
             dir,
             is_managed,
             differences: Vec::new(),
+            look: Look::default(),
         }
     }
 
     fn custom(dir: PathBuf, digest: String, differences: Vec<String>) -> Self {
-        Self { name: CUSTOM, dir, digest, verified: None, is_managed: false, differences }
+        let look = Look::default();
+        Self { name: CUSTOM, dir, digest, verified: None, is_managed: false, differences, look }
     }
 
     /// Opens a given folder as the target of a fetch of LIBERO's assets. The folder need not exist.
@@ -115,6 +119,16 @@ impl AssetPack {
         let dir = existing_folder(dir)?;
         let digest = digest_of_folder(&dir)?;
         Ok(Self::custom(dir, digest, Vec::new()))
+    }
+
+    /// Returns the pack for scenes with this look. Packs are opened with the default look.
+    pub fn with_look(self, look: Look) -> Self {
+        Self { look, ..self }
+    }
+
+    /// Returns the look of scenes that are composed with the pack.
+    pub fn look(&self) -> Look {
+        self.look
     }
 
     /// Returns the name: `primitives`, `libero` or `custom`.

@@ -7,6 +7,7 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
+use libero_ctrl::Look;
 use nalgebra::SMatrix;
 use sha2::{Digest, Sha256};
 
@@ -28,17 +29,17 @@ const DETUNING: f64 = 0.37;
 /// Cameras of the frames, with widths and heights, pixels.
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
 
-/// Returns the fingerprint of this process with a renderer: SHA-256, hex.
+/// Returns the fingerprint of this process with a renderer and a look: SHA-256, hex.
 ///
 /// # Errors
 /// If the renderer fails, or MuJoCo rejects the scene.
-pub fn fingerprint(drawer: &Drawer) -> Result<String, SimError> {
+pub fn fingerprint(drawer: &Drawer, look: Look) -> Result<String, SimError> {
     let mut model = Model::compile(SCENE)?;
     model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
     let mut data = Data::new(&model)?;
     let numbers = motion(&model, &mut data)?;
     let frames = frames(drawer, &mut model, &mut data)?;
-    Ok(digest(&numbers, &frames))
+    Ok(digest(look, &numbers, &frames))
 }
 
 /// Returns all numbers of the motion, of the controller's algebra and of the C library's functions.
@@ -121,8 +122,10 @@ fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec
     frames.collect()
 }
 
-fn digest(numbers: &[f64], frames: &[Vec<u8>]) -> String {
+fn digest(look: Look, numbers: &[f64], frames: &[Vec<u8>]) -> String {
     let mut hash = Sha256::new();
+    // The scene has no texture files, so its frames are the same in every look.
+    hash.update(look.name());
     for number in numbers {
         hash.update(number.to_bits().to_le_bytes());
     }
@@ -154,27 +157,28 @@ mod tests {
     fn a_fingerprint_is_repeatable_and_takes_less_than_three_seconds() {
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
         let started = Instant::now();
-        let first = fingerprint(&drawer).expect("a fingerprint");
+        let first = fingerprint(&drawer, Look::default()).expect("a fingerprint");
         let took = started.elapsed();
         println!("{first} in {took:?}");
         assert_eq!(first.len(), 64);
-        assert_eq!(first, fingerprint(&drawer).expect("a fingerprint"));
+        assert_eq!(first, fingerprint(&drawer, Look::default()).expect("a fingerprint"));
         // The limit is ten times the duration on two old cores.
         assert!(took < Duration::from_secs(3), "{took:?}");
     }
 
     #[test]
-    fn the_fingerprint_depends_on_every_bit_of_motion_and_frames() {
+    fn the_fingerprint_depends_on_the_look_and_every_bit_of_motion_and_frames() {
         let (_, _, numbers) = simulate();
         let frames = vec![vec![1, 2, 3], vec![4]];
-        let whole = digest(&numbers, &frames);
+        let whole = digest(Look::default(), &numbers, &frames);
         for place in [0, numbers.len() / 2, numbers.len() - 1] {
             let mut altered = numbers.clone();
             altered[place] = f64::from_bits(altered[place].to_bits() ^ 1);
-            assert_ne!(digest(&altered, &frames), whole, "number {place}");
+            assert_ne!(digest(Look::default(), &altered, &frames), whole, "number {place}");
         }
+        assert_ne!(digest(Look::Mujoco333, &numbers, &frames), whole);
         let altered = vec![vec![1, 2, 3], vec![5]];
-        assert_ne!(digest(&numbers, &altered), whole);
+        assert_ne!(digest(Look::default(), &numbers, &altered), whole);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use libero_ctrl::{ManifestRow, Realisation};
+use libero_ctrl::{Look, ManifestRow, Realisation};
 use scene::{AssetPack, Sources, TaskFiles};
 
 use crate::environment::Environment;
@@ -19,7 +19,7 @@ use crate::variant::VariantStart;
 pub struct SimulatorConfig {
     /// Folder of robot models, BDDL files and initial states.
     pub sources: Sources,
-    /// Asset pack with models of objects and arenas.
+    /// Asset pack with models of objects and arenas, and the look of scenes.
     pub pack: AssetPack,
     pub renderer: Renderer,
     /// Number of compiled scenes kept in memory; each takes 0.8 to 1.3 GB with LIBERO's assets,
@@ -57,6 +57,11 @@ impl Simulator {
         mujoco::version()
     }
 
+    /// Returns the look of all scenes.
+    pub fn look(&self) -> Look {
+        self.config.pack.look()
+    }
+
     /// Returns the name of the renderer, opening it if necessary.
     pub fn renderer_name(&mut self) -> Result<String, SimError> {
         Ok(self.drawer.open()?.name().to_owned())
@@ -67,7 +72,7 @@ impl Simulator {
         if let Some(cached) = &self.fingerprint {
             return Ok(cached.clone());
         }
-        let fingerprint = fingerprint(self.drawer.open()?)?;
+        let fingerprint = fingerprint(self.drawer.open()?, self.config.pack.look())?;
         self.fingerprint = Some(fingerprint.clone());
         Ok(fingerprint)
     }

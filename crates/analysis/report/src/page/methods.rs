@@ -72,6 +72,7 @@ fn policy_methods(analysis: &Analysis) -> Markup {
     let entries = [
         ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
         ("renderer", distinct(|p| p.pin.renderer.clone())),
+        ("look", distinct(|p| p.pin.look.to_string())),
         ("fingerprint", distinct(|p| p.fingerprint.clone())),
         ("policy settings", distinct(Provenance::policy_settings_in_words)),
         ("actions beyond ±1", subject.beyond.map(|range| beyond(range, subject.realisation))),

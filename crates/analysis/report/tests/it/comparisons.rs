@@ -27,6 +27,7 @@ fn campaign(policy: &str) -> Subject {
         provenances: vec![Provenance {
             pin: Pin {
                 renderer: "software".to_owned(),
+                look: libero_ctrl::Look::default(),
                 mujoco_version: "3.3.7".to_owned(),
                 asset_pack: "libero".to_owned(),
                 asset_pack_digest: "a".repeat(64),

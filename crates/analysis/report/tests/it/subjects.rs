@@ -20,6 +20,7 @@ pub(crate) fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
         host: "one".to_owned(),
         pin: Pin {
             renderer: "llvmpipe".to_owned(),
+            look: libero_ctrl::Look::default(),
             mujoco_version: mujoco_version.to_owned(),
             asset_pack: "libero".to_owned(),
             asset_pack_digest: "a".repeat(64),

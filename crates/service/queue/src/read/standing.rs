@@ -23,6 +23,7 @@ pub struct WorkerLine {
     /// Version of the simulator.
     pub mujoco_version: String,
     pub renderer: String,
+    pub look: String,
     pub program_version: String,
     /// Instant of the worker's last registration.
     pub registered_ms: UnixMillis,
@@ -70,7 +71,7 @@ impl View {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let mut workers: Vec<WorkerLine> = sqlx::query_as(
             "SELECT w.id, w.host, w.slots, coalesce(h.leases, 0) AS leases, w.asset_pack,
-                 w.mujoco_version, w.renderer, w.program_version, w.registered_ms,
+                 w.mujoco_version, w.renderer, w.look, w.program_version, w.registered_ms,
                  w.last_seen_ms, w.charged_in_a_row, w.stopped_reason,
                  w.signed_off_ms IS NOT NULL AS has_signed_off,
                  w.last_seen_ms >= ? AND w.signed_off_ms IS NULL AS is_alive

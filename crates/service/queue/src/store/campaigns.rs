@@ -272,7 +272,7 @@ async fn insert_some_jobs(
     Ok(())
 }
 
-/// Pins a campaign to the asset pack, simulator and renderer of its first result; fields that are
+/// Pins a campaign to the asset pack, simulator, renderer and look of its first result; fields that are
 /// already pinned stay.
 pub(crate) async fn pin(
     tx: &mut SqliteConnection,
@@ -284,7 +284,7 @@ pub(crate) async fn pin(
         "UPDATE campaign SET pinned_ms = coalesce(pinned_ms, ?),
              asset_pack = coalesce(asset_pack, ?),
              asset_pack_digest = coalesce(asset_pack_digest, ?),
-             mujoco_version = coalesce(mujoco_version, ?), renderer = ?
+             mujoco_version = coalesce(mujoco_version, ?), renderer = ?, look = ?
          WHERE id = ? AND renderer IS NULL",
     )
     .bind(now)
@@ -292,6 +292,7 @@ pub(crate) async fn pin(
     .bind(&pin.asset_pack_digest)
     .bind(&pin.mujoco_version)
     .bind(&pin.renderer)
+    .bind(pin.look.name())
     .bind(id)
     .execute(tx)
     .await

@@ -47,7 +47,7 @@ pub(crate) struct FilmedCampaign {
     pub(crate) source_revision: Option<i64>,
 }
 
-/// Returns the campaigns that record transitions and are pinned to this asset pack and simulator,
+/// Returns the campaigns that record transitions and are pinned to this asset pack, simulator and look,
 /// oldest first.
 pub(crate) async fn filmed_campaigns(
     tx: &mut SqliteConnection,
@@ -60,11 +60,12 @@ pub(crate) async fn filmed_campaigns(
          LEFT JOIN derivation d ON d.campaign_id = c.id
          LEFT JOIN tally its ON its.campaign_id = d.source_id
          WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions'
-             AND c.asset_pack_digest = ? AND c.mujoco_version = ?
+             AND c.asset_pack_digest = ? AND c.mujoco_version = ? AND c.look = ?
          ORDER BY c.id",
     )
     .bind(&pin.asset_pack_digest)
     .bind(&pin.mujoco_version)
+    .bind(pin.look.name())
     .fetch_all(tx)
     .await
     .doing("find campaigns that record transitions")

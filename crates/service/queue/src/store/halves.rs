@@ -149,8 +149,8 @@ pub(crate) async fn copy_pin(
 ) -> Result<(), StoreError> {
     sqlx::query(
         "UPDATE main.campaign SET (pinned_ms, asset_pack, asset_pack_digest, mujoco_version,
-             renderer) = (SELECT pinned_ms, asset_pack, asset_pack_digest, mujoco_version,
-             renderer FROM source.campaign WHERE id = ?2)
+             renderer, look) = (SELECT pinned_ms, asset_pack, asset_pack_digest, mujoco_version,
+             renderer, look FROM source.campaign WHERE id = ?2)
          WHERE id = ?1 AND pinned_ms IS NULL",
     )
     .bind(main)

@@ -18,7 +18,7 @@ macro_rules! provenance {
     () => {
         "json_object('host', v.host, 'renderer', v.renderer, 'fingerprint', v.fingerprint,
              'mujoco_version', v.mujoco_version, 'asset_pack', v.asset_pack,
-             'asset_pack_digest', v.asset_pack_digest, 'realisation', v.realisation,
+             'asset_pack_digest', v.asset_pack_digest, 'look', v.look, 'realisation', v.realisation,
              'policy_name', v.policy_name, 'policy_checkpoint', v.policy_checkpoint,
              'policy_checkpoint_digest', v.policy_checkpoint_digest,
              'policy_privileged', json(iif(v.policy_privileged, 'true', 'false')),
@@ -64,8 +64,8 @@ pub(crate) async fn find_or_insert(
         "INSERT INTO provenance (host, renderer, fingerprint, mujoco_version, asset_pack,
              asset_pack_digest, realisation, policy_name, policy_checkpoint,
              policy_checkpoint_digest, policy_privileged, policy_canonical_only, policy_settings,
-             batch_mode, program_version)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
+             batch_mode, program_version, look)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
          ON CONFLICT DO UPDATE SET host = excluded.host RETURNING id",
     )
     .bind(&origin.host)
@@ -83,6 +83,7 @@ pub(crate) async fn find_or_insert(
     .bind(Json(&origin.policy_settings))
     .bind(&origin.batch_mode)
     .bind(&origin.program_version)
+    .bind(origin.pin.look.name())
     .fetch_one(tx)
     .await
     .doing("store the provenance of a result")

@@ -60,7 +60,9 @@ macro_rules! pin {
             $table,
             ".mujoco_version, 'renderer', coalesce(",
             $table,
-            ".renderer, ''))"
+            ".renderer, ''), 'look', ",
+            $table,
+            ".look)"
         )
     };
 }
@@ -101,12 +103,12 @@ pub(crate) async fn upsert(
     sqlx::query(
         "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
              renderer, program_version, registered_ms, last_seen_ms, cores, machine,
-             charged_in_a_row)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, ?11, ?12)
+             charged_in_a_row, look)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, ?11, ?12, ?13)
          ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
              asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
              program_version = ?8, registered_ms = ?9, last_seen_ms = ?9, cores = ?10,
-             machine = ?11, charged_in_a_row = ?12, stopped_reason = NULL, signed_off_ms = NULL",
+             machine = ?11, charged_in_a_row = ?12, look = ?13, stopped_reason = NULL, signed_off_ms = NULL",
     )
     .bind(&worker.id)
     .bind(&worker.host)
@@ -120,6 +122,7 @@ pub(crate) async fn upsert(
     .bind(worker.cores)
     .bind(&worker.machine)
     .bind(in_a_row)
+    .bind(worker.pin.look.name())
     .execute(tx)
     .await
     .doing("register a worker")

@@ -35,6 +35,7 @@ pub(super) fn registration(worker_id: &str) -> EncodedCall {
         asset_pack_digest: digest(),
         mujoco_version: "3.3.7".into(),
         renderer: "r".into(),
+        look: "mujoco-3.3.2".into(),
         cores: 2,
         ..wire::RegisterRequest::default()
     };
@@ -80,6 +81,7 @@ pub(super) fn commit() -> EncodedCall {
             asset_pack_digest: digest(),
             mujoco_version: "3.3.7".into(),
             renderer: "r".into(),
+            look: "mujoco-3.3.2".into(),
             fingerprint: digest(),
             scene_digest: digest(),
             init_state_digest: digest(),

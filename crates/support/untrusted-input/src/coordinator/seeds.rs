@@ -56,8 +56,11 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let delete = wire::DeleteCampaignRequest { campaign: "c".into(), confirm: "c".into() };
     let import =
         wire::ImportChunk { name: "d".into(), archive: "c.tar.gz".into(), data: archive() };
-    let film =
-        wire::NextFilmRequest { asset_pack_digest: digest(), mujoco_version: "3.3.7".into() };
+    let film = wire::NextFilmRequest {
+        asset_pack_digest: digest(),
+        mujoco_version: "3.3.7".into(),
+        look: "mujoco-3.3.2".into(),
+    };
     let single_calls = [
         ("WorkerService/NextFilm", film.encode_to_vec()),
         ("OperatorService/ListCampaigns", vec![]),

@@ -51,9 +51,11 @@ class SimulationHandle:
     Raises FileNotFoundError if assets are missing; the message has the remedy.
     """
 
-    def __init__(self, bddl_file: str, change: PlusPath | None = None) -> None:
+    def __init__(
+        self, bddl_file: str, change: PlusPath | None = None, look: str | None = None
+    ) -> None:
         self._simulation: Simulation | None = Simulation(
-            scene(os.path.realpath(bddl_file), get_assets_path()), change=change
+            scene(os.path.realpath(bddl_file), get_assets_path(), look), change=change
         )
 
     @property

@@ -43,10 +43,13 @@ class BDDLBaseDomain:
         bddl_file_name: str | os.PathLike[str],
         robots: Any = ("Panda",),
         change: PlusPath | None = None,
+        look: str | None = None,
         **arguments: Any,
     ) -> None:
         """Takes robosuite's arguments. Some of them permit only the default; see `Settings.check`.
-        `change` holds the posture and the view of a variant of LIBERO-Plus.
+        `change` holds the posture and the view of a variant of LIBERO-Plus. `look` is
+        "mujoco-3.3.2", as LIBERO's demonstrations were drawn, or "mujoco-3.3.3", as MuJoCo draws
+        since; by default `$ROLLOUT_LOOK`, else the first.
 
         Draws placements from NumPy's global generator, as LIBERO does.
         `reset` returns the first observation.
@@ -75,7 +78,7 @@ class BDDLBaseDomain:
         self.camera_widths = [camera.width for camera in settings.cameras]
 
         self._change = change
-        self._handle = SimulationHandle(self.bddl_file_name, change)
+        self._handle = SimulationHandle(self.bddl_file_name, change, look)
         self.sim = MjSim(self._handle)
         for name in self.camera_names:
             self.sim.model.camera_name2id(name)
