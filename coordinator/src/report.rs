@@ -56,6 +56,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             design: spec.version().to_string(),
         },
         realisation: Some(realisation.parse()?),
+        look: None,
         execution: spec.execution.clone(),
         progress: progress.collect(),
         placebo_radius: placebo.map(|design| design.placebo.radius.radius()),

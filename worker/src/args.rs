@@ -294,7 +294,7 @@ pub struct SimulatorArguments {
     pub renderer: Renderer,
     /// How texture files are read: `mujoco-3.3.2` (as LIBERO's demonstrations were drawn), or
     /// `mujoco-3.3.3` (darker, as MuJoCo draws them since 3.3.3)
-    #[arg(long, value_name = "LOOK", default_value_t)]
+    #[arg(long, value_name = "LOOK", default_value_t, hide_short_help = true)]
     pub look: Look,
 }
 

@@ -77,7 +77,7 @@ async fn a_rollout_is_filmed_from_its_actions_without_its_policy() {
     let summary = String::from_utf8(output.stdout).expect("text");
     assert_eq!(
         summary,
-        "1 video stored; no rollout is left to film with asset pack primitives and MuJoCo 3.3.7\n"
+        "1 video stored; no rollout is left to film with asset pack primitives, MuJoCo 3.3.7 and look mujoco-3.3.2\n"
     );
     let (attempt, bytes) = video(&coordinator, 2).await;
     assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));

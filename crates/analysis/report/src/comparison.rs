@@ -229,7 +229,7 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     let has_results = !subject.provenances.is_empty();
     let may_be_unknown = has_results || matches!(subject.origin, Origin::File { .. });
     let is_unknown =
-        |(_, property): &&(&str, Property)| may_be_unknown && values(subject, *property).is_empty();
+        |(_, property): &&(&str, Property)| may_be_unknown && property(subject).is_empty();
     let unknown = SHARED.iter().filter(is_unknown).map(|(name, _)| *name);
     let mode = subject.realisation.is_none().then_some("realisation mode");
     let unknown: Vec<&str> = unknown.chain(mode).collect();
@@ -250,7 +250,7 @@ pub(crate) fn property_difference(
     subjects: [&Subject; 2],
     sides: &[Side; 2],
 ) -> Option<String> {
-    let values = subjects.map(|subject| values(subject, *property));
+    let values = subjects.map(property);
     if values.iter().any(BTreeSet::is_empty) || values[0] == values[1] && values[0].len() == 1 {
         return None;
     }
@@ -263,12 +263,6 @@ pub(crate) fn property_difference(
         "they were measured with more than one {name} ({}): run both with the same {name}",
         descriptions.join(", ")
     ))
-}
-
-/// Returns the distinct non-empty values of a property.
-fn values(subject: &Subject, property: Property) -> BTreeSet<String> {
-    let values = subject.provenances.iter().map(property);
-    values.filter(|value| !value.is_empty()).collect()
 }
 
 fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Execution, JsonError, Level};
+use libero_ctrl::{Execution, JsonError, Level, Look};
 use paired::{DuplicateRecord, Measures, Report, push_wrapped};
 use serde::Serialize;
 
@@ -319,10 +319,15 @@ fn head(subject: &Subject) -> String {
         Execution::Wait => String::new(),
         execution => format!("execution model {execution}\n"),
     };
+    let looks: Vec<&str> = subject.looks().into_iter().map(Look::name).collect();
+    let look = match looks.join(" and ") {
+        looks if looks.is_empty() => looks,
+        looks => format!(", look {looks}"),
+    };
     match &subject.origin {
         Origin::Campaign { name, endpoint, design } => format!(
             "campaign {name}\npolicy {policy} at {endpoint}\n\
-             design {design}, realisation {realisation}\n{execution}"
+             design {design}, realisation {realisation}{look}\n{execution}"
         ),
         Origin::File { name, digest, source } => {
             let mut head = format!("policy {policy}, results of {name}\n");
@@ -330,7 +335,9 @@ fn head(subject: &Subject) -> String {
                 push_wrapped(&mut head, "", source);
             }
             let digest = warnings::abbreviated_digest(digest);
-            head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n{execution}"));
+            head.push_str(&format!(
+                "SHA-256 {digest}…, realisation {realisation}{look}\n{execution}"
+            ));
             head
         }
     }

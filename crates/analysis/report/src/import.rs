@@ -11,7 +11,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::{Condition, Directions, Execution, JsonError, Level, RolloutId, Suite};
-use libero_ctrl::{MAX_ROWS, Realisation};
+use libero_ctrl::{Look, MAX_ROWS, Realisation};
 use paired::{Count, Outcome, Progress, Record};
 use rollout_types::GoalProgress;
 use serde::Deserialize;
@@ -71,6 +71,7 @@ struct About {
     policy: Option<String>,
     source: String,
     realisation: Option<Realisation>,
+    look: Option<Look>,
     published_nominal: Option<f64>,
     nominal: Option<Count>,
     directions: Directions,
@@ -156,6 +157,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
             source: about.source,
         },
         realisation: about.realisation,
+        look: about.look,
         execution: reading.execution.unwrap_or_default(),
         records: reading.records,
         errors: Vec::new(),

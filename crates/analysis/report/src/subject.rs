@@ -1,10 +1,10 @@
 //! Subject of a report: one policy's outcomes and their provenance.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{
-    Directions, Execution, Explanation, Realisation, RolloutId, Stop, Suite, Thresholds,
+    Directions, Execution, Explanation, Look, Realisation, RolloutId, Stop, Suite, Thresholds,
 };
 use paired::{CampaignLook, Count, Progress, Record};
 use rollout_types::{Fingerprints, Provenance};
@@ -18,6 +18,9 @@ pub struct Subject {
     pub origin: Origin,
     /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
+    /// Look of outcomes that come without provenances, if known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub look: Option<Look>,
     /// Behaviour of the robot while a response of its policy was pending.
     #[serde(default)]
     pub execution: Execution,
@@ -67,6 +70,14 @@ pub struct Subject {
     /// Early-stop rule of the campaign and its state; `None` if the campaign has no such rule.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub early_stop: Option<EarlyStop>,
+}
+
+impl Subject {
+    /// Returns the looks of the outcomes; empty if unknown.
+    pub(crate) fn looks(&self) -> BTreeSet<Look> {
+        let recorded = self.provenances.iter().map(|provenance| provenance.pin.look);
+        recorded.chain(self.look).collect()
+    }
 }
 
 /// Purpose of a campaign that is derived from another campaign, the *source*, and the rollouts

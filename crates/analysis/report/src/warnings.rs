@@ -23,20 +23,18 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
     let mut warnings = Vec::new();
     warnings.extend(left_out(subject));
     for (name, consequence, property) in MIXTURES {
-        warnings.extend(mixed(provenances.iter().map(property), name, consequence));
+        warnings.extend(mixed(property(subject), name, consequence));
     }
     warnings.extend(mixed(
-        executions(subject),
+        executions(subject).collect(),
         "execution model",
         "never pooled: the robot moves differently under each",
     ));
     warnings.extend(subject.fingerprints.as_ref().map(describe_fingerprints));
-    if let Some(p) = provenances.iter().find(|p| p.pin.look != Look::default()) {
+    if let Some(look) = subject.looks().into_iter().find(|look| *look != Look::default()) {
         warnings.push(format!(
-            "drawn with the look `{}`: LIBERO's demonstrations and published figures of most \
-             policies have `{}`, and a policy trained on one look may lose much in the other \
-             (docs/LOOKS.md)",
-            p.pin.look,
+            "drawn with the look `{look}`: LIBERO's demonstrations have `{}`, and a policy that \
+             was trained on one look can fail in the other (docs/LOOKS.md)",
             Look::default()
         ));
     }
@@ -90,9 +88,8 @@ pub(crate) fn comparison_warnings(subjects: &[Subject]) -> Vec<String> {
         ("look", "each shows other colours", look),
     ];
     for (name, consequence, property) in comparable {
-        let values = subjects.iter().flat_map(|s| s.provenances.iter().map(property));
-        let values = values.filter(|value| !value.is_empty()).collect();
-        warnings.extend(more_than_one(name, consequence, values));
+        let values = subjects.iter().flat_map(property);
+        warnings.extend(more_than_one(name, consequence, values.collect()));
     }
     let executions = subjects.iter().map(|subject| subject.execution.to_string());
     warnings.extend(more_than_one(
@@ -113,36 +110,45 @@ fn more_than_one(name: &str, consequence: &str, values: BTreeSet<String>) -> Opt
     })
 }
 
-pub(crate) type Property = fn(&Provenance) -> String;
+/// Returns the known values of a property of the measurement.
+pub(crate) type Property = fn(&Subject) -> BTreeSet<String>;
 
 /// Properties that all results of a campaign should share, and the consequence if they
 /// differ.
 const MIXTURES: [(&str, &str, Property); 7] = [
     ("MuJoCo version", "never pooled: each simulates differently", mujoco),
     ("asset pack", "never pooled: each is a benchmark of its own", pack),
-    ("policy checkpoint", "each is a policy of its own", checkpoint),
-    ("batch mode", "batched queries can change a policy's answers", |p| p.batch_mode.clone()),
+    ("policy checkpoint", "each is a policy of its own", |s| recorded(s, checkpoint)),
+    ("batch mode", "batched queries can change a policy's answers", |s| {
+        recorded(s, |p| p.batch_mode.clone())
+    }),
     ("renderer", "never pooled: each draws different pictures", renderer),
     ("look", "never pooled: each shows other colours", look),
-    ("program version", "compare with care", |p| p.program_version.clone()),
+    ("program version", "compare with care", |s| recorded(s, |p| p.program_version.clone())),
 ];
 
-pub(crate) fn mujoco(p: &Provenance) -> String {
-    p.pin.mujoco_version.clone()
+/// Returns the values of a property that results record.
+fn recorded(subject: &Subject, property: fn(&Provenance) -> String) -> BTreeSet<String> {
+    let values = subject.provenances.iter().map(property);
+    values.filter(|value| !value.is_empty()).collect()
 }
 
-pub(crate) fn pack(p: &Provenance) -> String {
-    format!("{} ({})", p.pin.asset_pack, abbreviated_digest(&p.pin.asset_pack_digest))
+pub(crate) fn mujoco(subject: &Subject) -> BTreeSet<String> {
+    recorded(subject, |p| p.pin.mujoco_version.clone())
 }
 
-/// Returns the renderer, which is empty in results of workers of earlier releases that rendered no
-/// frame.
-pub(crate) fn renderer(p: &Provenance) -> String {
-    p.pin.renderer.clone()
+pub(crate) fn pack(subject: &Subject) -> BTreeSet<String> {
+    recorded(subject, |p| {
+        format!("{} ({})", p.pin.asset_pack, abbreviated_digest(&p.pin.asset_pack_digest))
+    })
 }
 
-pub(crate) fn look(p: &Provenance) -> String {
-    p.pin.look.to_string()
+pub(crate) fn renderer(subject: &Subject) -> BTreeSet<String> {
+    recorded(subject, |p| p.pin.renderer.clone())
+}
+
+pub(crate) fn look(subject: &Subject) -> BTreeSet<String> {
+    subject.looks().iter().map(Look::to_string).collect()
 }
 
 /// Returns the execution models of the results, without those of the latency axis.
@@ -160,8 +166,7 @@ fn checkpoint(p: &Provenance) -> String {
     format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
 }
 
-fn mixed(values: impl Iterator<Item = String>, name: &str, consequence: &str) -> Option<String> {
-    let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
+fn mixed(values: BTreeSet<String>, name: &str, consequence: &str) -> Option<String> {
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
         format!("results of more than one {name} are mixed ({consequence}): {}", values.join("; "))

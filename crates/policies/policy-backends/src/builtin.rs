@@ -23,15 +23,18 @@ pub enum Builtin {
     Noop,
     /// Scripted pick-and-place from the simulator's state: see [`expert`].
     Expert,
+    /// The expert, with frames of both cameras in its observations, which it ignores: for recordings.
+    ExpertWithFrames,
     /// Learned policy with cameras and instruction: see [`student`].
     Student(Weights),
 }
 
 impl Builtin {
     /// Every built-in policy.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Noop,
         Self::Expert,
+        Self::ExpertWithFrames,
         Self::Student(Weights::Libero),
         Self::Student(Weights::LiberoRandomised),
         Self::Student(Weights::Boxes),
@@ -42,6 +45,7 @@ impl Builtin {
         match self {
             Self::Noop => "noop",
             Self::Expert => "expert",
+            Self::ExpertWithFrames => "expert-with-frames",
             Self::Student(weights) => weights.name(),
         }
     }
@@ -52,8 +56,11 @@ impl Builtin {
             Self::Noop => {
                 Policy { described: noop::describe(), start: Box::new(|_| Box::new(noop::Noop)) }
             }
-            Self::Expert => Policy {
-                described: expert::describe(),
+            Self::Expert | Self::ExpertWithFrames => Policy {
+                described: match self {
+                    Self::ExpertWithFrames => expert::describe_with_frames(),
+                    _ => expert::describe(),
+                },
                 start: Box::new(|_| Box::new(::expert::Expert::default())),
             },
             Self::Student(weights) => {

@@ -14,6 +14,7 @@ use transport::{Access, AccessError, ClientArguments, Role};
 use crate::{
     compare::compare,
     diagnosis::{self, Finding, Measures},
+    looks::{self, RecordedLook},
     recorded,
     report::{self, ComparisonJson, DescribedServer, ExaminationJson},
     server::{ExaminationError, Server},
@@ -69,6 +70,11 @@ pub struct Doctor {
     #[arg(long, value_name = "SECS", default_value_t = DEFAULT_ANSWER_WITHIN.as_secs(),
         value_parser = number(1..=3600_u64, "seconds"))]
     answer_within: u64,
+
+    /// Recordings of the same sessions in one look each, given twice: says which look the policy
+    /// was probably trained on, for example by recordings of builtin:expert-with-frames
+    #[arg(long, value_name = "LOOK=DIR")]
+    look: Vec<RecordedLook>,
 
     /// Episodes to play in order to detect growing memory
     #[arg(long, value_name = "N", default_value_t = 30,
@@ -132,6 +138,10 @@ impl Doctor {
     pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;
+        let looks = match self.look.as_slice() {
+            [] => Vec::new(),
+            folders => looks::sessions(folders)?,
+        };
         let suite = self.options.suite_of(recorded.as_deref());
         let server = Server::connect(&self.url, &access, &suite).await?;
         let situations = recorded.unwrap_or_else(|| {
@@ -153,7 +163,8 @@ impl Doctor {
             }
             findings.push(finding.clone());
         };
-        let is_sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
+        let examined = diagnosis::examine(&server, &situations, &looks, measures, &mut report);
+        let is_sound = examined.await?;
         match self.options.json {
             true => print(&json(&ExaminationJson::new(described, &findings))),
             false if is_sound => print("no fault found"),

@@ -6,6 +6,7 @@ use std::{fmt, time::Duration};
 
 use crate::{
     conformance::verdict::{Verdict, fail, skip},
+    looks::{self, Session},
     server::{ExaminationError, Server},
     situation::Situation,
 };
@@ -30,11 +31,12 @@ pub enum Point {
     Gripper,
     Latency,
     Memory,
+    Look,
 }
 
 impl Point {
     /// All points, in the order of the checks.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Actions,
         Self::Range,
         Self::Motion,
@@ -45,6 +47,7 @@ impl Point {
         // Precedes the latency check, whose percentiles include the many queries of this check.
         Self::Memory,
         Self::Latency,
+        Self::Look,
     ];
 
     /// Returns the point's name in JSON.
@@ -59,6 +62,7 @@ impl Point {
             Self::Gripper => "gripper",
             Self::Latency => "latency",
             Self::Memory => "memory",
+            Self::Look => "look",
         }
     }
 }
@@ -76,6 +80,7 @@ impl fmt::Display for Point {
             Self::Gripper => "the gripper opens",
             Self::Latency => "answers arrive in time",
             Self::Memory => "an ended episode leaves no state behind",
+            Self::Look => "answers tell the look of its training",
         })
     }
 }
@@ -98,7 +103,7 @@ pub struct Measures {
     pub episodes: u32,
 }
 
-/// Checks a server point by point, and reports each finding as soon as it is made. Returns true if
+/// Checks a server point by point, in situations and in sessions that were recorded in both looks, and reports each finding as soon as it is made. Returns true if
 /// no point failed.
 ///
 /// # Errors
@@ -107,6 +112,7 @@ pub struct Measures {
 pub async fn examine(
     server: &Server,
     situations: &[Situation],
+    looks: &[Session],
     measures: Measures,
     report: &mut dyn FnMut(&Finding),
 ) -> Result<bool, ExaminationError> {
@@ -114,7 +120,7 @@ pub async fn examine(
     let answered = diagnosed.answer_all().await?;
     let mut is_sound = true;
     for point in Point::ALL {
-        let verdict = verdict_on(point, &mut diagnosed, &answered, measures).await;
+        let verdict = verdict_on(point, &mut diagnosed, &answered, (looks, measures)).await;
         let verdict = verdict.unwrap_or_else(|error| fail(format!("failed to {error}")));
         is_sound &= !matches!(verdict, Verdict::Fail { .. });
         report(&Finding { point, verdict });
@@ -130,7 +136,7 @@ async fn verdict_on(
     point: Point,
     diagnosed: &mut DiagnosedServer<'_>,
     answered: &Answered,
-    measures: Measures,
+    (looks, measures): (&[Session], Measures),
 ) -> Result<Verdict, ExaminationError> {
     let actions = &answered.actions;
     let described = &diagnosed.server().described;
@@ -152,6 +158,8 @@ async fn verdict_on(
                 described,
             )
         }
+        Point::Look if looks.is_empty() => skip("no session is recorded in both looks (--look)"),
+        Point::Look => looks::examine(diagnosed.server(), looks).await?,
         Point::Frames if described.cameras.is_empty() => skip("it requests no frames"),
         Point::Frames => {
             let mut changes = vec![];

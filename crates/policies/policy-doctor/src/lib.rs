@@ -20,6 +20,7 @@ pub mod difference;
 mod filter;
 mod fit;
 mod layout;
+pub mod looks;
 pub mod pose;
 mod randomness;
 mod recorded;

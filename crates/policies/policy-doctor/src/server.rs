@@ -73,6 +73,11 @@ impl Server {
         Ok(Self { url, described, backend, sessions: AtomicU32::new(0), run: std::process::id() })
     }
 
+    /// Returns the error that a situation lacks an input that this server requests.
+    pub(crate) fn lacks(&self, missing: MissingInput) -> ExaminationError {
+        ExaminationError::MissingInput { url: self.url.clone(), missing }
+    }
+
     /// Starts an episode.
     ///
     /// # Errors
@@ -171,6 +176,9 @@ pub enum ExaminationError {
     /// The recordings of `--recorded` cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// The recordings of `--look` are not of both looks.
+    #[error("compare looks: give --look twice, with recordings in mujoco-3.3.2 and mujoco-3.3.3")]
+    OneLook,
     /// The server does not answer in time.
     #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
     NoAnswer {

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::Realisation;
+use libero_ctrl::{Look, Realisation};
 use maud::{Markup, html};
 use paired::MIN_TASKS;
 use rollout_types::Provenance;
@@ -72,7 +72,6 @@ fn policy_methods(analysis: &Analysis) -> Markup {
     let entries = [
         ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
         ("renderer", distinct(|p| p.pin.renderer.clone())),
-        ("look", distinct(|p| p.pin.look.to_string())),
         ("fingerprint", distinct(|p| p.fingerprint.clone())),
         ("policy settings", distinct(Provenance::policy_settings_in_words)),
         ("actions beyond ±1", subject.beyond.map(|range| beyond(range, subject.realisation))),
@@ -108,6 +107,10 @@ fn policy_methods(analysis: &Analysis) -> Markup {
             }
             dt { "realisation" }
             dd { (subject.realisation.map_or("not known", |realisation| realisation.name())) }
+            @if !subject.looks().is_empty() {
+                dt { "look" }
+                dd { (subject.looks().into_iter().map(Look::name).collect::<Vec<_>>().join("; ")) }
+            }
             dt { "execution model" } dd { (subject.execution) }
             @for checkpoint in &checkpoints { dt { "checkpoint" } dd { (checkpoint) } }
             @for pack in &packs { dt { "asset pack" } dd { (pack) } }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use libero_ctrl::{Condition, Directions, RolloutId, Stop, Strata};
+use libero_ctrl::{Condition, Directions, Look, RolloutId, Stop, Strata};
 use paired::{Obstacle, Outcome, Progress};
 use report::{
     Comparison, Document, EarlyStop, Origin, Setups, Subject, Unpairable, figures, import, page,
@@ -24,10 +24,11 @@ fn campaign(policy: &str) -> Subject {
             design: "libero-ctrl-v0.1".to_owned(),
         },
         realisation: Some("matched".parse().expect("a mode")),
+        look: None,
         provenances: vec![Provenance {
             pin: Pin {
                 renderer: "software".to_owned(),
-                look: libero_ctrl::Look::default(),
+                look: Look::default(),
                 mujoco_version: "3.3.7".to_owned(),
                 asset_pack: "libero".to_owned(),
                 asset_pack_digest: "a".repeat(64),
@@ -142,6 +143,15 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
     );
     let message = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
     assert!(message.contains("more than one renderer"), "{message}");
+    let message = with(|pin| pin.look = Look::Mujoco333);
+    assert!(
+        message.contains("more than one look (first with mujoco-3.3.2, second with mujoco-3.3.3)"),
+        "{message}"
+    );
+    let mut file = altered("second");
+    file.provenances.clear();
+    file.look = Some(Look::Mujoco333);
+    assert!(reasons(campaign("first"), file).contains("more than one look"));
     let message = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
     assert!(message.contains("more than one MuJoCo version"), "{message}");
     let mut reference = altered("second");
@@ -179,7 +189,8 @@ fn result_files_are_compared_with_a_warning_of_unknown_properties() {
         Origin::File { name: "second".to_owned(), digest: "0".repeat(64), source: String::new() };
     let comparison = compare(campaign("first"), file).expect("comparable");
     let message = comparison.warnings.join("\n");
-    let expected = "`second`: asset pack, MuJoCo version, renderer, realisation mode not known";
+    let expected =
+        "`second`: asset pack, MuJoCo version, renderer, look, realisation mode not known";
     assert!(message.starts_with(expected), "{message}");
     let text = comparison.text();
     assert!(text.contains("! `second`: asset pack, MuJoCo"), "{text}");

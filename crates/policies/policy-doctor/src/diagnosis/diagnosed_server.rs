@@ -53,10 +53,7 @@ impl<'a> DiagnosedServer<'a> {
         Ok(Self {
             server,
             situations,
-            observations: observations.map_err(|missing| ExaminationError::MissingInput {
-                url: server.url.clone(),
-                missing,
-            })?,
+            observations: observations.map_err(|missing| server.lacks(missing))?,
             latencies: vec![],
         })
     }

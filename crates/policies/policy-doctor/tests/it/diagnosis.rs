@@ -23,7 +23,7 @@ async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
     let situations = synthetic::situations(Suite::Goal, &cameras);
     let mut findings = vec![];
     let mut report = |finding: &Finding| findings.push(finding.clone());
-    let is_sound = examine(&server, &situations, measures, &mut report).await;
+    let is_sound = examine(&server, &situations, &[], measures, &mut report).await;
     let is_sound = is_sound.expect("an examination");
     let failed = |finding: &Finding| matches!(finding.verdict, Verdict::Fail { .. });
     assert_eq!(is_sound, !findings.iter().any(failed));

@@ -3,6 +3,7 @@
 mod compare;
 mod conformance;
 mod diagnosis;
+mod looks;
 mod planted;
 #[allow(dead_code, reason = "the gateway's tests stop these servers and call them directly")]
 mod scripted;
