@@ -37,6 +37,7 @@ pages! {
     commands_of_fidelity_work: "docs/FIDELITY.md",
     commands_of_json_work: "docs/JSON.md",
     commands_of_latency_work: "docs/LATENCY.md",
+    commands_of_looks_work: "docs/LOOKS.md",
     commands_of_moving_work: "docs/MOVING.md",
     commands_of_operating_work: "docs/OPERATING.md",
     commands_of_page_work: "docs/PAGE.md",

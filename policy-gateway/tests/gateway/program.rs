@@ -86,7 +86,7 @@ fn usage_errors_exit_with_2_and_name_the_remedy() {
     let cases: [(&[&str], &str); 5] = [
         (&[], "--route"),
         (&["--route", "x"], "NAME=BACKEND"),
-        (&["--route", "x=builtin:nope"], "noop, expert, student"),
+        (&["--route", "x=builtin:nope"], "noop, expert, expert-with-frames, student"),
         (&["--route", "x=builtin:noop", "--route", "x=builtin:expert"], "two routes named x"),
         (&["--route", "x=builtin:noop", "--listen", "nowhere"], "--listen"),
     ];

@@ -320,6 +320,7 @@ fn examination(messages: &mut Messages) {
             AccessError::Host { host: text() },
         )),
         ExaminationError::Recording(_) => ExaminationError::Recording(recordings()),
+        ExaminationError::OneLook => ExaminationError::OneLook,
         ExaminationError::NoAnswer { .. } => ExaminationError::NoAnswer { url: url() },
         ExaminationError::Answer { .. } => ExaminationError::Answer {
             url: url(), problem: "nothing listens there; start it".to_owned(),
