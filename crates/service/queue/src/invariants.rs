@@ -292,8 +292,8 @@ pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
     let in_file = |source| CheckError::Read { path: file.clone(), source };
     let mut connection = open(&file).await.map_err(in_file)?;
     let known = store::newest_known_schema();
-    let found = store::schema_version(&mut connection).await;
-    let found = found.map_err(in_file)?.unwrap_or(0);
+    let applied = store::applied_migrations(&mut connection).await.map_err(in_file)?;
+    let found = applied.last().map_or(0, |(version, _)| *version);
     if found != known {
         return Err(CheckError::OtherSchema { path: file, found, known });
     }
