@@ -388,13 +388,13 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     }
 
     for (field, what) in [("format", "format 1000"), ("schema", "schema version 1000")] {
-        let mut newer = sound.clone();
-        let mut list: Value = serde_json::from_slice(&newer[0].1).expect("a list");
+        let mut other = sound.clone();
+        let mut list: Value = serde_json::from_slice(&other[0].1).expect("a list");
         list[field] = json!(1_000);
         list["members"] = json!("of another kind");
-        newer[0].1 = list.to_string().into_bytes();
-        write(&bad, &newer, false);
-        refused(&[what, "use that release or a later one"]);
+        other[0].1 = list.to_string().into_bytes();
+        write(&bad, &other, false);
+        refused(&[what, "use the program that wrote it"]);
     }
 
     assert_eq!(target.rows().await, before, "a refused archive changed rows");

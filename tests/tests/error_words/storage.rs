@@ -228,7 +228,7 @@ fn moving(messages: &mut Messages) {
         ArchiveError::Foreign { .. } => ArchiveError::Foreign {
             archive: archive(), problem: "it is not a compressed tar archive".to_owned(),
         },
-        ArchiveError::Newer { .. } => ArchiveError::Newer {
+        ArchiveError::OtherVersion { .. } => ArchiveError::OtherVersion {
             archive: archive(), program: text(), what: "format", found: 2, known: 1,
         },
         ArchiveError::Damaged { .. } => ArchiveError::Damaged {
