@@ -75,12 +75,12 @@ CREATE TABLE campaign (
     policy_id        INTEGER NOT NULL REFERENCES policy (id),
     realisation      TEXT    NOT NULL CHECK (realisation IN ('matched', 'reference')),
     -- What the robot does while its policy's answer is under way.
-    execution        TEXT    NOT NULL DEFAULT 'wait',
+    execution        TEXT    NOT NULL,
     record           TEXT    NOT NULL CHECK (record IN ('none', 'failures', 'transitions', 'all')),
     -- Requirements on workers: {"assets": "libero", "renderer": "gl"}.
-    wanted           TEXT    NOT NULL DEFAULT '{}' CHECK (json_type(wanted) = 'object'),
+    wanted           TEXT    NOT NULL CHECK (json_type(wanted) = 'object'),
     -- Jobs of a higher priority are leased first.
-    priority         INTEGER NOT NULL DEFAULT 0 CHECK (priority BETWEEN -100 AND 100),
+    priority         INTEGER NOT NULL CHECK (priority BETWEEN -100 AND 100),
     -- Number of rollouts that the specification was expanded into.
     jobs             INTEGER NOT NULL CHECK (jobs >= 0),
     created_ms       INTEGER NOT NULL,
@@ -92,12 +92,12 @@ CREATE TABLE campaign (
     asset_pack       TEXT,
     asset_pack_digest TEXT,
     mujoco_version   TEXT,
-    renderer         TEXT
-                     CHECK (renderer IS NULL OR (renderer <> '' AND pinned_ms IS NOT NULL)),
+    renderer         TEXT    CHECK (renderer <> ''),
     look             TEXT,
     CHECK ((pinned_ms IS NULL) = (asset_pack IS NULL)),
     CHECK ((pinned_ms IS NULL) = (asset_pack_digest IS NULL)),
     CHECK ((pinned_ms IS NULL) = (mujoco_version IS NULL)),
+    CHECK ((pinned_ms IS NULL) = (renderer IS NULL)),
     CHECK ((pinned_ms IS NULL) = (look IS NULL))
 ) STRICT;
 
@@ -310,7 +310,7 @@ CREATE TABLE provenance (
     renderer         TEXT    NOT NULL,
     look             TEXT    NOT NULL,
     -- Digest of a fixed motion and its frames: equal fingerprints mean equal bits.
-    fingerprint      TEXT    NOT NULL CHECK (length(fingerprint) IN (0, 64)),
+    fingerprint      TEXT    NOT NULL CHECK (length(fingerprint) = 64),
     mujoco_version   TEXT    NOT NULL,
     asset_pack       TEXT    NOT NULL,
     asset_pack_digest TEXT   NOT NULL,
@@ -321,7 +321,7 @@ CREATE TABLE provenance (
     policy_privileged INTEGER NOT NULL CHECK (policy_privileged IN (0, 1)),
     policy_canonical_only INTEGER NOT NULL CHECK (policy_canonical_only IN (0, 1)),
     -- What the policy's server resolved: {"executed": "8", ...}.
-    policy_settings  TEXT    NOT NULL DEFAULT '{}' CHECK (json_type(policy_settings) = 'object'),
+    policy_settings  TEXT    NOT NULL CHECK (json_type(policy_settings) = 'object'),
     batch_mode       TEXT    NOT NULL,
     program_version  TEXT    NOT NULL,
     UNIQUE (host, renderer, look, fingerprint, mujoco_version, asset_pack, asset_pack_digest,

@@ -41,6 +41,8 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
     ("UPDATE policy SET resume_ms = 5", "CHECK"),
     ("UPDATE policy SET probe_attempt_id = '1'", "CHECK"),
     ("UPDATE campaign SET mujoco_version = NULL", "CHECK"),
+    ("UPDATE campaign SET renderer = NULL", "CHECK"),
+    ("UPDATE provenance SET fingerprint = ''", "CHECK"),
     ("UPDATE result SET drawing_secs = NULL", "CHECK"),
     ("UPDATE result SET physics_secs = NULL", "CHECK"),
     ("UPDATE result SET policy_secs = -0.5", "CHECK"),
@@ -59,10 +61,13 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
         "CHECK",
     ),
     (
-        "INSERT INTO result SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id,
-             r.committed_ms, r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0,
-             r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}',
-             NULL, NULL, NULL, NULL, NULL, NULL, NULL
+        "INSERT INTO result (job_id, campaign_id, attempt_id, attempt, worker_id, committed_ms,
+             success, steps, wall_secs, physics_secs, drawing_secs, policy_secs, goal_predicates,
+             goal_at_end, goal_at_most, clipped_actions, policy_queries, provenance_id,
+             scene_digest, init_state_digest, first_frame_digest, realised)
+         SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id, r.committed_ms,
+             r.success, r.steps, r.wall_secs, 0.0, 0.0, 0.0, r.goal_predicates, r.goal_at_end,
+             r.goal_at_most, 0, 0, r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}'
          FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
         "result_is_of_the_held_lease",
     ),

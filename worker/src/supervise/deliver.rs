@@ -185,11 +185,7 @@ fn result(result: &RolloutResult) -> wire::RolloutResult {
 
 fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) -> Provenance {
     let realised = evidence.realised.axes().map(|(axis, realised)| {
-        let (parameters, elements) = match realised {
-            RealisedAxis::Values { parameters, elements } => (parameters.clone(), elements.clone()),
-            // Only results of earlier releases have this variant; a simulation never produces it.
-            RealisedAxis::Digest(_) => Default::default(),
-        };
+        let RealisedAxis { parameters, elements } = realised.clone();
         wire::RealisedAxis { axis: axis.to_string(), parameters, elements }
     });
     Provenance {

@@ -211,8 +211,7 @@ pub const INVARIANTS: [Invariant; 20] = [
                   AND c.policy_id = p.id)",
     },
     // A result belongs to its job's campaign, and comes from the assets, the simulator, the
-    // renderer and the realisation that the campaign is pinned to. Schema 1 pinned no renderer:
-    // its results, which have no fingerprint, may come from any renderer.
+    // renderer, the look and the realisation that the campaign is pinned to.
     Invariant {
         name: "results_are_of_the_pin",
         query:
@@ -222,8 +221,7 @@ pub const INVARIANTS: [Invariant; 20] = [
          JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
          WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
              OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
-             OR p.look IS NOT c.look
-             OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)",
+             OR p.look IS NOT c.look OR p.renderer IS NOT c.renderer",
     },
     // A result is within the step budget of its job, and its numbers are within the bounds of
     // a worker's report.

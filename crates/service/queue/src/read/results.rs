@@ -233,7 +233,7 @@ impl View {
         let results: Vec<(String, i64)> = sqlx::query_as(
             "SELECT v.fingerprint, sum(o.results) FROM origin_tally o
              JOIN provenance v ON v.id = o.provenance_id
-             WHERE o.campaign_id = ? AND o.results > 0 AND v.fingerprint <> ''
+             WHERE o.campaign_id = ? AND o.results > 0
              GROUP BY v.fingerprint",
         )
         .bind(campaign)
@@ -247,7 +247,7 @@ impl View {
             "SELECT format('%s from state %d', j.task, j.init_id) FROM job j
              JOIN result r ON r.job_id = j.id
              JOIN provenance v ON v.id = r.provenance_id
-             WHERE j.campaign_id = ? AND j.state = 'committed' AND v.fingerprint <> ''
+             WHERE j.campaign_id = ? AND j.state = 'committed'
              GROUP BY j.task, j.init_id HAVING count(DISTINCT v.fingerprint) > 1
              ORDER BY j.task, j.init_id",
         )
