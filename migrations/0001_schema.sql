@@ -342,22 +342,19 @@ CREATE TABLE result (
     steps            INTEGER NOT NULL CHECK (steps >= 0),
     wall_secs        REAL    NOT NULL CHECK (wall_secs >= 0),
     -- Processor time of the slot: loading, settling and control steps.
-    physics_secs     REAL    CHECK (physics_secs >= 0),
+    physics_secs     REAL    NOT NULL CHECK (physics_secs >= 0),
     -- Processor time of rendering the policy's observations.
-    drawing_secs     REAL    CHECK (drawing_secs >= 0
-                         AND (drawing_secs IS NULL) = (physics_secs IS NULL)),
+    drawing_secs     REAL    NOT NULL CHECK (drawing_secs >= 0),
     -- Wall time of the calls to the policy.
-    policy_secs      REAL    CHECK (policy_secs >= 0
-                         AND (policy_secs IS NULL) = (physics_secs IS NULL)),
+    policy_secs      REAL    NOT NULL CHECK (policy_secs >= 0),
     -- Predicates of the goal.
-    goal_predicates  INTEGER CHECK (goal_predicates > 0),
+    goal_predicates  INTEGER NOT NULL CHECK (goal_predicates > 0),
     -- Those that held after the last control step: all of them in a success.
-    goal_at_end      INTEGER CHECK (goal_at_end BETWEEN 0 AND goal_predicates
-                         AND (goal_at_end = goal_predicates) = success
-                         AND (goal_at_end IS NULL) = (goal_predicates IS NULL)),
+    goal_at_end      INTEGER NOT NULL CHECK (goal_at_end BETWEEN 0 AND goal_predicates
+                         AND (goal_at_end = goal_predicates) = success),
     -- The most that held together, from rest to the last control step.
-    goal_at_most     INTEGER CHECK (goal_at_most BETWEEN goal_at_end AND goal_predicates
-                         AND (goal_at_most IS NULL) = (goal_predicates IS NULL)),
+    goal_at_most     INTEGER NOT NULL
+                     CHECK (goal_at_most BETWEEN goal_at_end AND goal_predicates),
     ik_residual_mm   REAL,
     ik_residual_deg  REAL,
     ik_clamped_joints INTEGER,

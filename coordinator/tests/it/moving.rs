@@ -346,7 +346,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     for (sql, words) in [
         (
             "UPDATE result SET success = 1 - success,
-                 goal_predicates = NULL, goal_at_end = NULL, goal_at_most = NULL
+                 goal_predicates = 1, goal_at_end = 1 - success, goal_at_most = 1
              WHERE job_id = (SELECT min(job_id) FROM result);
              UPDATE tally SET succeeded = (SELECT sum(success) FROM result)",
             &["report.json", "differs"][..],

@@ -234,10 +234,9 @@ pub const INVARIANTS: [Invariant; 20] = [
          WHERE r.steps > coalesce(j.manifest_row ->> 'max_steps', r.steps)
              OR r.clipped_actions > r.steps
              OR max(r.steps, r.policy_queries, coalesce(r.ik_clamped_joints, 0),
-                 coalesce(r.goal_predicates, 0)) > 4294967295
+                 r.goal_predicates) > 4294967295
              OR max(r.wall_secs, coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
-                 coalesce(r.physics_secs, 0), coalesce(r.drawing_secs, 0),
-                 coalesce(r.policy_secs, 0)) > 1e9
+                 r.physics_secs, r.drawing_secs, r.policy_secs) > 1e9
              OR min(coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
                  coalesce(r.ik_clamped_joints, 0)) < 0
          UNION ALL

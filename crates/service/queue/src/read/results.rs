@@ -40,13 +40,13 @@ pub struct ExportedRow {
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
-    /// Predicates of the goal, if the worker reported them.
-    pub goal_predicates: Option<u32>,
+    /// Predicates of the goal.
+    pub goal_predicates: u32,
     /// Predicates of the goal that held at the end.
-    pub goal_at_end: Option<u32>,
+    pub goal_at_end: u32,
     /// Most predicates of the goal that held together.
-    pub goal_at_most: Option<u32>,
-    /// Prompt that the policy got, if the worker reported it.
+    pub goal_at_most: u32,
+    /// Prompt that the policy got; `None` if it was empty.
     pub prompt: Option<String>,
 }
 
@@ -60,7 +60,7 @@ pub struct RecordRow {
     pub realisation: Option<String>,
     /// The policy's control steps, once the job is committed.
     pub steps: Option<u32>,
-    /// Predicates of the goal, if the worker reported them.
+    /// Predicates of the goal, once the job is committed.
     pub goal_predicates: Option<u32>,
     /// Predicates of the goal that held at the end.
     pub goal_at_end: Option<u32>,
@@ -81,7 +81,7 @@ pub struct SetupRow {
 }
 
 impl RecordRow {
-    /// Returns the progress towards the goal; `None` if the worker did not report it.
+    /// Returns the progress towards the goal, once the job is committed.
     pub fn goal(&self) -> Option<GoalProgress> {
         Some(GoalProgress {
             predicates: self.goal_predicates?,
