@@ -19,7 +19,9 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use rollout_types::{Digests, Motion, Pin, Provenance, Realised, RolloutResult};
+use rollout_types::{
+    Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tokio::task::JoinSet;
@@ -371,20 +373,21 @@ fn outcome(
         // lights.
         realised.add(axis, parameters, vec![0.1; 48]);
     }
+    let success = rng.next_u32().is_multiple_of(2);
     CommitReport {
         attempt: job.attempt,
         // A path of 220 control steps, 11 s: 6 bytes at rest and after every step.
         motion: Motion { path: vec![1; 6 * 221], actions: Vec::new() },
         realised,
         result: RolloutResult {
-            success: rng.next_u32().is_multiple_of(2),
+            success,
             steps: rng.next_u32() % 220,
             wall_secs: 1.0,
             ik: None,
             clipped_actions: 0,
             policy_queries: 100,
-            parts: None,
-            goal: None,
+            parts: Parts::default(),
+            goal: GoalProgress { predicates: 1, at_end: success.into(), at_most: success.into() },
             prompt: None,
         },
         provenance: Provenance {

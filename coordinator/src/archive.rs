@@ -28,7 +28,7 @@ use crate::reading::ReadError;
 pub use pack::{Package, package};
 pub use unpack::{Unpacked, unpack};
 
-/// Version of the archive format; archives of a newer format are rejected.
+/// Version of the archive format; archives of another format are refused.
 const FORMAT: u32 = 1;
 /// Member that holds the table of contents.
 const CONTENTS_FILE: &str = "archive.json";
@@ -86,9 +86,9 @@ pub enum ArchiveError {
     )]
     Foreign { archive: String, problem: String },
     #[error(
-        "read archive {archive}: it has {what} {found}, written by {program}, and this program reads up to {known}; use that release or a later one"
+        "read archive {archive}: it has {what} {found}, written by {program}, and this program reads {what} {known} only; use the program that wrote it"
     )]
-    Newer {
+    OtherVersion {
         archive: String,
         program: String,
         /// Kind of version: `format` or `schema version`.

@@ -42,12 +42,9 @@ struct ExportRow<'a> {
     execution: Execution,
     #[serde(skip_serializing_if = "Option::is_none")]
     protocol: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    goal_predicates: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    goal_at_end: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    goal_at_most: Option<u32>,
+    goal_predicates: u32,
+    goal_at_end: u32,
+    goal_at_most: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
     prompt: Option<&'a str>,
 }

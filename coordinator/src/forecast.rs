@@ -82,14 +82,9 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
             forecast.unmeasured_suites.join(", ")
         ));
     }
-    match &forecast.speed {
-        Some(speed) => {
-            lines.push(phase_shares(speed));
-            lines.extend(bottleneck(speed, forecast.slots));
-        }
-        None => lines.push(
-            "the time by phase is not known: the workers are of an earlier release".to_owned(),
-        ),
+    if let Some(speed) = &forecast.speed {
+        lines.push(phase_shares(speed));
+        lines.extend(bottleneck(speed, forecast.slots));
     }
     let first = wrapped("", 2, &lines.remove(0));
     let indented = lines.iter().map(|line| wrapped("  ", 4, line));
@@ -220,9 +215,6 @@ mod tests {
         assert!(text.contains("`--configs 0`"), "{text}");
         let text = describe(&ForecastResponse::default(), "pi05");
         assert!(text.ends_with("no worker is connected"), "{text}");
-        let by_earlier_workers = ForecastResponse { speed: None, ..measured(Bottleneck::Slots) };
-        let text = describe(&by_earlier_workers, "pi05");
-        assert!(text.contains("is not known") && !text.contains("bottleneck"), "{text}");
         let mut without_cores = measured(Bottleneck::Unspecified);
         let speed = without_cores.speed.as_mut().expect("a speed");
         (speed.enough_slots, speed.enough_slots_secs) = (None, None);

@@ -82,7 +82,7 @@ impl Coordinator {
     ///
     /// # Errors
     /// If the data folder cannot be used, for example because another coordinator holds its lock or
-    /// a newer program wrote it.
+    /// another program wrote it.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
         remove_partial_files(&config.data)

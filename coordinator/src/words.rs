@@ -51,18 +51,9 @@ pub fn rfc3339(at: UnixMillis) -> String {
     format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
 }
 
-/// Describes the assets, simulator, renderer, look and program of a worker; empty values are left
-/// out.
+/// Describes the assets, simulator, renderer, look and program of a worker.
 pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, look: &str, program: &str) -> String {
-    let labelled = |prefix: &str, version: &str| match version {
-        "" => String::new(),
-        version => format!("{prefix} {version}"),
-    };
-    let (mujoco, look) = (labelled("MuJoCo", mujoco), labelled("look", look));
-    let program = labelled("program", program);
-    let parts = [pack, &mujoco, renderer, &look, &program];
-    let present: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
-    present.join(", ")
+    format!("{pack}, MuJoCo {mujoco}, {renderer}, look {look}, program {program}")
 }
 
 /// Formats a size in binary units: `812 B`, `3.4 MiB`.
@@ -106,18 +97,5 @@ mod tests {
         assert_eq!(written, expected);
         let sizes = [812, 3_565_158, u64::MAX].map(size_text);
         assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);
-    }
-
-    /// Workers stored under schema 1 have no renderer.
-    #[test]
-    fn missing_worker_properties_leave_no_gap() {
-        assert_eq!(
-            runs_on("primitives", "3.3.7", "", "", "0.1.0"),
-            "primitives, MuJoCo 3.3.7, program 0.1.0"
-        );
-        assert_eq!(
-            runs_on("primitives", "3.3.7", "llvmpipe", "mujoco-3.3.2", ""),
-            "primitives, MuJoCo 3.3.7, llvmpipe, look mujoco-3.3.2"
-        );
     }
 }

@@ -18,7 +18,9 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rollout_types::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
+use rollout_types::{
+    AttemptId, Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
@@ -146,8 +148,8 @@ fn report(attempt: AttemptId) -> CommitReport {
             ik: None,
             clipped_actions: 0,
             policy_queries: 1,
-            parts: None,
-            goal: None,
+            parts: Parts::default(),
+            goal: GoalProgress { predicates: 1, at_end: 1, at_most: 1 },
             prompt: None,
         },
         provenance: Provenance {

@@ -244,6 +244,15 @@ def test_a_servers_fault_fails_its_point(fault, failing, expected):
         assert len(failed) == 1
 
 
+def test_a_server_need_not_implement_end():
+    class WithoutEnd(FaultyService):
+        End = pb_grpc.PolicyServicer.End
+
+    verdicts = {finding.point: finding.verdict for finding in findings_of(WithoutEnd())}
+    assert not any(verdict.failed for verdict in verdicts.values()), verdicts
+    assert verdicts[Point.END].word is Word.SKIP
+
+
 # Command line.
 
 

@@ -46,11 +46,7 @@ pub mod coordinator {
 
 /// Version of [`policy`], exchanged on `Describe`.
 pub const PROTOCOL_VERSION: u32 = 1;
-/// Version of [`coordinator`], exchanged on `Register`. Since 2, a worker registers with its
-/// renderer, and a result carries a fingerprint. Since 3, every attempt has an id, claims are
-/// idempotent, and realised values take the place of their digests. Since 4, a manifest row may be
-/// a variant of LIBERO-Plus or LIBERO-PRO. Since 5, it may hold a task of a suite file. Since 6, it
-/// may be a sentence of LIBERO-Para. Since 7, workers and results have a look.
+/// Version of [`coordinator`], exchanged on `Register`; a worker of another version is refused.
 pub const COORDINATOR_PROTOCOL_VERSION: u32 = 7;
 /// Largest number of control steps for which a motion is sent: ten times LIBERO's longest rollout.
 /// The outcome of a longer rollout is sent without its motion.

@@ -25,8 +25,8 @@ import numpy as np
 
 from .errors import CoordinatorError
 
-#: The newest format and schema that can be read.
-FORMAT, SCHEMA = 1, 13
+#: The format and schema that can be read.
+FORMAT, SCHEMA = 1, 1
 
 #: Largest number of bytes per read of a file.
 READ_BYTES = 1 << 20
@@ -217,15 +217,15 @@ class Archive:
         return contents
 
     def _check_version(self, contents: dict[str, Any]) -> None:
-        for kind, version, newest in (
+        for kind, version, known in (
             ("format", contents["format"], FORMAT),
             ("schema", contents["schema"], SCHEMA),
         ):
-            if version > newest:
+            if version != known:
                 raise ArchiveError(
                     f"failed to read archive {self._file}: {contents.get('program')} wrote it, with"
-                    f" {kind} {version}, and this package reads up to {newest}; install a release"
-                    " at least as new"
+                    f" {kind} {version}, and this package reads {kind} {known} only; install the"
+                    " release that wrote it"
                 )
 
     def _check_members(self, contents: dict[str, Any], folder: Path) -> None:

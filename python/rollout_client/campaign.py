@@ -74,8 +74,7 @@ class Campaign:
         rollouts of the placebo level have `placebo_radius`.
         `execution` is the execution model, `wait` unless the campaign or its row sets another.
         `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
-        and `goal_at_most` the largest number that held at one time; all three are missing in
-        results from workers of earlier releases."""
+        and `goal_at_most` the largest number that held at one time."""
         request = wire.ExportRequest(campaign=self._name)
         lines = self._connection.collect(self._connection.operator.Export, request)
         rows = ({"replicate": 0, "execution": "wait", **json.loads(line.json)} for line in lines)

@@ -15,7 +15,7 @@ fn a_disturbed_week_ends_as_an_undisturbed_one() {
     assert!(output.status.success(), "{printed}\n{errors}");
     // 50 nominal rollouts, and ten configurations under seven conditions at three levels.
     assert!(printed.contains("260 rollouts on 4 simulated slots"), "{printed}");
-    for event in ["outage of the policy", "upgrade", "full disk", "restored"] {
+    for event in ["outage of the policy", "restart", "full disk", "restored"] {
         assert!(printed.contains(event), "no {event}: {printed}");
     }
     assert!(printed.contains("report and results: the same"), "{printed}");

@@ -275,8 +275,8 @@ impl Run<'_> {
             }),
             clipped_actions: self.clipped_actions,
             policy_queries: self.queries,
-            parts: Some(self.parts),
-            goal: Some(self.goal),
+            parts: self.parts,
+            goal: self.goal,
             prompt: Some(instruction.into_owned()).filter(|prompt| !prompt.is_empty()),
         };
         Ok((result, episode.digests().clone(), episode.realised().clone()))

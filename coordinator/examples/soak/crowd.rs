@@ -369,6 +369,12 @@ fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
             steps: if success { 120 } else { 220 },
             wall_secs: 1.5,
             policy_queries: 30,
+            parts: Some(wire::Parts::default()),
+            goal: Some(wire::GoalProgress {
+                predicates: 1,
+                at_end: success.into(),
+                at_most: success.into(),
+            }),
             ..wire::RolloutResult::default()
         }),
         provenance: Some(wire::Provenance {

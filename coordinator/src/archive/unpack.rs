@@ -139,7 +139,7 @@ impl ArchiveReader<'_> {
 
     /// Reads the table of contents, which is the first member.
     fn read_contents(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
-        /// Version fields, parsed first so that a newer format is reported as such.
+        /// Version fields, parsed first so that another format is reported as such.
         #[derive(Deserialize)]
         struct Versions {
             format: u32,
@@ -172,8 +172,8 @@ impl ArchiveReader<'_> {
             ("format", versions.format.into(), FORMAT.into()),
             ("schema version", versions.schema, known),
         ] {
-            if found > known {
-                return Err(ArchiveError::Newer {
+            if found != known {
+                return Err(ArchiveError::OtherVersion {
                     archive: self.archive.to_owned(),
                     program: versions.program,
                     what,

@@ -94,10 +94,10 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         failed_unix_ms: line.failed_ms.0,
     };
     let result = |line: ResultLine| wire::ResultOrigin {
-        goal: line.goal().map(|goal| wire::GoalProgress {
-            predicates: goal.predicates,
-            at_end: goal.at_end,
-            at_most: goal.at_most,
+        goal: Some(wire::GoalProgress {
+            predicates: line.goal_predicates,
+            at_end: line.goal_at_end,
+            at_most: line.goal_at_most,
         }),
         attempt: line.number.0,
         worker_id: line.worker_id.0,

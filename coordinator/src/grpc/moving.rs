@@ -249,7 +249,7 @@ fn adopt_failed(error: AdoptError) -> Status {
 fn archive_failed(error: ArchiveError) -> Status {
     match error {
         ArchiveError::Foreign { .. }
-        | ArchiveError::Newer { .. }
+        | ArchiveError::OtherVersion { .. }
         | ArchiveError::Damaged { .. }
         | ArchiveError::Altered { .. }
         | ArchiveError::Differs { .. } => invalid(chain(&error)),

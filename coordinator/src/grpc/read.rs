@@ -305,24 +305,22 @@ fn motion(motion: wire::Motion) -> Result<Motion, Status> {
 fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     let residuals = [result.ik_residual_mm, result.ik_residual_deg];
     let fits = |value: &f64| (0.0..=MAX_MEASURED).contains(value);
-    let parts = result.parts.map(|parts| Parts {
+    let parts = result.parts.ok_or_else(|| missing("parts"))?;
+    let parts = Parts {
         physics_secs: parts.physics_secs,
         drawing_secs: parts.drawing_secs,
         policy_secs: parts.policy_secs,
-    });
-    let spans = parts.map(|part| [part.physics_secs, part.drawing_secs, part.policy_secs]);
-    let numbers = residuals.iter().flatten().chain(spans.iter().flatten());
-    if !fits(&result.wall_secs) || !numbers.into_iter().all(fits) {
+    };
+    let secs = [result.wall_secs, parts.physics_secs, parts.drawing_secs, parts.policy_secs];
+    if !residuals.iter().flatten().chain(&secs).all(fits) {
         return Err(invalid(format!(
             "`result` holds a number that is negative, not finite or above {MAX_MEASURED:e}"
         )));
     }
-    let goal = result.goal.map(|goal| GoalProgress {
-        predicates: goal.predicates,
-        at_end: goal.at_end,
-        at_most: goal.at_most,
-    });
-    if goal.is_some_and(|goal| !goal.agrees_with(result.success)) {
+    let goal = result.goal.ok_or_else(|| missing("goal"))?;
+    let goal =
+        GoalProgress { predicates: goal.predicates, at_end: goal.at_end, at_most: goal.at_most };
+    if !goal.agrees_with(result.success) {
         return Err(invalid(
             "`result` has goal progress that is inconsistent in itself or with `success`",
         ));

@@ -5,7 +5,6 @@ use libero_ctrl::{Axis, Condition, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 use queue::rules::lease::FailureReason;
-use rollout_types::GoalProgress;
 use terminal::counted;
 
 use super::layout::breakable;
@@ -234,13 +233,11 @@ fn provenance(shown: &ShownRollout, replicate: u32) -> Markup {
     }
 }
 
-/// Describes how many goal predicates held; empty if the worker did not report them.
+/// Describes how many goal predicates held.
 fn goal(result: &ResultLine) -> String {
-    let describe = |goal: GoalProgress| {
-        let GoalProgress { predicates, at_end, at_most } = goal;
-        format!("{at_end} of {predicates} predicates held at the end, at most {at_most} at once")
-    };
-    result.goal().map(describe).unwrap_or_default()
+    let (predicates, at_end, at_most) =
+        (result.goal_predicates, result.goal_at_end, result.goal_at_most);
+    format!("{at_end} of {predicates} predicates held at the end, at most {at_most} at once")
 }
 
 fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {

@@ -5,7 +5,7 @@ use proto::coordinator::ForecastResponse;
 
 use crate::forecast::{bottleneck, phase_shares};
 
-/// Renders the lines; empty until a result reports its time by phase. The bottleneck is left out if
+/// Renders the lines; empty without results. The bottleneck is left out if
 /// the campaign is over.
 pub(super) fn speed(pace: &ForecastResponse, is_over: bool) -> Markup {
     let bottleneck_text = |speed| bottleneck(speed, pace.slots).filter(|_| !is_over);

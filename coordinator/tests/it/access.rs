@@ -396,7 +396,7 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
         assert_eq!(mode(&file), 0o600, "{}", file.display());
     }
     drop(serve);
-    // A database of an earlier release is made private, too.
+    // A database that others may read is made private, too.
     std::fs::set_permissions(&database, Permissions::from_mode(0o644)).expect("set");
     let _serve = Serve::start(&data);
     assert_eq!(mode(&database), 0o600);

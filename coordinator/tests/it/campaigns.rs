@@ -126,31 +126,34 @@ async fn campaigns_and_results_survive_a_restart() {
 }
 
 #[tokio::test]
-async fn a_database_of_a_newer_schema_is_refused_untouched() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("future")).await.expect("created");
-    let pool = bench.database().await;
+async fn a_database_of_another_schema_is_refused_untouched() {
     let newer = "INSERT INTO _sqlx_migrations
         (version, description, success, checksum, execution_time)
         VALUES (4711, 'from the future', 1, x'00', 0)";
-    sqlx::query(newer).execute(&pool).await.expect("inserted");
-    pool.close().await;
-    let folder = bench.stop().await;
-    let path = folder.path().join(DATABASE_FILE);
-    let before = std::fs::read(&path).expect("a database");
+    let up_to = format!("up to {}", newest_known_schema());
+    let older = ["older checkout", "empty folder", "--data"];
+    for (change, words) in [
+        (newer, ["4711", &up_to, "newer program"]),
+        ("UPDATE _sqlx_migrations SET checksum = x'00'", older),
+        ("UPDATE _sqlx_migrations SET version = 13", older),
+    ] {
+        let bench = Bench::start().await;
+        bench.create(&small_spec("kept")).await.expect("created");
+        let pool = bench.database().await;
+        sqlx::query(change).execute(&pool).await.expect("changed");
+        pool.close().await;
+        let folder = bench.stop().await;
+        let path = folder.path().join(DATABASE_FILE);
+        let before = std::fs::read(&path).expect("a database");
 
-    let error = Store::open(folder.path()).await.expect_err("too new");
-    let known = newest_known_schema();
-    assert!(matches!(
-        error,
-        OpenError::NewerSchema { found: 4711, known: newest, .. } if newest == known
-    ));
-    let text = error.to_string();
-    let up_to = format!("up to {known}");
-    for word in ["4711", &up_to, "newer program", "--data"] {
-        assert!(text.contains(word), "{text}");
+        let error = Store::open(folder.path()).await.expect_err("another schema");
+        let text = error.to_string();
+        let path_text = path.to_str().expect("UTF-8");
+        for word in words.into_iter().chain([path_text]) {
+            assert!(text.contains(word), "{text}");
+        }
+        assert_eq!(std::fs::read(&path).expect("a database"), before);
     }
-    assert_eq!(std::fs::read(&path).expect("a database"), before);
 }
 
 #[tokio::test]

@@ -45,5 +45,4 @@ mod storage;
 mod subsets;
 mod thresholds;
 mod together;
-mod upgrade;
 mod waiting;

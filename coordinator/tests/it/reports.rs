@@ -205,10 +205,10 @@ async fn the_report_leaves_out_other_realisation_modes_with_a_warning() {
 
     let pool = bench.database().await;
     for alter in [
-        "INSERT INTO provenance SELECT 99, host, renderer, fingerprint, '3.9.9', asset_pack,
+        "INSERT INTO provenance SELECT 99, host, renderer, look, fingerprint, '3.9.9', asset_pack,
              asset_pack_digest, 'reference', policy_name, policy_checkpoint,
              policy_checkpoint_digest, policy_privileged, policy_canonical_only,
-             policy_settings, batch_mode, program_version, look
+             policy_settings, batch_mode, program_version
          FROM provenance",
         "UPDATE result SET provenance_id = 99 WHERE job_id =
              (SELECT id FROM job WHERE rollout_id = 'object/t0/combination/L1/c01')",

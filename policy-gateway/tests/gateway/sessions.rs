@@ -122,7 +122,7 @@ impl Policy for RecordingPolicy {
         self.events.send(event).expect("the test receives events");
         match self.implements_end {
             true => Ok(Response::new(EndResponse {})),
-            false => Err(Status::unimplemented("a server of the first release")),
+            false => Err(Status::unimplemented("optional")),
         }
     }
 

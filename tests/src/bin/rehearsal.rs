@@ -1,5 +1,5 @@
 //! Dress rehearsal of a week of operation in compressed time: a campaign of every rollout of the
-//! protocol, with two replicates, on slots that start and stop, with a policy outage, an upgrade of
+//! protocol, with two replicates, on slots that start and stop, with a policy outage, a restart of
 //! the coordinator, a full disk, clock jumps and a restored backup. All processes are real, except
 //! that slots are simulated. Report and results must equal those of the same campaign without
 //! faults, byte for byte. Exits with 1 if they do not.
@@ -14,7 +14,6 @@ use clap::Parser;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use tests::chaos::{Fault, Fleet, Link, Plan, SlotKind};
-use tests::programs::program;
 
 /// Interval at which the progress of the campaign is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
@@ -25,7 +24,7 @@ const INTERVAL_MILLIS: (u64, u64) = (1_000, 4_000);
 /// has the clock's new offset from the true time.
 const EVENTS: [(f64, Event); 7] = [
     (0.10, Event::PolicyOutage),
-    (0.25, Event::Upgrade),
+    (0.25, Event::Restart),
     (0.40, Event::FullDisk),
     (0.50, Event::ClockJump("+1d")),
     (0.60, Event::ClockJump("-1d")),
@@ -54,16 +53,12 @@ struct Arguments {
     /// Duration of each outage of policy and disk, seconds.
     #[arg(long, default_value_t = 15)]
     outage_secs: u64,
-    /// The coordinator of an earlier release, which begins the campaign [default: the
-    /// same program]
-    #[arg(long, value_name = "PROGRAM")]
-    earlier: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Event {
     PolicyOutage,
-    Upgrade,
+    Restart,
     FullDisk,
     ClockJump(&'static str),
     Backup,
@@ -85,10 +80,7 @@ fn main() -> ExitCode {
     println!("undisturbed: {:.0} s", started.elapsed().as_secs_f64());
 
     let started = Instant::now();
-    let mut fleet = Fleet::start_with(Plan {
-        coordinator: arguments.earlier.unwrap_or_else(|| program("coordinator")),
-        ..plan
-    });
+    let mut fleet = Fleet::start_with(plan);
     let mut rehearsal = Rehearsal {
         fleet: &mut fleet,
         occurrences: BTreeMap::new(),
@@ -188,9 +180,9 @@ impl Rehearsal<'_> {
                 self.fleet.inject(Fault::KillPolicy(self.outage));
                 "outage of the policy"
             }
-            Event::Upgrade => {
-                self.fleet.upgrade();
-                "upgrade of the coordinator"
+            Event::Restart => {
+                self.fleet.restart_coordinator();
+                "restart of the coordinator"
             }
             Event::FullDisk => {
                 self.fleet.inject(Fault::FullDisk(self.outage));

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{process, thread};
 
-use rollout_types::{AttemptId, Motion, Parts, Realised, RolloutResult};
+use rollout_types::{AttemptId, GoalProgress, Motion, Parts, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
 use transport::Access;
 use worker::actor::{Actor, PolicyError};
@@ -141,16 +141,17 @@ fn play(
     let hash = hash.finalize();
     let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;
+    let success = repeated.map_or(hash[0].is_multiple_of(2), |success| *success);
     Ok(Some(Finished {
         result: RolloutResult {
-            success: repeated.map_or(hash[0].is_multiple_of(2), |success| *success),
+            success,
             steps: (20 + u32::from(hash[1])).min(row.max_steps),
             wall_secs: started.elapsed().as_secs_f64(),
             ik: None,
             clipped_actions: 0,
             policy_queries: STEPS / STEPS_PER_QUERY,
-            parts: Some(parts),
-            goal: None,
+            parts,
+            goal: GoalProgress { predicates: 1, at_end: success.into(), at_most: success.into() },
             prompt: None,
         },
         evidence: Evidence {

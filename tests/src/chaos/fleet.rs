@@ -46,8 +46,6 @@ pub struct Plan {
     pub design: Vec<String>,
     /// Timeout of the campaign after the last fault.
     pub patience: Duration,
-    /// The coordinator's program before the upgrade.
-    pub coordinator: PathBuf,
 }
 
 /// A worker and the identity of its simulated machine.
@@ -90,7 +88,6 @@ impl Plan {
             slots_each: 1,
             design: design.map(str::to_owned).into(),
             patience: PATIENCE,
-            coordinator: program("coordinator"),
         }
     }
 }
@@ -337,13 +334,12 @@ impl Fleet {
         }
     }
 
-    /// Shuts the coordinator down gracefully and starts the newest program on its data.
+    /// Shuts the coordinator down gracefully and starts it again.
     ///
     /// # Panics
     /// If the shutdown fails or the coordinator does not come back.
-    pub fn upgrade(&mut self) {
+    pub fn restart_coordinator(&mut self) {
         self.end_coordinator();
-        self.plan.coordinator = program("coordinator");
         self.start_coordinator();
     }
 
@@ -418,7 +414,7 @@ impl Fleet {
             command.env("DONT_FAKE_MONOTONIC", "1");
         }
         command
-            .arg(&self.plan.coordinator)
+            .arg(program("coordinator"))
             .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
             .arg(LEASE.as_secs().to_string())
             .arg("--data")

@@ -60,6 +60,7 @@ fn names_and_files(messages: &mut Messages) {
         OpenError::NewerSchema { .. } => OpenError::NewerSchema {
             path: path(), found: 9, known: 8, program: "0.1.0",
         },
+        OpenError::OlderCheckout { .. } => OpenError::OlderCheckout { path: path() },
         OpenError::Migrate { .. } => OpenError::Migrate {
             path: path(), known: 8, source: sqlx::migrate::MigrateError::VersionMissing(3),
         },
@@ -227,7 +228,7 @@ fn moving(messages: &mut Messages) {
         ArchiveError::Foreign { .. } => ArchiveError::Foreign {
             archive: archive(), problem: "it is not a compressed tar archive".to_owned(),
         },
-        ArchiveError::Newer { .. } => ArchiveError::Newer {
+        ArchiveError::OtherVersion { .. } => ArchiveError::OtherVersion {
             archive: archive(), program: text(), what: "format", found: 2, known: 1,
         },
         ArchiveError::Damaged { .. } => ArchiveError::Damaged {

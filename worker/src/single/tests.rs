@@ -121,7 +121,7 @@ fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
     assert_eq!(finished.result.steps, 6, "the step budget ends the rollout");
     assert_eq!(finished.result.clipped_actions, 3);
     let expected = GoalProgress { predicates: 1, at_end: 0, at_most: 0 };
-    assert_eq!(finished.result.goal, Some(expected));
+    assert_eq!(finished.result.goal, expected);
     assert!(!first.join("frames").exists(), "nothing was drawn");
     let trace = first.join("trace.npz");
     let (shape, actions) = array::<f64>(&trace, "actions");

@@ -169,27 +169,23 @@ fn result(result: &RolloutResult) -> wire::RolloutResult {
         ik_clamped_joints: ik.map(|ik| ik.clamped_joints),
         clipped_actions: result.clipped_actions,
         policy_queries: result.policy_queries,
-        parts: result.parts.map(|parts| wire::Parts {
-            physics_secs: parts.physics_secs,
-            drawing_secs: parts.drawing_secs,
-            policy_secs: parts.policy_secs,
+        parts: Some(wire::Parts {
+            physics_secs: result.parts.physics_secs,
+            drawing_secs: result.parts.drawing_secs,
+            policy_secs: result.parts.policy_secs,
         }),
         prompt: result.prompt.clone().unwrap_or_default(),
-        goal: result.goal.map(|goal| wire::GoalProgress {
-            predicates: goal.predicates,
-            at_end: goal.at_end,
-            at_most: goal.at_most,
+        goal: Some(wire::GoalProgress {
+            predicates: result.goal.predicates,
+            at_end: result.goal.at_end,
+            at_most: result.goal.at_most,
         }),
     }
 }
 
 fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) -> Provenance {
     let realised = evidence.realised.axes().map(|(axis, realised)| {
-        let (parameters, elements) = match realised {
-            RealisedAxis::Values { parameters, elements } => (parameters.clone(), elements.clone()),
-            // Only results of earlier releases have this variant; a simulation never produces it.
-            RealisedAxis::Digest(_) => Default::default(),
-        };
+        let RealisedAxis { parameters, elements } = realised.clone();
         wire::RealisedAxis { axis: axis.to_string(), parameters, elements }
     });
     Provenance {

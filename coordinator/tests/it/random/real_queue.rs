@@ -17,7 +17,9 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rollout_types::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
+use rollout_types::{
+    AttemptId, Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+};
 use serde_json::json;
 
 use super::{Event, WORKERS, event};
@@ -271,8 +273,8 @@ fn report(attempt: AttemptId, success: bool) -> CommitReport {
             ik: None,
             clipped_actions: 0,
             policy_queries: 1,
-            parts: None,
-            goal: None,
+            parts: Parts::default(),
+            goal: GoalProgress { predicates: 1, at_end: success.into(), at_most: success.into() },
             prompt: None,
         },
         provenance: Provenance {

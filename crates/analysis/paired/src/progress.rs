@@ -21,7 +21,7 @@ pub struct Progress {
     /// Control steps until success or, without success, until the rollout ended; `None` if
     /// unknown.
     pub steps: Option<u32>,
-    /// Predicates of the goal that held; `None` from workers of earlier releases.
+    /// Predicates of the goal that held; `None` if unknown.
     pub goal: Option<GoalProgress>,
 }
 

@@ -22,7 +22,6 @@ pub struct Subject {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub look: Option<Look>,
     /// Behaviour of the robot while a response of its policy was pending.
-    #[serde(default)]
     pub execution: Execution,
     /// Every planned rollout of a campaign, with or without an outcome, or every row of a file.
     pub records: Vec<Record>,
@@ -36,10 +35,8 @@ pub struct Subject {
     /// Distinct provenances of the outcomes: assets, simulator, policy and program.
     pub provenances: Vec<Provenance>,
     /// Counts of the policy's actions outside [-1, 1], if known.
-    #[serde(default)]
     pub beyond: Option<BeyondRange>,
     /// Fingerprints of the outcomes, if there is more than one.
-    #[serde(default)]
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
     pub published_nominal: Option<f64>,
@@ -49,19 +46,14 @@ pub struct Subject {
     /// Nominal successes reported by another source.
     pub reported_nominal: Option<Count>,
     /// Assignment of perturbation directions to configurations.
-    #[serde(default)]
     pub directions: Directions,
     /// Radius of the placebo level, if the campaign has such a level and its radius is known.
-    #[serde(default)]
     pub placebo_radius: Option<f64>,
     /// Progress of the rollouts with an outcome, as far as known.
-    #[serde(default)]
     pub progress: Vec<Progress>,
     /// Digests of the rollouts' setups; empty if unknown.
-    #[serde(default)]
     pub setups: Setups,
     /// Purpose and source of the campaign, if it is derived from another.
-    #[serde(default)]
     pub derived: Option<Derived>,
     /// Protocol of a campaign of LIBERO's family, or `NAME@DIGEST` of a suite file; `None` for any
     /// other campaign.

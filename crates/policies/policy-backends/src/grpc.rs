@@ -132,7 +132,7 @@ impl GrpcBackend {
     async fn error(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
         match self.peer.diagnose(&status).await {
-            // A server of an older version did answer, so the connection is not at fault.
+            // A server that lacks the call did answer, so the connection is not at fault.
             Some(trouble) if trouble.found == ProbeResult::LacksCall => BackendError::Refused {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
@@ -166,7 +166,7 @@ impl Backend for GrpcBackend {
     async fn end(&self, session: &str) {
         let request =
             EndRequest { policy: self.address.policy.clone(), session: session.to_owned() };
-        // Servers of the first release do not implement `End`.
+        // A server need not implement `End`.
         if let Err(status) = self.client.clone().end(request).await {
             tracing::debug!(backend = %self, "end of session {session:?}: {status}");
         }

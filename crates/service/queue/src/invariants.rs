@@ -211,8 +211,7 @@ pub const INVARIANTS: [Invariant; 20] = [
                   AND c.policy_id = p.id)",
     },
     // A result belongs to its job's campaign, and comes from the assets, the simulator, the
-    // renderer and the realisation that the campaign is pinned to. Schema 1 pinned no renderer:
-    // its results, which have no fingerprint, may come from any renderer.
+    // renderer, the look and the realisation that the campaign is pinned to.
     Invariant {
         name: "results_are_of_the_pin",
         query:
@@ -222,8 +221,7 @@ pub const INVARIANTS: [Invariant; 20] = [
          JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
          WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
              OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
-             OR p.look IS NOT c.look
-             OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)",
+             OR p.look IS NOT c.look OR p.renderer IS NOT c.renderer",
     },
     // A result is within the step budget of its job, and its numbers are within the bounds of
     // a worker's report.
@@ -236,10 +234,9 @@ pub const INVARIANTS: [Invariant; 20] = [
          WHERE r.steps > coalesce(j.manifest_row ->> 'max_steps', r.steps)
              OR r.clipped_actions > r.steps
              OR max(r.steps, r.policy_queries, coalesce(r.ik_clamped_joints, 0),
-                 coalesce(r.goal_predicates, 0)) > 4294967295
+                 r.goal_predicates) > 4294967295
              OR max(r.wall_secs, coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
-                 coalesce(r.physics_secs, 0), coalesce(r.drawing_secs, 0),
-                 coalesce(r.policy_secs, 0)) > 1e9
+                 r.physics_secs, r.drawing_secs, r.policy_secs) > 1e9
              OR min(coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
                  coalesce(r.ik_clamped_joints, 0)) < 0
          UNION ALL
@@ -292,8 +289,8 @@ pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
     let in_file = |source| CheckError::Read { path: file.clone(), source };
     let mut connection = open(&file).await.map_err(in_file)?;
     let known = store::newest_known_schema();
-    let found = store::schema_version(&mut connection).await;
-    let found = found.map_err(in_file)?.unwrap_or(0);
+    let applied = store::applied_migrations(&mut connection).await.map_err(in_file)?;
+    let found = applied.last().map_or(0, |(version, _)| *version);
     if found != known {
         return Err(CheckError::OtherSchema { path: file, found, known });
     }

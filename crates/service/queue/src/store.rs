@@ -88,6 +88,11 @@ pub enum OpenError {
         path.display()
     )]
     NewerSchema { path: PathBuf, found: i64, known: i64, program: &'static str },
+    #[error(
+        "open database {}: an older checkout of this program made it, and its schema cannot be converted; start with an empty folder with --data, and keep the older checkout to read this one",
+        path.display()
+    )]
+    OlderCheckout { path: PathBuf },
     /// The database was not written by a coordinator, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate { path: PathBuf, known: i64, source: MigrateError },
@@ -200,12 +205,12 @@ impl Store {
     /// Opens the database of a data folder, creating or migrating it as needed.
     ///
     /// # Errors
-    /// See [`OpenError`]. A database of a newer schema is left untouched.
+    /// See [`OpenError`]. A database that another program wrote is left untouched.
     pub async fn open(folder: &Path) -> Result<Store, OpenError> {
         let in_folder = |source| OpenError::Folder { folder: folder.to_owned(), source };
         let path = folder.join(DATABASE_FILE);
         if path.exists() {
-            refuse_newer_schema(&path).await?;
+            refuse_other_schema(&path).await?;
         }
         let mut builder = DirBuilder::new();
         builder.recursive(true).mode(PRIVATE_FOLDER_MODE);
@@ -235,7 +240,6 @@ impl Store {
             )
             .await
             .map_err(database)?;
-        divide_third_migration(&writer).await.map_err(database)?;
         MIGRATIONS.run(&writer).await.map_err(|source| OpenError::Migrate {
             path: path.clone(),
             known: newest_known_schema(),
@@ -335,44 +339,6 @@ impl Store {
     }
 }
 
-/// Checksum of the third migration before it was split into the third and the fourth.
-const UNDIVIDED_THIRD: [u8; 48] = *b"\
-    \xc7\x2e\xdb\x7d\x6a\xb2\x3f\x7f\xec\x0c\x96\x14\x07\xd9\xc3\xda\
-    \x30\x2b\xa4\x76\x20\xbd\x0b\x1f\xd5\x10\x42\x84\x08\x82\x47\x0f\
-    \xdc\x2a\x62\x6d\x4a\xf0\x1e\x92\xd7\xfb\xb7\xec\x1d\xf4\xa6\x71";
-
-/// Marks both migrations as applied in a database to which the undivided migration was applied.
-async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
-    let has_migrations = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
-    if sqlx::query_scalar::<_, i64>(has_migrations).fetch_one(writer).await? == 0 {
-        return Ok(());
-    }
-    let [third, fourth] = [3, 4].map(|version| {
-        let mut migrations = MIGRATIONS.iter();
-        migrations
-            .find(|migration| migration.version == version)
-            .expect("a migration of this program")
-    });
-    sqlx::query(
-        "INSERT INTO _sqlx_migrations
-             (version, description, installed_on, success, checksum, execution_time)
-         SELECT ?, ?, installed_on, success, ?, 0 FROM _sqlx_migrations
-         WHERE version = 3 AND checksum = ?",
-    )
-    .bind(fourth.version)
-    .bind(fourth.description.as_ref())
-    .bind(fourth.checksum.as_ref())
-    .bind(UNDIVIDED_THIRD.as_slice())
-    .execute(writer)
-    .await?;
-    sqlx::query("UPDATE _sqlx_migrations SET checksum = ? WHERE version = 3 AND checksum = ?")
-        .bind(third.checksum.as_ref())
-        .bind(UNDIVIDED_THIRD.as_slice())
-        .execute(writer)
-        .await?;
-    Ok(())
-}
-
 /// Returns the newest schema version that this program supports.
 pub fn newest_known_schema() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
@@ -452,18 +418,23 @@ fn make_private(database: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Refuses an existing database whose schema is newer than this program's, without writing to it.
-async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
+/// Refuses an existing database whose migrations are not this program's, or go beyond them, without
+/// writing to it.
+async fn refuse_other_schema(path: &Path) -> Result<(), OpenError> {
     let database = |source| OpenError::Database { path: path.to_owned(), source };
     let options = SqliteConnectOptions::new().filename(path).read_only(true);
     let mut connection = SqliteConnection::connect_with(&options).await.map_err(database)?;
-    let found = schema_version(&mut connection).await.map_err(database)?;
+    let applied = applied_migrations(&mut connection).await.map_err(database)?;
     connection.close().await.map_err(database)?;
+    let is_ours = applied.iter().zip(MIGRATIONS.iter()).all(|((version, checksum), ours)| {
+        *version == ours.version && checksum[..] == ours.checksum[..]
+    });
     let known = newest_known_schema();
-    match found {
-        Some(found) if found > known => Err(OpenError::NewerSchema {
+    match applied.last() {
+        Some(_) if !is_ours => Err(OpenError::OlderCheckout { path: path.to_owned() }),
+        Some((found, _)) if *found > known => Err(OpenError::NewerSchema {
             path: path.to_owned(),
-            found,
+            found: *found,
             known,
             program: concat!("coordinator ", env!("CARGO_PKG_VERSION")),
         }),
@@ -471,27 +442,34 @@ async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
     }
 }
 
-pub(crate) async fn schema_version(
+/// Returns versions and checksums of the migrations that were applied to a database.
+pub(crate) async fn applied_migrations(
     connection: &mut SqliteConnection,
-) -> Result<Option<i64>, sqlx::Error> {
-    let has_versions: bool = sqlx::query_scalar(
+) -> Result<Vec<(i64, Vec<u8>)>, sqlx::Error> {
+    let has_migrations: bool = sqlx::query_scalar(
         "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')",
     )
     .fetch_one(&mut *connection)
     .await?;
-    if !has_versions {
-        return Ok(None);
+    if !has_migrations {
+        return Ok(Vec::new());
     }
-    sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations").fetch_one(connection).await
+    sqlx::query_as("SELECT version, checksum FROM _sqlx_migrations ORDER BY version")
+        .fetch_all(connection)
+        .await
+}
+
+/// Returns an empty database in memory with this program's schema.
+async fn fresh_database() -> Result<SqliteConnection, sqlx::Error> {
+    let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
+    let migrated = MIGRATIONS.run_direct(None, &mut fresh, false).await;
+    migrated.map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+    Ok(fresh)
 }
 
 /// Creates the temporary table `known_schema` with this program's schema in the open database.
 pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-    let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
-    MIGRATIONS
-        .run_direct(None, &mut fresh, false)
-        .await
-        .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+    let mut fresh = fresh_database().await?;
     let objects: Vec<(String, String, Option<String>)> =
         sqlx::query_as("SELECT type, name, sql FROM sqlite_schema").fetch_all(&mut fresh).await?;
     sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")

@@ -27,11 +27,8 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// Name of the renderer. Empty in a campaign that database schema 1 pinned, until its next
-    /// result sets it.
-    #[serde(alias = "gl_renderer")]
+    /// Name of the renderer.
     pub renderer: String,
-    #[serde(default = "Look::of_unnamed_results")]
     pub look: Look,
 }
 
@@ -44,8 +41,7 @@ pub struct Provenance {
     #[serde(flatten)]
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex. Slots with equal fingerprints simulate and
-    /// render with equal bits. Empty in results of database schema 1.
-    #[serde(default)]
+    /// render with equal bits.
     pub fingerprint: String,
     /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
@@ -58,12 +54,9 @@ pub struct Provenance {
     /// True if the policy received the simulator's state.
     pub policy_privileged: bool,
     /// True if the policy received the canonical instruction under every condition.
-    #[serde(default)]
     pub policy_canonical_only: bool,
     /// Settings that the policy's server resolved and that affect its actions, by name: chunk
-    /// length, executed actions, image slots, statistics, revision. Empty in results of database
-    /// schema 3 and earlier.
-    #[serde(default)]
+    /// length, executed actions, image slots, statistics, revision. Empty if it reports none.
     pub policy_settings: BTreeMap<String, String>,
     /// Batch mode in which a gateway queried the policy: "single", "deterministic" (single, with
     /// all queries of a seed at one replica) or "up to N" queries, with the suffix ", unseeded" if
@@ -99,7 +92,7 @@ impl Pin {
     pub fn accepts(&self, worker: &Pin) -> bool {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
-            && (self.renderer.is_empty() || self.renderer == worker.renderer)
+            && self.renderer == worker.renderer
             && self.look == worker.look
     }
 
@@ -175,12 +168,12 @@ impl fmt::Display for Pin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digest = self.asset_pack_digest.get(..12);
         let digest = digest.unwrap_or(&self.asset_pack_digest);
-        let (pack, version) = (&self.asset_pack, &self.mujoco_version);
-        write!(f, "asset pack `{pack}` ({digest}) with MuJoCo {version}")?;
-        if !self.renderer.is_empty() {
-            write!(f, ", renderer `{}`", self.renderer)?;
-        }
-        write!(f, " and look `{}`", self.look)
+        let Pin { asset_pack, mujoco_version, renderer, look, .. } = self;
+        write!(
+            f,
+            "asset pack `{asset_pack}` ({digest}) with MuJoCo {mujoco_version}, renderer \
+             `{renderer}` and look `{look}`"
+        )
     }
 }
 

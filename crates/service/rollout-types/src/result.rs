@@ -17,14 +17,11 @@ pub struct RolloutResult {
     pub clipped_actions: u32,
     /// Queries that the policy answered.
     pub policy_queries: u32,
-    /// Parts of `wall_secs`. `None` from workers of the first release.
-    #[serde(default)]
-    pub parts: Option<Parts>,
-    /// Progress towards the goal. `None` from workers of earlier releases.
-    #[serde(default)]
-    pub goal: Option<GoalProgress>,
-    /// Prompt that the policy got; never empty. `None` from workers of earlier releases.
-    #[serde(default)]
+    /// Parts of `wall_secs`.
+    pub parts: Parts,
+    /// Progress towards the goal.
+    pub goal: GoalProgress,
+    /// Prompt that the policy got; `None` if it was empty.
     pub prompt: Option<String>,
 }
 

@@ -205,7 +205,7 @@ class Probe(contextlib.AbstractContextManager):
                     raise
                 self.episode("after the end", seed)
                 return verdict.skipped(
-                    "it does not implement End, a later addition, and drops idle sessions by itself"
+                    "it does not implement End, and drops idle sessions by itself"
                 )
         self.episode("after the end", seed)
         return verdict.passed()

@@ -78,7 +78,7 @@ pub enum PortableError {
 impl Portable {
     /// Opens the data folder of one campaign and verifies it: its schema, every invariant, the
     /// specification's digest, and that all jobs, results and workers are ones that this program
-    /// would have stored. A database of an older schema is upgraded.
+    /// would have stored.
     ///
     /// The database is untrusted. A view in place of a table, or a trigger, would run with the
     /// first statement that touches it, so the schema is compared before any other statement.

@@ -1,6 +1,6 @@
 //! Rollouts of a configuration for comparison.
 
-use rollout_types::{AttemptId, Digests, GoalProgress, Motion, Provenance, Realised};
+use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised};
 use sqlx::types::Text;
 
 use super::View;
@@ -54,13 +54,13 @@ pub struct ResultLine {
     /// Actions clipped into [-1, 1].
     pub clipped_actions: u32,
     pub policy_queries: u32,
-    /// Predicates of the goal, if the worker reported them.
-    pub goal_predicates: Option<u32>,
+    /// Predicates of the goal.
+    pub goal_predicates: u32,
     /// Predicates of the goal that held at the end.
-    pub goal_at_end: Option<u32>,
+    pub goal_at_end: u32,
     /// Most predicates of the goal that held together.
-    pub goal_at_most: Option<u32>,
-    /// Prompt that the policy got, if the worker reported it.
+    pub goal_at_most: u32,
+    /// Prompt that the policy got; `None` if it was empty.
     pub prompt: Option<String>,
     /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
@@ -77,17 +77,6 @@ pub struct ResultLine {
     /// Origin of the result: machine, assets, policy and program.
     #[sqlx(json)]
     pub provenance: Provenance,
-}
-
-impl ResultLine {
-    /// Returns the progress towards the goal; `None` if the worker did not report it.
-    pub fn goal(&self) -> Option<GoalProgress> {
-        Some(GoalProgress {
-            predicates: self.goal_predicates?,
-            at_end: self.goal_at_end?,
-            at_most: self.goal_at_most?,
-        })
-    }
 }
 
 impl View {

@@ -24,14 +24,14 @@ pub struct Forecast {
     pub is_of_policy: bool,
     /// Suites without a result, assumed to be as fast as the others.
     pub unmeasured_suites: Vec<String>,
-    /// Time of a rollout and the bottleneck; `None` if no result reports where its time went.
+    /// Time of a rollout and the bottleneck; `None` without results.
     pub speed: Option<Speed>,
 }
 
 /// Time that a rollout takes, and the bottleneck of the forecast.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Speed {
-    /// Results that report where their time went.
+    /// Number of results that it is based on.
     pub results: u64,
     /// Mean time of one rollout, by part.
     pub spent: Spent,
@@ -62,11 +62,9 @@ pub(super) struct Measured {
     /// True if every slot had a core to itself.
     pub(super) is_roomy: bool,
     pub(super) results: i64,
-    /// Mean duration of a rollout, seconds.
+    /// Mean duration of a rollout, seconds. The fields below are means per rollout, too, as in
+    /// [`Spent`].
     pub(super) secs: f64,
-    /// Results that report where their time went. The fields below are their means per rollout, as
-    /// in [`Spent`].
-    pub(super) timed_results: i64,
     pub(super) physics_secs: f64,
     pub(super) drawing_secs: f64,
     pub(super) policy_secs: f64,
@@ -178,10 +176,10 @@ fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
 }
 
 /// Returns the mean time of a planned rollout by part, and the number of results that it is based
-/// on. A suite without results is assumed to take the mean time of all results. `None` if no result
-/// reports where its time went.
+/// on. A suite without results is assumed to take the mean time of all results. `None` without
+/// results.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
-    let results: i64 = used.iter().map(|row| row.timed_results).sum();
+    let results: i64 = used.iter().map(|row| row.results).sum();
     let total = total(rollouts);
     // Without planned rollouts there are no weights, and the mean of all results is used.
     let weight = |suite: &str| match total {
@@ -189,9 +187,9 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
         _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
     };
     let weighted_mean = |rows: &[&Measured], value: fn(&Measured) -> f64| {
-        let all = mean(rows, (value, |row| row.timed_results))?;
+        let all = mean(rows, (value, |row| row.results))?;
         let suites = rollouts.keys().map(|suite| {
-            let secs = mean(&of_suite(rows, suite), (value, |row| row.timed_results));
+            let secs = mean(&of_suite(rows, suite), (value, |row| row.results));
             weight(suite) * secs.unwrap_or(all)
         });
         Some(match total {
@@ -269,7 +267,6 @@ mod tests {
     /// A rollout of ten seconds: four on a core, five for the policy, one waiting.
     fn with_times(suite: &str, is_roomy: bool) -> Measured {
         Measured {
-            timed_results: 10,
             is_roomy,
             physics_secs: 3.0,
             drawing_secs: 1.0,

@@ -67,14 +67,11 @@ impl View {
                  substr(j.task, 1, instr(j.task, '/') - 1) AS suite,
                  coalesce(w.slots <= w.cores, 0) AS is_roomy,
                  count(*) AS results, avg(r.wall_secs) AS secs,
-                 count(r.physics_secs) AS timed_results,
-                 coalesce(avg(r.physics_secs), 0.0) AS physics_secs,
-                 coalesce(avg(r.drawing_secs), 0.0) AS drawing_secs,
-                 coalesce(avg(r.policy_secs), 0.0) AS policy_secs,
-                 coalesce(avg(max(0.0, r.wall_secs
-                     - r.physics_secs - r.drawing_secs - r.policy_secs)), 0.0) AS waiting_secs,
-                 coalesce(avg(iif(r.physics_secs IS NULL, NULL, r.policy_queries)), 0.0)
-                     AS queries
+                 avg(r.physics_secs) AS physics_secs, avg(r.drawing_secs) AS drawing_secs,
+                 avg(r.policy_secs) AS policy_secs,
+                 avg(max(0.0, r.wall_secs
+                     - r.physics_secs - r.drawing_secs - r.policy_secs)) AS waiting_secs,
+                 avg(r.policy_queries) AS queries
              FROM campaign c JOIN policy p ON p.id = c.policy_id
              JOIN result r ON r.job_id IN
                  (SELECT job_id FROM result WHERE campaign_id = c.id AND committed_ms >= ?1

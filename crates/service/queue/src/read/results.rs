@@ -40,13 +40,13 @@ pub struct ExportedRow {
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
-    /// Predicates of the goal, if the worker reported them.
-    pub goal_predicates: Option<u32>,
+    /// Predicates of the goal.
+    pub goal_predicates: u32,
     /// Predicates of the goal that held at the end.
-    pub goal_at_end: Option<u32>,
+    pub goal_at_end: u32,
     /// Most predicates of the goal that held together.
-    pub goal_at_most: Option<u32>,
-    /// Prompt that the policy got, if the worker reported it.
+    pub goal_at_most: u32,
+    /// Prompt that the policy got; `None` if it was empty.
     pub prompt: Option<String>,
 }
 
@@ -60,7 +60,7 @@ pub struct RecordRow {
     pub realisation: Option<String>,
     /// The policy's control steps, once the job is committed.
     pub steps: Option<u32>,
-    /// Predicates of the goal, if the worker reported them.
+    /// Predicates of the goal, once the job is committed.
     pub goal_predicates: Option<u32>,
     /// Predicates of the goal that held at the end.
     pub goal_at_end: Option<u32>,
@@ -81,7 +81,7 @@ pub struct SetupRow {
 }
 
 impl RecordRow {
-    /// Returns the progress towards the goal; `None` if the worker did not report it.
+    /// Returns the progress towards the goal, once the job is committed.
     pub fn goal(&self) -> Option<GoalProgress> {
         Some(GoalProgress {
             predicates: self.goal_predicates?,
@@ -233,7 +233,7 @@ impl View {
         let results: Vec<(String, i64)> = sqlx::query_as(
             "SELECT v.fingerprint, sum(o.results) FROM origin_tally o
              JOIN provenance v ON v.id = o.provenance_id
-             WHERE o.campaign_id = ? AND o.results > 0 AND v.fingerprint <> ''
+             WHERE o.campaign_id = ? AND o.results > 0
              GROUP BY v.fingerprint",
         )
         .bind(campaign)
@@ -247,7 +247,7 @@ impl View {
             "SELECT format('%s from state %d', j.task, j.init_id) FROM job j
              JOIN result r ON r.job_id = j.id
              JOIN provenance v ON v.id = r.provenance_id
-             WHERE j.campaign_id = ? AND j.state = 'committed' AND v.fingerprint <> ''
+             WHERE j.campaign_id = ? AND j.state = 'committed'
              GROUP BY j.task, j.init_id HAVING count(DISTINCT v.fingerprint) > 1
              ORDER BY j.task, j.init_id",
         )

@@ -62,11 +62,9 @@ impl Campaign {
         mode.doing("read a campaign's realisation mode")
     }
 
-    /// Returns true if a result has pinned the campaign. A campaign that schema 1 pinned has no
-    /// renderer; its next result adds one.
+    /// Returns true if a result has pinned the campaign.
     pub(crate) fn is_pinned(&self) -> bool {
-        let pin = self.pin.as_ref().filter(|_| self.pinned_ms.is_some());
-        pin.is_some_and(|pin| !pin.renderer.is_empty())
+        self.pinned_ms.is_some()
     }
 
     /// Returns true if the campaign accepts results of a worker with this pin.
@@ -272,8 +270,7 @@ async fn insert_some_jobs(
     Ok(())
 }
 
-/// Pins a campaign to the asset pack, simulator, renderer and look of its first result; fields that are
-/// already pinned stay.
+/// Pins a campaign to the asset pack, simulator, renderer and look of its first result.
 pub(crate) async fn pin(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -281,11 +278,9 @@ pub(crate) async fn pin(
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
-        "UPDATE campaign SET pinned_ms = coalesce(pinned_ms, ?),
-             asset_pack = coalesce(asset_pack, ?),
-             asset_pack_digest = coalesce(asset_pack_digest, ?),
-             mujoco_version = coalesce(mujoco_version, ?), renderer = ?, look = ?
-         WHERE id = ? AND renderer IS NULL",
+        "UPDATE campaign SET pinned_ms = ?, asset_pack = ?, asset_pack_digest = ?,
+             mujoco_version = ?, renderer = ?, look = ?
+         WHERE id = ? AND pinned_ms IS NULL",
     )
     .bind(now)
     .bind(&pin.asset_pack)

@@ -73,12 +73,12 @@ pub(crate) async fn insert(
                 .push_bind(&digests.init_state)
                 .push_bind(&digests.first_frame)
                 .push_bind(json(new.realised))
-                .push_bind(result.parts.map(|parts| parts.physics_secs))
-                .push_bind(result.parts.map(|parts| parts.drawing_secs))
-                .push_bind(result.parts.map(|parts| parts.policy_secs))
-                .push_bind(result.goal.map(|goal| goal.predicates))
-                .push_bind(result.goal.map(|goal| goal.at_end))
-                .push_bind(result.goal.map(|goal| goal.at_most))
+                .push_bind(result.parts.physics_secs)
+                .push_bind(result.parts.drawing_secs)
+                .push_bind(result.parts.policy_secs)
+                .push_bind(result.goal.predicates)
+                .push_bind(result.goal.at_end)
+                .push_bind(result.goal.at_most)
                 .push_bind(result.prompt.as_deref());
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;

@@ -5,29 +5,20 @@ use std::path::Path;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
-use super::{MIGRATIONS, newest_known_schema};
+use super::fresh_database;
 
-/// Compares the schema of an untrusted database with those of all versions of this program. Returns
-/// a description of the first foreign, altered or missing object; `None` if the schema matches a
-/// version.
+/// Compares the schema of an untrusted database with this program's. Returns a description of the
+/// first foreign, altered or missing object; `None` if the schemas are equal.
 ///
 /// Reads only the schema table, so that nothing in the database is executed.
 pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
-    let mut model = SqliteConnection::connect("sqlite::memory:").await?;
     let options = SqliteConnectOptions::new().filename(path).read_only(true);
     let mut database = options.immutable(true).pragma("trusted_schema", "OFF").connect().await?;
     let found = objects(&mut database).await?;
     database.close().await?;
-    let mut known = Vec::new();
-    for version in 1..=newest_known_schema() {
-        MIGRATIONS
-            .run_direct(Some(version), &mut model, false)
-            .await
-            .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
-        known = objects(&mut model).await?;
-        if known == found {
-            return Ok(None);
-        }
+    let known = objects(&mut fresh_database().await?).await?;
+    if known == found {
+        return Ok(None);
     }
     let foreign = found.iter().find(|object| !known.contains(object));
     let missing = known.iter().find(|object| !found.contains(object));

@@ -58,9 +58,9 @@ macro_rules! pin {
             $table,
             ".asset_pack_digest, 'mujoco_version', ",
             $table,
-            ".mujoco_version, 'renderer', coalesce(",
+            ".mujoco_version, 'renderer', ",
             $table,
-            ".renderer, ''), 'look', ",
+            ".renderer, 'look', ",
             $table,
             ".look)"
         )
