@@ -13,7 +13,10 @@ use sim::mujoco::{Model, ObjectKind};
 use sim::{Drawer, Environment};
 
 pub use findings::{ContactFindings, Findings, Limits, Worst};
-pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Least, RendererRelation};
+pub use frames::{
+    CLOSE_LEVELS, FrameFindings, FrameLimits, Least, RendererRelation, SAME_ARITHMETIC,
+    read_upright,
+};
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
 
 pub fn compare(

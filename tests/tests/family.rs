@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{RolloutId, row_of};
+use libero_ctrl::{Look, RolloutId, row_of};
 use libero_family::corruption::Corruption;
 use libero_family::plus::{Assets, Variant, inventory, start_posture};
 use libero_family::pro::ProSuite;
@@ -199,25 +199,33 @@ fn compare_chosen(benchmark: Benchmark, test: &str, is_chosen: impl Fn(&Recordin
     let Some(pack) = libero(&sources, test) else {
         return;
     };
-    let mut comparison = Comparison::new(sources, pack, Path::new(FOLDER)).unwrap();
     let mut violations = Vec::new();
     let mut chosen = recordings(benchmark).unwrap();
     chosen.retain(|recording| recording.number.is_some() && is_chosen(recording));
     assert!(!chosen.is_empty());
-    for recording in &chosen {
-        let name = &recording.name;
-        match comparison.compare(benchmark, recording).unwrap() {
-            Ok(findings) => {
-                println!("{name}: {findings:?}");
-                if benchmark == Benchmark::Para && findings.prompt.is_none() {
-                    println!(
-                        "skipped {test}: {name}: its sentence: ROLLOUT_PARA names no checkout"
-                    );
-                }
-                let found = findings.violations();
-                violations.extend(found.into_iter().map(|found| format!("{name}: {found}")));
+    for look in Look::ALL {
+        let pack = pack.clone().with_look(look);
+        let mut comparison = Comparison::new(sources.clone(), pack, Path::new(FOLDER)).unwrap();
+        assert!(chosen.iter().any(|recording| comparison.has_pictures(benchmark, recording)));
+        for recording in &chosen {
+            // Nothing but pictures depends on the look.
+            if look != Look::default() && !comparison.has_pictures(benchmark, recording) {
+                continue;
             }
-            Err(skipped) => println!("skipped {test}: {name}: {}", skipped.0),
+            let name = format!("{look}/{}", recording.name);
+            match comparison.compare(benchmark, recording).unwrap() {
+                Ok(findings) => {
+                    println!("{name}: {findings:?}");
+                    if benchmark == Benchmark::Para && findings.prompt.is_none() {
+                        println!(
+                            "skipped {test}: {name}: its sentence: ROLLOUT_PARA names no checkout"
+                        );
+                    }
+                    let found = findings.violations();
+                    violations.extend(found.into_iter().map(|found| format!("{name}: {found}")));
+                }
+                Err(skipped) => println!("skipped {test}: {name}: {}", skipped.0),
+            }
         }
     }
     assert!(violations.is_empty(), "{violations:#?}");

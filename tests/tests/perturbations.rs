@@ -1,15 +1,17 @@
 //! Compares the perturbations that a rollout applies to MuJoCo's model with values computed
-//! independently from the written specification.
+//! independently from the written specification, and frames under them with those that the original
+//! draws with these values, recorded by `perturbations/record.py`.
 
 use std::path::Path;
 
 use libero_ctrl::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef,
-    presets,
+    presets, row_of,
 };
+use policy_protocol::CAMERAS;
 use sim::mujoco::ObjectKind;
-use sim::{Renderer, Simulator, SimulatorConfig};
-use tests::fidelity::{Array, read_npz};
+use sim::{CameraRequest, ObservationRequest, Renderer, Simulator, SimulatorConfig};
+use tests::fidelity::{Array, FrameFindings, SAME_ARITHMETIC, read_npz, read_upright};
 use tests::files::{libero, shared, sources};
 
 const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
@@ -107,4 +109,45 @@ fn camera_lights_and_arm_are_where_the_specification_puts_them_in_libero_goal() 
 #[test]
 fn camera_lights_and_arm_are_where_the_specification_puts_them_in_libero_10() {
     check_suite(Suite::Long);
+}
+
+/// Rollouts of which the original's pictures were recorded in the default look.
+const CASES: &str = include_str!("perturbations/cases.json");
+/// Folder of the recorded pictures, with a folder for each look.
+const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/perturbations");
+
+#[test]
+fn frames_under_presets_of_camera_and_lights_equal_the_originals() {
+    let test = "frames_under_presets_of_camera_and_lights_equal_the_originals";
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    let recorded = Path::new(RECORDED).join(pack.look().name());
+    let renderer = Renderer::Software;
+    let mut simulator =
+        Simulator::new(SimulatorConfig { sources, pack, renderer, cached_scenes: 1 });
+    let cases: Vec<RolloutId> = serde_json::from_str(CASES).unwrap();
+    for id in cases {
+        let cameras: &[&str] = match id.condition() {
+            // Presets of the camera do not change the wrist camera.
+            Condition::Single(Axis::Camera) => &CAMERAS[..1],
+            _ => &CAMERAS,
+        };
+        let mut episode = simulator.begin(&row_of(id).unwrap(), Realisation::Matched).unwrap();
+        episode.settle().unwrap();
+        for camera in cameras {
+            let place = format!("{}_{camera}.png", id.to_string().replace('/', "_"));
+            let expected = read_upright(&recorded.join(&place)).unwrap();
+            let (width, height) = expected.dimensions();
+            let name = (*camera).to_owned();
+            let cameras = vec![CameraRequest { name, width, height }];
+            let request = ObservationRequest { cameras, privileged: false };
+            let frame = episode.observe(&request).unwrap().frames.remove(0);
+            let mut findings = FrameFindings::default();
+            findings.add(&frame.rgb, &expected, &place);
+            println!("{place}: {findings}");
+            assert_eq!(findings.violations(&SAME_ARITHMETIC), [""; 0]);
+        }
+    }
 }

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::Command;
 
 use libero_ctrl::presets::ENV_SEED;
-use libero_ctrl::{Benchmark, TaskRef};
+use libero_ctrl::{Benchmark, Look, TaskRef};
 use libero_family::plus::{Dimension, Entry, inventory};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde::Deserialize;
 use sim::{Drawer, Environment, Renderer};
-use tests::fidelity::CLOSE_LEVELS;
+use tests::fidelity::{FrameFindings, SAME_ARITHMETIC, read_upright};
 use tests::files::{folder_with_links, libero, sources};
 use tests::programs::{Campaigns, program};
 
@@ -27,14 +27,11 @@ struct Case {
 }
 
 const CASES: &str = include_str!("shadows/cases.json");
-/// Folder of the recorded pictures.
+/// Folder of the recorded pictures, with a folder for each look.
 const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shadows");
 /// Number of cases, at the beginning of `cases.json`, by which the renderer was developed; the
 /// remaining cases were held out.
 const DEVELOPMENT_CASES: usize = 5;
-/// Smallest allowed share of pixels that are equal, and that are within [`CLOSE_LEVELS`].
-const EQUAL: f64 = 0.999;
-const CLOSE: f64 = 0.9999;
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// Side of the recorded pictures, pixels.
 const SIDE: u32 = 128;
@@ -85,8 +82,13 @@ fn changed(text: &str, case: &Case) -> String {
     text
 }
 
-/// Composes a case's scene at the task's first initial state.
-fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> Environment {
+/// Composes a case's scene in a look, at the task's first initial state.
+fn environment(
+    (number, case): (usize, &Case),
+    look: Look,
+    folder: &Path,
+    sources: &Sources,
+) -> Environment {
     let scenes = folder.join("scenes");
     let base = std::fs::read_to_string(scenes.join(base_scene(&case.scene))).unwrap();
     let file = format!("lights/{}_light_sync_modified_{number}.xml", case.scene);
@@ -96,6 +98,7 @@ fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> 
     problem.name = format!("{}_{}_light_sync_modified_{number}", problem.name, case.scene);
     // `lights` is given as the pack's digest, which only appears in results; this test stores none.
     let pack = AssetPack::open_known(folder.to_str().unwrap(), sources, "lights").unwrap();
+    let pack = pack.with_look(look);
     let scene = compose(&problem, &pack, sources, ENV_SEED).unwrap();
     let mut environment = Environment::new(scene, &pack, sources).unwrap();
     let states = InitialStates::read(&files.init).unwrap();
@@ -103,7 +106,7 @@ fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> 
     environment
 }
 
-/// Compares both cameras' pictures with the recorded ones.
+/// Compares both cameras' pictures with the recorded ones, in both looks.
 fn check(cases: &[Case], test: &str) {
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
@@ -111,30 +114,21 @@ fn check(cases: &[Case], test: &str) {
     };
     let folder = folder_with_scenes(pack.dir());
     let drawer = Drawer::open(Renderer::Software).unwrap();
-    for (number, case) in cases.iter().enumerate() {
-        let mut environment = environment(case, number, folder.path(), &sources);
-        for camera in CAMERAS {
-            let place = format!("{}_{camera}", case.name);
-            let recorded = Path::new(RECORDED).join(format!("{place}.png"));
-            let recorded = image::open(recorded).unwrap().flipv().into_rgb8();
-            assert_eq!(recorded.dimensions(), (SIDE, SIDE));
-            let drawn = environment.draw(&drawer, camera, SIDE, SIDE).unwrap();
-            let pairs = drawn.rgb.chunks_exact(3).zip(recorded.chunks_exact(3));
-            let differences: Vec<u8> = pairs
-                .map(|(ours, theirs)| {
-                    let parts = ours.iter().zip(theirs);
-                    parts.map(|(a, b)| a.abs_diff(*b)).max().unwrap()
-                })
-                .collect();
-            let share = |most: u8| {
-                let count = differences.iter().filter(|levels| **levels <= most).count();
-                count as f64 / differences.len() as f64
-            };
-            let (equal, close) = (share(0), share(CLOSE_LEVELS));
-            let largest = differences.iter().max().unwrap();
-            println!("{place}: {equal:.5} equal, {close:.5} close, largest {largest}");
-            assert!(equal >= EQUAL, "{place}: {equal} of the pixels are equal");
-            assert!(close >= CLOSE, "{place}: {close} of the pixels are close");
+    for look in Look::ALL {
+        let recorded = Path::new(RECORDED).join(look.name());
+        for case in cases.iter().enumerate() {
+            let mut environment = environment(case, look, folder.path(), &sources);
+            for camera in CAMERAS {
+                let picture = format!("{}_{camera}.png", case.1.name);
+                let place = format!("{look}/{picture}");
+                let recorded = read_upright(&recorded.join(picture)).unwrap();
+                assert_eq!(recorded.dimensions(), (SIDE, SIDE));
+                let drawn = environment.draw(&drawer, camera, SIDE, SIDE).unwrap();
+                let mut findings = FrameFindings::default();
+                findings.add(&drawn.rgb, &recorded, &place);
+                println!("{place}: {findings}");
+                assert_eq!(findings.violations(&SAME_ARITHMETIC), [""; 0]);
+            }
         }
     }
 }

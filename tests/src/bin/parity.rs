@@ -13,7 +13,7 @@ use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};
 use tests::family::{Comparison, RECORDED, Table, recordings};
 use tests::fidelity::{
-    CLOSE_LEVELS, Findings, Limits, ReferenceTask, RendererRelation, compare, find_tasks,
+    CLOSE_LEVELS, Findings, Least, Limits, ReferenceTask, RendererRelation, compare, find_tasks,
 };
 use tests::files::open_pack;
 
@@ -35,7 +35,8 @@ struct Arguments {
     /// LIBERO-Para.
     #[arg(long, conflicts_with_all = ["reference", "tasks", "renderer", "frames_of_this_machine"])]
     family: bool,
-    /// Folder of recorded pictures for `--family` [default: those in the repository]
+    /// Folder of recorded pictures for `--family`, with a folder for each look [default: those in the
+    /// repository]
     #[arg(long, requires = "family")]
     pictures: Option<PathBuf>,
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
@@ -125,7 +126,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
 
 /// Prints the table of docs/FAMILY.md.
 fn family(arguments: &Arguments, sources: Sources) -> Result<bool> {
-    let pack = open_pack(&arguments.assets, &sources, TaskRef::all())?;
+    let pack = open_pack(&arguments.assets, &sources, TaskRef::all())?.with_look(arguments.look);
     let pictures = arguments.pictures.as_deref();
     let pictures = pictures.unwrap_or(Path::new(RECORDED));
     let mut comparison = Comparison::new(sources, pack, pictures)?;
@@ -171,12 +172,7 @@ const HEADER: &str = "task              names arrays settle smooth contact obs. 
 fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
     let contact = findings.contact.map_or("-".to_owned(), |contact| short(contact.worst));
     let frames = findings.frames.as_ref().map_or("-".to_owned(), |frames| {
-        format!(
-            "{} {} {:<7}",
-            percent(frames.equal.share),
-            percent(frames.close.share),
-            frames.largest
-        )
+        format!("{} {} {:<7}", percent(&frames.equal), percent(&frames.close), frames.largest)
     });
     let (differ, all) = findings.predicates;
     format!(
@@ -194,10 +190,8 @@ fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
     )
 }
 
-/// Formats a share in percent, rounded down, so that 100 % means all.
-fn percent(share: f64) -> String {
-    let percent = (share * 1e5).floor() / 1e3;
-    format!("{:<8}", format!("{percent:.3}%"))
+fn percent(least: &Least) -> String {
+    format!("{:<8}", format!("{:.3}%", least.percent()))
 }
 
 fn short(value: f64) -> String {

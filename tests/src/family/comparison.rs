@@ -19,7 +19,7 @@ use sim::{
 use worker::variants::Prepared;
 
 use super::recording::Recording;
-use crate::fidelity::{FrameFindings, RendererRelation};
+use crate::fidelity::{FrameFindings, RendererRelation, read_upright};
 
 /// Largest permitted difference of any coordinate of a state or a camera.
 pub const TOLERANCE: f64 = 1e-9;
@@ -82,6 +82,7 @@ pub struct Comparison {
     pro_pack: Option<AssetPack>,
     /// Checkout of LIBERO-Para.
     para: Option<PathBuf>,
+    /// Pictures in the look of `pack`.
     pictures: PathBuf,
     simulators: BTreeMap<PathBuf, Simulator>,
 }
@@ -102,22 +103,30 @@ struct Prompts {
 }
 
 impl Comparison {
-    /// Prepares comparisons with LIBERO's assets, with those that `ROLLOUT_PRO_ASSETS` names, and
-    /// with the checkout of LIBERO-Para that `ROLLOUT_PARA` names.
+    /// Prepares comparisons in the look of `pack`, LIBERO's assets: with it, with those that
+    /// `ROLLOUT_PRO_ASSETS` names, and with the checkout of LIBERO-Para that `ROLLOUT_PARA` names.
+    /// The folder of pictures has a folder for each look.
     ///
     /// # Errors
     /// If the folder of LIBERO-PRO's assets cannot be read.
     pub fn new(sources: Sources, pack: AssetPack, pictures: &Path) -> Result<Self> {
         let pro_pack = std::env::var("ROLLOUT_PRO_ASSETS").ok();
-        let pro_pack = pro_pack.map(|dir| AssetPack::open_whole(dir.as_ref()));
+        let pro_pack = pro_pack.map(|dir| AssetPack::open_whole(dir.as_ref())).transpose()?;
+        let look = pack.look();
         Ok(Self {
             sources,
             pack,
-            pro_pack: pro_pack.transpose()?,
+            pro_pack: pro_pack.map(|pack| pack.with_look(look)),
             para: std::env::var_os("ROLLOUT_PARA").map(PathBuf::from),
-            pictures: pictures.to_owned(),
+            pictures: pictures.join(look.name()),
             simulators: BTreeMap::new(),
         })
+    }
+
+    /// Returns true if there are pictures of a case in the look.
+    pub fn has_pictures(&self, benchmark: Benchmark, recording: &Recording) -> bool {
+        let files = CAMERAS.map(|camera| picture(&self.pictures, benchmark, recording, camera));
+        files.into_iter().flatten().any(|file| file.is_file())
     }
 
     /// Compares a case. Returns [`Skipped`] if its files are missing, or its variant is not one of
@@ -248,15 +257,11 @@ fn findings(
         findings.camera = Some(difference(&camera(episode.environment())?, expected)?);
     }
     for name in CAMERAS {
-        let Some(number) = recording.number else {
+        let path = picture(pictures, benchmark, recording, name);
+        let Some(path) = path.filter(|path| path.is_file()) else {
             continue;
         };
-        let place = format!("{}_{number:02}_{name}", benchmark.tag());
-        let path = pictures.join(format!("{place}.png"));
-        if !path.is_file() {
-            continue;
-        }
-        let expected = image::open(&path)?.flipv().into_rgb8();
+        let expected = read_upright(&path)?;
         let (width, height) = expected.dimensions();
         let request = ObservationRequest {
             cameras: vec![CameraRequest { name: name.to_owned(), width, height }],
@@ -264,7 +269,8 @@ fn findings(
         };
         let frame = episode.observe(&request)?.frames.swap_remove(0);
         let frames = findings.frames.get_or_insert_default();
-        frames.add(&frame.rgb, expected.as_raw(), &place);
+        let place = path.file_stem().unwrap_or_default().to_string_lossy();
+        frames.add(&frame.rgb, &expected, &place);
     }
     if let Some(expected) = numbers("draw") {
         let mut rng = LegacyRng::seed(run.start.seed);
@@ -285,6 +291,17 @@ fn findings(
         findings.states = findings.states.max(difference(&found, expected)?);
     }
     Ok(findings)
+}
+
+/// Returns the place of a camera's picture of a case; `None` if no picture of it was recorded.
+fn picture(
+    pictures: &Path,
+    benchmark: Benchmark,
+    recording: &Recording,
+    camera: &str,
+) -> Option<PathBuf> {
+    let number = recording.number?;
+    Some(pictures.join(format!("{}_{number:02}_{camera}.png", benchmark.tag())))
 }
 
 impl Prompts {

@@ -1,8 +1,10 @@
 //! Comparison of frames with the original's: measures of agreement and their limits.
 
 use std::fmt;
+use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
+use image::RgbImage;
 use policy_protocol::CAMERAS;
 use sim::{Drawer, Environment, Frame};
 
@@ -29,6 +31,20 @@ pub enum RendererRelation {
     ThisMachine,
     /// The software renderer.
     AnotherRenderer,
+}
+
+/// Limits of the software renderer's differences from frames that llvmpipe drew on an Intel
+/// processor, whose arithmetic it reproduces.
+pub const SAME_ARITHMETIC: FrameLimits =
+    FrameLimits { relation: RendererRelation::AnotherRenderer, equal: 0.999, close: 0.9999 };
+
+/// Reads a picture, with the lowest row first, as in frames. The scripts record it upright.
+///
+/// # Errors
+/// If the file is not a picture.
+pub fn read_upright(path: &Path) -> Result<RgbImage> {
+    let picture = image::open(path).with_context(|| format!("read {}", path.display()))?;
+    Ok(picture.flipv().into_rgb8())
 }
 
 /// Limits on the difference of frames from the reference's.
@@ -119,10 +135,27 @@ impl Default for Least {
 }
 
 impl Least {
+    /// Returns the share in percent, rounded down to three decimals, so that 100 means all.
+    pub fn percent(&self) -> f64 {
+        (self.share * 1e5).floor() / 1e3
+    }
+
     fn add(&mut self, share: f64, place: &str) {
         if share < self.share {
             *self = Self { share, place: place.to_owned() };
         }
+    }
+}
+
+impl fmt::Display for FrameFindings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{:.3} % equal, {:.3} % within {CLOSE_LEVELS} levels, largest {}",
+            self.equal.percent(),
+            self.close.percent(),
+            self.largest
+        )
     }
 }
 

