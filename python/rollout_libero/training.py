@@ -136,7 +136,9 @@ class TrainingEnvironment:
                 f"failed to begin in {len(rows)} rows: {len(starts)} starts were given"
             )
         # All scenes are compiled before any row changes, as files may be missing.
-        compiled = [scenes.scene(_bddl_file(start.task), self._assets, self._look) for start in starts]
+        compiled = [
+            scenes.scene(_bddl_file(start.task), self._assets, self._look) for start in starts
+        ]
         for row, scene in zip(rows, compiled, strict=True):
             self._assign(row, scene)
         # Equal starts are simulated once, in the first row that has them.

@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Map
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RegisterRequest(_message.Message):
-    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer", "cores", "machine")
+    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer", "cores", "machine", "look")
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
@@ -19,6 +19,7 @@ class RegisterRequest(_message.Message):
     RENDERER_FIELD_NUMBER: _ClassVar[int]
     CORES_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
+    LOOK_FIELD_NUMBER: _ClassVar[int]
     protocol_version: int
     program_version: str
     worker_id: str
@@ -30,7 +31,8 @@ class RegisterRequest(_message.Message):
     renderer: str
     cores: int
     machine: str
-    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., cores: _Optional[int] = ..., machine: _Optional[str] = ...) -> None: ...
+    look: str
+    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., cores: _Optional[int] = ..., machine: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
 
 class RegisterResponse(_message.Message):
     __slots__ = ("protocol_version", "program_version", "lease_secs", "heartbeat_secs", "progress_timeout_secs", "idle_reason")
@@ -193,7 +195,7 @@ class Parts(_message.Message):
     def __init__(self, physics_secs: _Optional[float] = ..., drawing_secs: _Optional[float] = ..., policy_secs: _Optional[float] = ...) -> None: ...
 
 class Provenance(_message.Message):
-    __slots__ = ("host", "renderer", "mujoco_version", "asset_pack", "asset_pack_digest", "scene_digest", "init_state_digest", "first_frame_digest", "realised", "realisation", "policy_name", "policy_checkpoint", "policy_checkpoint_digest", "policy_privileged", "batch_mode", "program_version", "policy_canonical_only", "fingerprint", "policy_settings")
+    __slots__ = ("host", "renderer", "mujoco_version", "asset_pack", "asset_pack_digest", "scene_digest", "init_state_digest", "first_frame_digest", "realised", "realisation", "policy_name", "policy_checkpoint", "policy_checkpoint_digest", "policy_privileged", "batch_mode", "program_version", "policy_canonical_only", "fingerprint", "policy_settings", "look")
     class PolicySettingsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -220,6 +222,7 @@ class Provenance(_message.Message):
     POLICY_CANONICAL_ONLY_FIELD_NUMBER: _ClassVar[int]
     FINGERPRINT_FIELD_NUMBER: _ClassVar[int]
     POLICY_SETTINGS_FIELD_NUMBER: _ClassVar[int]
+    LOOK_FIELD_NUMBER: _ClassVar[int]
     host: str
     renderer: str
     mujoco_version: str
@@ -239,7 +242,8 @@ class Provenance(_message.Message):
     policy_canonical_only: bool
     fingerprint: str
     policy_settings: _containers.ScalarMap[str, str]
-    def __init__(self, host: _Optional[str] = ..., renderer: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., scene_digest: _Optional[str] = ..., init_state_digest: _Optional[str] = ..., first_frame_digest: _Optional[str] = ..., realised: _Optional[_Iterable[_Union[RealisedAxis, _Mapping]]] = ..., realisation: _Optional[str] = ..., policy_name: _Optional[str] = ..., policy_checkpoint: _Optional[str] = ..., policy_checkpoint_digest: _Optional[str] = ..., policy_privileged: bool = ..., batch_mode: _Optional[str] = ..., program_version: _Optional[str] = ..., policy_canonical_only: bool = ..., fingerprint: _Optional[str] = ..., policy_settings: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    look: str
+    def __init__(self, host: _Optional[str] = ..., renderer: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., scene_digest: _Optional[str] = ..., init_state_digest: _Optional[str] = ..., first_frame_digest: _Optional[str] = ..., realised: _Optional[_Iterable[_Union[RealisedAxis, _Mapping]]] = ..., realisation: _Optional[str] = ..., policy_name: _Optional[str] = ..., policy_checkpoint: _Optional[str] = ..., policy_checkpoint_digest: _Optional[str] = ..., policy_privileged: bool = ..., batch_mode: _Optional[str] = ..., program_version: _Optional[str] = ..., policy_canonical_only: bool = ..., fingerprint: _Optional[str] = ..., policy_settings: _Optional[_Mapping[str, str]] = ..., look: _Optional[str] = ...) -> None: ...
 
 class RealisedAxis(_message.Message):
     __slots__ = ("axis", "parameters", "elements")
@@ -334,12 +338,14 @@ class ArtifactChunk(_message.Message):
     def __init__(self, attempt_id: _Optional[str] = ..., name: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class NextFilmRequest(_message.Message):
-    __slots__ = ("asset_pack_digest", "mujoco_version")
+    __slots__ = ("asset_pack_digest", "mujoco_version", "look")
     ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
     MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
+    LOOK_FIELD_NUMBER: _ClassVar[int]
     asset_pack_digest: str
     mujoco_version: str
-    def __init__(self, asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ...) -> None: ...
+    look: str
+    def __init__(self, asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
 
 class NextFilmResponse(_message.Message):
     __slots__ = ("film", "left")
@@ -647,7 +653,7 @@ class Failure(_message.Message):
     def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., reason: _Optional[str] = ..., charged: bool = ..., error: _Optional[str] = ..., failed_unix_ms: _Optional[int] = ...) -> None: ...
 
 class ResultOrigin(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal", "prompt")
+    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal", "prompt", "look")
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
     AGO_SECS_FIELD_NUMBER: _ClassVar[int]
@@ -659,6 +665,7 @@ class ResultOrigin(_message.Message):
     COMMITTED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
     GOAL_FIELD_NUMBER: _ClassVar[int]
     PROMPT_FIELD_NUMBER: _ClassVar[int]
+    LOOK_FIELD_NUMBER: _ClassVar[int]
     attempt: int
     worker_id: str
     ago_secs: float
@@ -670,7 +677,8 @@ class ResultOrigin(_message.Message):
     committed_unix_ms: int
     goal: GoalProgress
     prompt: str
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ...) -> None: ...
+    look: str
+    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
 
 class RetryJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs", "all")
@@ -713,7 +721,7 @@ class ListWorkersResponse(_message.Message):
     def __init__(self, workers: _Optional[_Iterable[_Union[WorkerStatus, _Mapping]]] = ...) -> None: ...
 
 class WorkerStatus(_message.Message):
-    __slots__ = ("worker_id", "host", "slots", "leases", "asset_pack", "mujoco_version", "renderer", "program_version", "silent_secs", "alive", "charged_in_a_row", "stopped_reason", "filming", "last_seen_unix_ms", "registered_unix_ms", "signed_off")
+    __slots__ = ("worker_id", "host", "slots", "leases", "asset_pack", "mujoco_version", "renderer", "program_version", "silent_secs", "alive", "charged_in_a_row", "stopped_reason", "filming", "last_seen_unix_ms", "registered_unix_ms", "signed_off", "look")
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
     SLOTS_FIELD_NUMBER: _ClassVar[int]
@@ -730,6 +738,7 @@ class WorkerStatus(_message.Message):
     LAST_SEEN_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
     SIGNED_OFF_FIELD_NUMBER: _ClassVar[int]
+    LOOK_FIELD_NUMBER: _ClassVar[int]
     worker_id: str
     host: str
     slots: int
@@ -746,7 +755,8 @@ class WorkerStatus(_message.Message):
     last_seen_unix_ms: int
     registered_unix_ms: int
     signed_off: bool
-    def __init__(self, worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., leases: _Optional[int] = ..., asset_pack: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., program_version: _Optional[str] = ..., silent_secs: _Optional[float] = ..., alive: bool = ..., charged_in_a_row: _Optional[int] = ..., stopped_reason: _Optional[str] = ..., filming: _Optional[int] = ..., last_seen_unix_ms: _Optional[int] = ..., registered_unix_ms: _Optional[int] = ..., signed_off: bool = ...) -> None: ...
+    look: str
+    def __init__(self, worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., leases: _Optional[int] = ..., asset_pack: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., program_version: _Optional[str] = ..., silent_secs: _Optional[float] = ..., alive: bool = ..., charged_in_a_row: _Optional[int] = ..., stopped_reason: _Optional[str] = ..., filming: _Optional[int] = ..., last_seen_unix_ms: _Optional[int] = ..., registered_unix_ms: _Optional[int] = ..., signed_off: bool = ..., look: _Optional[str] = ...) -> None: ...
 
 class BackupRequest(_message.Message):
     __slots__ = ()

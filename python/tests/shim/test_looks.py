@@ -20,7 +20,7 @@ from rollout_libero._library import native
 TASK = "libero_object/0"
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 STATE = 3
-REST = np.array([0, 0, 0, 0, 0, 0, -1])
+REST = np.array([0.0, 0, 0, 0, 0, 0, -1])
 Frames = dict[str, NDArray[np.uint8]]
 
 

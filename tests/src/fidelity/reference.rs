@@ -114,8 +114,8 @@ impl ReferenceTask {
     }
 
     pub(crate) fn path(&self, file: &str) -> PathBuf {
-        let overlay = self.overlay.iter().map(|overlay| overlay.join(file));
-        overlay.filter(|path| path.is_file()).next().unwrap_or_else(|| self.dir.join(file))
+        let mut overlay = self.overlay.iter().map(|overlay| overlay.join(file));
+        overlay.find(|path| path.is_file()).unwrap_or_else(|| self.dir.join(file))
     }
 
     /// Returns the path of the recording of contact-rich steps, if it exists.
