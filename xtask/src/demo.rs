@@ -22,6 +22,8 @@ use crate::step::step;
 
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 const CAMPAIGN: &str = "demo";
+/// Look that the demo's policy learned.
+const LOOK: &str = "mujoco-3.3.3";
 /// Name of the demo's policy.
 const POLICY: &str = "student";
 /// Tasks whose first configurations have an emergent failure and a compensated success, in the
@@ -106,7 +108,16 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     let slots = options.slots.to_string();
     let mut worker = start_one(
         "worker",
-        &["--connect", &coordinator.url, "--slots", &slots, "--assets", &options.assets],
+        &[
+            "--connect",
+            &coordinator.url,
+            "--slots",
+            &slots,
+            "--assets",
+            &options.assets,
+            "--look",
+            LOOK,
+        ],
     )?;
     #[rustfmt::skip]
     run_command(&mut call(&[
@@ -165,7 +176,7 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
 fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
     let mut worker = Command::new(programs.join("worker"));
     worker
-        .args(["film", "--assets", &options.assets])
+        .args(["film", "--assets", &options.assets, "--look", LOOK])
         .args(["--connect", &coordinator.url])
         .args(["--at-a-time", &options.slots.to_string()]);
     capture(&mut worker).map(drop)

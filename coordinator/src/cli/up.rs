@@ -15,6 +15,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use libero_ctrl::Look;
 use rustix::process::{Pid, kill_process};
 use terminal::PARENT_VARIABLE;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
@@ -54,6 +55,9 @@ pub(super) struct UpArguments {
     /// path of a LIBERO assets folder.
     #[arg(long, value_name = "PACK_OR_PATH", default_value = "libero")]
     assets: String,
+    /// Look of all scenes, as `worker --look`.
+    #[arg(long, default_value_t, hide_short_help = true)]
+    look: Look,
     /// Concurrent rollouts: a number, or `auto`, which takes some seconds to measure a suitable
     /// number.
     #[arg(long, value_name = "N|auto", default_value = "auto")]
@@ -112,8 +116,8 @@ async fn run(
         return Ok(());
     };
     let url = format!("http://{coordinator}");
-    let worker =
-        strings(&["--connect", &url, "--assets", &arguments.assets, "--slots", &arguments.slots]);
+    let worker = ["--connect", &url, "--assets", &arguments.assets, "--slots", &arguments.slots];
+    let worker = strings(&[&worker[..], &["--look", arguments.look.name()]].concat());
     programs.start("worker", worker)?;
     if programs.first_line("worker ", requests).await?.is_none() {
         return Ok(());
@@ -345,6 +349,7 @@ mod tests {
             data: "data".into(),
             routes: vec!["mine=grpc://gpu:5000".to_owned()],
             assets: "primitives".to_owned(),
+            look: Look::default(),
             slots: "1".to_owned(),
             listen: "127.0.0.1:0".parse().expect("an address"),
             gateway_listen: "127.0.0.1:0".parse().expect("an address"),

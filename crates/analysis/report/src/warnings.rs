@@ -60,6 +60,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
         ));
     }
     warnings.extend(other_training_pack(subject));
+    warnings.extend(other_training_look(subject));
     warnings.extend(no_nominal_success(subject));
     warnings.extend(divergent(subject));
     warnings.extend(incomplete(subject));
@@ -213,6 +214,19 @@ fn other_training_pack(subject: &Subject) -> Option<String> {
             "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects of \
              the two packs look different, so that these rates say little about the policy",
             subject.policy, provenance.pin.asset_pack
+        ))
+    })
+}
+
+/// Warns of a policy that was measured on a different look than it was trained on.
+fn other_training_look(subject: &Subject) -> Option<String> {
+    let mut provenances = subject.provenances.iter();
+    provenances.find_map(|provenance| {
+        let taught_on = provenance.other_training_look()?;
+        Some(format!(
+            "policy `{}` was taught on the look `{taught_on}` and measured on `{}`, which shows \
+             other colours: start workers with `--look {taught_on}`",
+            subject.policy, provenance.pin.look
         ))
     })
 }

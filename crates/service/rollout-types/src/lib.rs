@@ -14,7 +14,7 @@ mod result;
 pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{
-    Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON,
+    Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK,
 };
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};

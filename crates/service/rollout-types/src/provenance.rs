@@ -12,6 +12,9 @@ pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 /// Name of the setting that holds the asset pack on which a policy was trained.
 pub const TAUGHT_ON: &str = "taught on";
 
+/// Name of the setting that holds the look on which a policy was trained.
+pub const TAUGHT_ON_LOOK: &str = "taught on look";
+
 /// Name of the setting that holds the execution model; absent if the model is `wait`.
 pub const EXECUTION: &str = "execution model";
 
@@ -131,6 +134,13 @@ impl Provenance {
         (taught_on != asset_pack && taught_on != asset_pack_digest).then_some(taught_on)
     }
 
+    /// Returns the look that the policy reports to have been trained on, if it differs from the one
+    /// that the policy was measured on.
+    pub fn other_training_look(&self) -> Option<&str> {
+        let taught_on = self.policy_settings.get(TAUGHT_ON_LOOK)?.as_str();
+        (taught_on != self.pin.look.name()).then_some(taught_on)
+    }
+
     /// Describes the first difference of this result's policy from the policy of an earlier result,
     /// `pinned`, of the same campaign and suite; `None` if the policies are the same. Ignores the
     /// execution model and the reported training assets: neither affects the policy's actions, and
@@ -154,7 +164,9 @@ impl Provenance {
                 }
                 let mut names: BTreeSet<&String> =
                     settings.keys().chain(self.policy_settings.keys()).collect();
-                names.retain(|name| ![TAUGHT_ON, EXECUTION].contains(&name.as_str()));
+                names.retain(|name| {
+                    ![TAUGHT_ON, TAUGHT_ON_LOOK, EXECUTION].contains(&name.as_str())
+                });
                 names.into_iter().find_map(|name| {
                     let [now, before] = [&self.policy_settings, settings]
                         .map(|settings| settings.get(name).map_or("not given", String::as_str));

@@ -3,6 +3,7 @@
 use libero_ctrl::Directions;
 use paired::Outcome;
 use report::{Subject, figures, page};
+use rollout_types::{TAUGHT_ON, TAUGHT_ON_LOOK};
 use serde_json::Value;
 
 use crate::subjects::{broken, document, example, provenance, replicated};
@@ -163,17 +164,19 @@ fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
 }
 
 #[test]
-fn a_policy_that_was_taught_on_another_asset_pack_gets_a_warning() {
-    let taught_on = |pack: &str| {
+fn a_policy_that_was_taught_on_another_asset_pack_or_look_gets_a_warning() {
+    let taught = |setting: &str, value: &str| {
         let mut provenance = provenance("3.3.7", "single");
-        let setting = (rollout_types::TAUGHT_ON.to_owned(), pack.to_owned());
-        provenance.policy_settings.extend([setting]);
+        provenance.policy_settings.insert(setting.to_owned(), value.to_owned());
         let subject = Subject { provenances: vec![provenance], ..example() };
         let text = document(vec![subject]).text();
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
-    let warned = taught_on("primitives");
+    let warned = taught(TAUGHT_ON, "primitives");
     let expected = "was taught on asset pack `primitives` and measured on `libero`";
     assert!(warned.contains(expected), "{warned}");
-    assert!(!taught_on("libero").contains("was taught on asset pack"));
+    assert!(!taught(TAUGHT_ON, "libero").contains("was taught on asset pack"));
+    let look = taught(TAUGHT_ON_LOOK, "mujoco-3.3.3");
+    assert!(look.contains("`mujoco-3.3.3` and measured on `mujoco-3.3.2`"), "{look}");
+    assert!(!taught(TAUGHT_ON_LOOK, "mujoco-3.3.2").contains("was taught on the look"));
 }

@@ -6,9 +6,10 @@ use std::{
     sync::{Arc, LazyLock},
 };
 
+use libero_ctrl::Look;
 use policy_protocol::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
-use rollout_types::TAUGHT_ON;
+use rollout_types::{TAUGHT_ON, TAUGHT_ON_LOOK};
 use student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
 use thiserror::Error;
 
@@ -106,8 +107,12 @@ pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
     // file's digest is published, so the file must not change.
     policy.described.name = weights.name().to_owned();
-    policy.described.settings =
-        vec![Setting { name: TAUGHT_ON.to_owned(), value: weights.training_pack().to_owned() }];
+    let setting =
+        |name: &str, value: &str| Setting { name: name.to_owned(), value: value.to_owned() };
+    policy.described.settings = vec![
+        setting(TAUGHT_ON, weights.training_pack()),
+        setting(TAUGHT_ON_LOOK, Look::Mujoco333.name()),
+    ];
     policy
 }
 
@@ -268,11 +273,10 @@ mod tests {
             (Weights::Boxes, "primitives"),
         ] {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
-            let [setting] = &described.settings[..] else {
-                panic!("one setting: {:?}", described.settings);
-            };
-            assert_eq!(setting.name, TAUGHT_ON);
-            assert_eq!(setting.value, pack);
+            let settings = described.settings.iter();
+            let settings: Vec<_> =
+                settings.map(|setting| (&*setting.name, &*setting.value)).collect();
+            assert_eq!(settings, [(TAUGHT_ON, pack), (TAUGHT_ON_LOOK, "mujoco-3.3.3")]);
         }
     }
 
