@@ -81,8 +81,7 @@ impl Fetch<'_> {
             let parcel = self.retry(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
         }
-        // The removal fails if an interrupted fetch has left files in the folder.
-        let _ = fs::remove_dir(&incoming);
+        // The folder stays: another process may be about to write its first file into it.
         Ok(Fetched {
             present: wanted.len() - to_fetch.len(),
             fetched: to_fetch.len(),
