@@ -59,10 +59,21 @@ impl Process {
     /// # Panics
     /// If it cannot be started.
     pub fn worker(coordinator: &str, slots: u32, assets: &str) -> Self {
+        Self::worker_with(coordinator, slots, &["--assets", assets])
+    }
+
+    /// Starts a worker with LIBERO's assets in the look that the built-in students learned.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn students_worker(coordinator: &str, slots: u32) -> Self {
+        Self::worker_with(coordinator, slots, &["--assets", "libero", "--look", "mujoco-3.3.3"])
+    }
+
+    fn worker_with(coordinator: &str, slots: u32, scenes: &[&str]) -> Self {
         let mut command = Command::new(program("worker"));
-        // The built-in students learned this look.
-        command.args(["--connect", coordinator, "--assets", assets, "--look", "mujoco-3.3.3"]);
-        Self::start(command.args(["--slots", &slots.to_string()]))
+        command.args(["--connect", coordinator, "--slots", &slots.to_string()]);
+        Self::start(command.args(scenes))
     }
 
     /// Starts a program and discards its standard output.

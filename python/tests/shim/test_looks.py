@@ -79,5 +79,6 @@ def test_every_way_to_a_scene_shows_the_same_two_looks(
 
 
 def test_an_unknown_look_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"look `bright`: valid are mujoco-3\.3\.2, mujoco-3\.3\.3"):
+    known = r"look `bright`: valid are mujoco-3\.3\.2, mujoco-3\.3\.3"
+    with pytest.raises(ValueError, match=known):
         of_an_environment(look="bright")

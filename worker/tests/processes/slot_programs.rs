@@ -26,7 +26,9 @@ next_attempt() {
 send_event() { send_line '{"rollout": {"attempt": "'"$attempt"'", "event": '"$1"'}}'; }
 result() {
     printf '{"finished": {"result": {"success": true, "steps": %s, "wall_secs": 1.0,
-        "ik": null, "clipped_actions": 0, "policy_queries": 1},
+        "ik": null, "clipped_actions": 0, "policy_queries": 1,
+        "parts": {"physics_secs": 0.5, "drawing_secs": 0.25, "policy_secs": 0.25},
+        "goal": {"predicates": 1, "at_end": 1, "at_most": 1}},
         "evidence": {"renderer": "shell", "fingerprint": "ff", "look": "mujoco-3.3.2", "scene_digest": "aa",
         "init_state_digest": "bb", "realised": {}, "first_frame_digest": "",
         "policy_name": "", "policy_checkpoint": "", "policy_checkpoint_digest": "",
