@@ -266,7 +266,6 @@ fn rollouts(messages: &mut Messages) {
             problem: "there are 50 initial states".to_owned(),
         }),
         SingleError::Task(_) => SingleError::Task(no_scene()),
-        SingleError::NoInstruction { .. } => SingleError::NoInstruction { bddl: path() },
         SingleError::Recorded { .. } => SingleError::Recorded {
             path: path(), problem: "it holds no action".to_owned(),
         },

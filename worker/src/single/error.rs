@@ -16,12 +16,6 @@ pub enum SingleError {
     Row(#[from] NoSuchRow),
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// The BDDL file has no instruction, and none was given.
-    #[error(
-        "find an instruction in {}: it has no `(:language …)`; give one with --instruction",
-        bddl.display()
-    )]
-    NoInstruction { bddl: PathBuf },
     #[error("read recorded actions {}: {problem}", path.display())]
     Recorded { path: PathBuf, problem: String },
     #[error("run the rollout: {0}")]

@@ -1,7 +1,6 @@
 //! A user's own task: a BDDL file and its initial states, in place of the task of a row. The row
 //! supplies the suite that is sent to the policy, the seeds, the step budget and the perturbation.
 
-use std::fs;
 use std::path::PathBuf;
 
 use libero_ctrl::{ManifestRow, RolloutId, Suite, TaskRef, row_of};
@@ -50,43 +49,9 @@ impl OwnTask {
         row.variant_id = None;
         row.instruction = match &self.instruction {
             Some(instruction) => instruction.clone(),
-            None => self.instruction_of_the_file()?,
+            None => self.files().instruction()?,
         };
         row.max_steps = self.max_steps.unwrap_or(row.max_steps);
         Ok(row)
-    }
-
-    fn instruction_of_the_file(&self) -> Result<String, SingleError> {
-        // The file was read a moment ago; if it cannot be read now, it counts as having no
-        // instruction.
-        let text = fs::read_to_string(&self.bddl).unwrap_or_default();
-        instruction_in(&text).ok_or_else(|| SingleError::NoInstruction { bddl: self.bddl.clone() })
-    }
-}
-
-/// Extracts the words of `(:language …)`, converted to lower case as in the original LIBERO.
-fn instruction_in(bddl: &str) -> Option<String> {
-    let lines = bddl.lines();
-    let code: Vec<&str> = lines.filter_map(|line| line.split(';').next()).collect();
-    let code = code.join("\n").to_lowercase();
-    let (_, rest) = code.split_once("(:language")?;
-    let (words, _) = rest.split_once(')')?;
-    let words: Vec<&str> = words.split_whitespace().collect();
-    (!words.is_empty()).then(|| words.join(" "))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::instruction_in;
-
-    #[test]
-    fn the_instruction_is_read_from_the_bddl_file() {
-        let check = |text: &str, expected: Option<&str>| {
-            assert_eq!(instruction_in(text).as_deref(), expected, "{text}");
-        };
-        check("(define\n  (:Language Turn on\n  the stove)\n)", Some("turn on the stove"));
-        check("; (:language a comment)\n(:language put it there)", Some("put it there"));
-        check("(:language )", None);
-        check("(define (:goal (And (On a b))))", None);
     }
 }

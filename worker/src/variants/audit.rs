@@ -181,7 +181,7 @@ impl Checked {
     fn new(row: &ManifestRow, pack: &AssetPack, sources: &Sources) -> Result<Self, VariantsError> {
         let (lack, states) = match &row.own {
             None => (lack_in_benchmark(row, pack, sources)?, None),
-            Some(own) => match own::check(own, pack, sources) {
+            Some(own) => match own::check(own, row.instruction.is_empty(), pack, sources) {
                 Ok(states) => (None, Some(states)),
                 Err(lack) => (Some(lack), None),
             },

@@ -39,7 +39,13 @@ impl Prepared {
                 (prompt, start(&case, &protocol))
             }
         };
-        let row = ManifestRow { instruction: prompt.unwrap_or(sentence), ..row.clone() };
+        let instruction = prompt.unwrap_or(sentence);
+        // No policy is ever sent an empty instruction.
+        let instruction = match instruction.is_empty() {
+            true => files.instruction()?,
+            false => instruction,
+        };
+        let row = ManifestRow { instruction, ..row.clone() };
         Ok(Self { files, start, row })
     }
 }

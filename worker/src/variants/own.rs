@@ -6,7 +6,9 @@ use std::{fmt, fs};
 use libero_ctrl::OwnTask;
 use libero_ctrl::presets::ENV_SEED;
 use libero_family::Lack;
-use scene::{AssetPack, InitialStates, SceneError, Sources, TaskFiles, compose, needed_files};
+use scene::{
+    AssetPack, InitialStates, SceneError, Sources, TaskFiles, check_goal, compose, needed_files,
+};
 use sha2::{Digest, Sha256};
 
 use crate::digest::hex;
@@ -30,8 +32,13 @@ impl States {
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// Checks that a task's files exist, have the digest that the suite file gives, if any, and make a
-/// scene. Returns the task's initial states, or the lack that prevents its rollouts.
-pub(super) fn check(own: &OwnTask, pack: &AssetPack, sources: &Sources) -> Result<States, Lack> {
+/// scene with a goal that can be evaluated and, if it is the prompt, an instruction. Returns the task's initial states, or the lack that prevents its rollouts.
+pub(super) fn check(
+    own: &OwnTask,
+    prompts_by_file: bool,
+    pack: &AssetPack,
+    sources: &Sources,
+) -> Result<States, Lack> {
     let folder = Sources::suite_folder(sources.dir(), &own.folder);
     let text = |path: &Path| path.display().to_string();
     if !folder.is_dir() {
@@ -52,7 +59,8 @@ pub(super) fn check(own: &OwnTask, pack: &AssetPack, sources: &Sources) -> Resul
             });
         }
     }
-    let states = try_scene(&files, pack, sources);
+    let instruction = if prompts_by_file { files.instruction().map(drop) } else { Ok(()) };
+    let states = instruction.and_then(|()| try_scene(&files, pack, sources));
     states.map_err(|error| Lack::Scene(transport::chain(&error)))
 }
 
@@ -61,6 +69,7 @@ fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<S
     match pack.is_managed() {
         // The pack's files are fetched only when the rollout starts.
         true => {
+            check_goal(&problem)?;
             needed_files(&problem)?;
         }
         false => {

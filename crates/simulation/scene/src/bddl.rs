@@ -121,8 +121,12 @@ impl Problem {
             ":init" => self.init = rest.iter().map(read_predicate).collect::<Result<_, _>>()?,
             ":goal" => self.goal = read_goal(section, rest)?,
             ":language" => {
-                let words = rest.iter().filter_map(|item| item.word("a word").ok());
-                self.language = words.collect::<Vec<_>>().join(" ");
+                let word = |item: &'_ Expression| {
+                    let what = "a word of the instruction, which has no parentheses";
+                    item.word(what).map(str::to_owned)
+                };
+                let words: Result<Vec<String>, _> = rest.iter().map(word).collect();
+                self.language = words?.join(" ");
             }
             ":requirements" | ":scene_properties" => {}
             other => return Err(section.error(format!("unknown section `{other}`"))),
@@ -267,18 +271,39 @@ fn read_goal(section: &Expression, rest: &[Expression]) -> Result<Vec<Predicate>
     let [goal] = rest else {
         return Err(section.error("expected one expression in `:goal`"));
     };
+    let read = |item: &Expression| {
+        // `Or`, `Not` and a second `And` would otherwise be read as predicates of lists.
+        let nested = item.list("a predicate")?.iter().any(|part| part.word("").is_err());
+        match nested {
+            true => Err(item.error("the goal is one predicate, or predicates under one `And`")),
+            false => read_predicate(item),
+        }
+    };
     let items = goal.list("a goal")?;
     match items.first() {
         Some(Expression { kind: Kind::Word(word), .. }) if word == "and" => {
-            items[1..].iter().map(read_predicate).collect()
+            items[1..].iter().map(read).collect()
         }
-        _ => Ok(vec![read_predicate(goal)?]),
+        _ => Ok(vec![read(goal)?]),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_instruction_with_parentheses_and_a_nested_goal_are_refused_in_words() {
+        let message = |from: &str, to: &str| {
+            let text = SMALL.replace(from, to);
+            assert_ne!(text, SMALL);
+            Problem::parse(&text).expect_err("refused").to_string()
+        };
+        let listed = message("Put it there", "Put it (the red one) there");
+        assert!(listed.contains("instruction, which has no parentheses"), "{listed}");
+        let nested = message("(:goal (And", "(:goal (And (Not (Open a))");
+        assert!(nested.contains("predicates under one `And`"), "{nested}");
+    }
 
     const SMALL: &str = "(define (problem LIBERO_Floor_Manipulation) ; a comment
       (:domain robosuite)

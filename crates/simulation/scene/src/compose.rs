@@ -11,6 +11,7 @@ use crate::bddl::Problem;
 use crate::catalog::{category, category_count};
 use crate::element::{Element, numbers};
 use crate::error::SceneError;
+use crate::goal;
 use crate::instance::{Instance, InstanceKind, RegionSite};
 use crate::object::{ObjectPart, load_object};
 use crate::pack::AssetPack;
@@ -110,6 +111,7 @@ pub fn compose(
         problem: problem.name.clone(),
         known: known_problems(),
     })?;
+    goal::check_goal(problem)?;
     let robot = robot::load(&sources.robosuite(), arena.robot)?;
     let mut workspace = load_arena(&arena, pack)?;
     let parts = load_instances(problem, &arena, pack)?;

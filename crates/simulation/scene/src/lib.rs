@@ -18,6 +18,7 @@ mod expression;
 mod family;
 #[doc(hidden)]
 pub mod fuzzing;
+mod goal;
 pub mod initial_states;
 mod instance;
 mod needs;
@@ -37,6 +38,7 @@ pub use bddl::Problem;
 pub use compose::{Scene, compose};
 pub use error::SceneError;
 pub use family::{fetch_task_files, has_task_files};
+pub use goal::check_goal;
 pub use initial_states::InitialStates;
 pub use instance::{Instance, InstanceKind, RegionSite};
 pub use needs::needed_files;

@@ -89,6 +89,18 @@ impl TaskFiles {
         Problem::parse(&self.text()?).map_err(|error| self.malformed(error.to_string()))
     }
 
+    /// Returns the instruction of the BDDL file, in lower case as in the original.
+    ///
+    /// # Errors
+    /// If the file cannot be read or has no instruction.
+    pub fn instruction(&self) -> Result<String, SceneError> {
+        let instruction = self.problem()?.language;
+        if instruction.is_empty() {
+            return Err(self.malformed("it has no instruction: add `(:language WORDS)`".to_owned()));
+        }
+        Ok(instruction)
+    }
+
     /// Returns the sentence of the BDDL file with its capital letters, as LIBERO-Para's scripts
     /// read it.
     pub fn sentence(&self) -> Result<String, SceneError> {
@@ -103,12 +115,16 @@ impl TaskFiles {
     }
 
     fn text(&self) -> Result<String, SceneError> {
-        std::fs::read_to_string(&self.bddl).map_err(|source| SceneError::Read {
+        let bytes = std::fs::read(&self.bddl).map_err(|source| SceneError::Read {
             what: BDDL.to_owned(),
             path: self.bddl.clone(),
             remedy: format!("correct the file's name, or {REMEDY}"),
             source,
-        })
+        })?;
+        let text = String::from_utf8(bytes);
+        let text = text.map_err(|_| self.malformed("save it in UTF-8".to_owned()))?;
+        // Editors on Windows begin a file with a byte order mark.
+        Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
     }
 
     fn malformed(&self, problem: String) -> SceneError {
