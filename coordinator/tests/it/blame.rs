@@ -141,6 +141,34 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
     assert_eq!(committed, Verdict::Accepted);
 }
 
+/// Regression: the failure that stopped a worker left one able machine, so that the worker's next
+/// failure quarantined a rollout, although only the broken machine had tried it.
+#[tokio::test]
+async fn a_stopped_workers_last_failures_quarantine_no_rollout() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    let mut sound = bench.worker_at("sound", "s").await;
+    for start in 0..3 {
+        let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
+        worker.heartbeat(&[], 0).await;
+        sound.heartbeat(&[], 0).await;
+        let leases = worker.claim(3).await;
+        assert_eq!(leases.len(), 3);
+        let mut released = None;
+        for lease in &leases {
+            let answer = worker.release(lease, Reason::SlotCrashed).await;
+            assert_eq!(answer.verdict(), Released::Requeued, "only one machine has failed");
+            released = Some(answer);
+        }
+        let is_stopped = released.is_some_and(|last| !last.stop_leasing.is_empty());
+        assert_eq!(is_stopped, start > 0);
+    }
+    bench.advance(PAST_BACKOFF_SECS).await;
+    sound.heartbeat(&[], 0).await;
+    assert_eq!(sound.claim(64).await.len(), 12, "the sound machine tries all of them");
+}
+
 #[tokio::test]
 async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;

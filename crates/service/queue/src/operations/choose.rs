@@ -55,7 +55,7 @@ impl Context<'_> {
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
         // With enough machines, a job that failed too often avoids the machines of its failures.
         let avoids_failed_machine =
-            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+            self.able_machines(campaign).await?.len() >= MIN_MACHINES_TO_QUARANTINE;
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
@@ -122,7 +122,7 @@ impl Context<'_> {
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
         // With enough machines, a job that failed too often avoids the machines of its failures.
         let avoids_failed_machine =
-            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+            self.able_machines(campaign).await?.len() >= MIN_MACHINES_TO_QUARANTINE;
         let limit = room.min(pending.len()) + SPARE_CANDIDATES;
         let mut tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
         let is_runnable = |task: &str| pending.iter().any(|claim| claim.request.has_files_of(task));
@@ -168,7 +168,7 @@ impl Context<'_> {
     ) -> Result<Option<(usize, Grant, String)>, StoreError> {
         // With enough machines, a job that failed too often avoids the machines of its failures.
         let avoids_failed_machine =
-            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+            self.able_machines(campaign).await?.len() >= MIN_MACHINES_TO_QUARANTINE;
         let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
         for (at, claim) in pending.iter().enumerate() {
             let suits = |lone: &&claims::LoneJob| {

@@ -85,13 +85,15 @@ impl<'a> Context<'a> {
         self.cache.campaign(&mut self.tx, id).await
     }
 
-    /// Returns the number of machines with a live worker that could run the campaign's jobs.
-    pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
+    /// Returns the machines with a live worker that could run the campaign's jobs.
+    pub(super) async fn able_machines(
+        &mut self,
+        campaign: &Campaign,
+    ) -> Result<BTreeSet<String>, StoreError> {
         let since = self.now.minus(self.shared.timing.worker_alive);
         let live = self.cache.live(&mut self.tx, since).await?;
         let able = live.iter().filter(|worker| campaign.accepts(&worker.pin));
-        let machines: BTreeSet<&str> = able.map(|worker| worker.machine.as_str()).collect();
-        Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
+        Ok(able.map(|worker| worker.machine.clone()).collect())
     }
 
     /// Restores the lease of an attempt whose worker was cut off and has reconnected. Returns the
@@ -124,12 +126,20 @@ impl<'a> Context<'a> {
         (reason, error): (FailureReason, &str),
     ) -> Result<Ended, StoreError> {
         let campaign = self.campaign(campaign).await?;
-        let history = jobs::history(&mut self.tx, job.id, &lease.owner).await?;
+        let jobs::History { mut failed_on, mut silent_on } =
+            jobs::history(&mut self.tx, job.id).await?;
+        // Includes the attempt that ends now, whatever its failure: only the fields that concern
+        // this failure are used.
+        let standings = workers::standings(&mut self.tx, &[&lease.owner]).await?;
+        for machine in standings.into_values().map(|worker| worker.machine) {
+            failed_on.push(machine.clone());
+            silent_on.push(machine);
+        }
         let suspicion = Suspicion {
-            failed_on_machines: history.failed_on_machines,
-            silent_on_machines: history.silent_on_machines,
-            able_machines: self.able_machines(&campaign).await?,
-            silences: history.silences,
+            silences: u32::try_from(silent_on.len()).unwrap_or(u32::MAX),
+            failed_on: failed_on.into_iter().collect(),
+            silent_on: silent_on.into_iter().collect(),
+            able: self.able_machines(&campaign).await?,
         };
         let now = self.now;
         let before = &campaign.health;
@@ -143,7 +153,7 @@ impl<'a> Context<'a> {
             _ => before.after_other_failure(id, now),
         });
         let mut next_step =
-            self.shared.decide(|rng| job.after_failure(reason, suspicion, now, rng));
+            self.shared.decide(|rng| job.after_failure(reason, &suspicion, now, rng));
         if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
             (is_outage && before.is_probe(id), &after.state, &mut next_step)
         {
