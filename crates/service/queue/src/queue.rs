@@ -137,7 +137,8 @@ impl Queue {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
         let (now, timing, settled) = (shared.now(), shared.timing, shared.settled.clone());
-        View::begin(&shared.store, now, timing, settled, self.held(), filming).await
+        let lacking = shared.lacking.clone();
+        View::begin(&shared.store, now, timing, settled, self.held(), filming, lacking).await
     }
 
     /// Returns a watch for commits.

@@ -20,6 +20,7 @@ use crate::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::jobs::NamedAttempt;
+use crate::store::workers::Live;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
 /// Longest time after a policy's pause for which a job that could not reach the policy yields to
@@ -85,14 +86,22 @@ impl<'a> Context<'a> {
         self.cache.campaign(&mut self.tx, id).await
     }
 
-    /// Returns the machines with a live worker that could run the campaign's jobs.
+    /// Returns the workers that are alive and may lease.
+    pub(super) async fn live(&mut self) -> Result<Arc<Vec<Live>>, StoreError> {
+        let since = self.now.minus(self.shared.timing.worker_alive);
+        self.cache.live(&mut self.tx, since).await
+    }
+
+    /// Returns the machines with a live worker that could run the campaign's jobs of a task.
     pub(super) async fn able_machines(
         &mut self,
         campaign: &Campaign,
+        task: &str,
     ) -> Result<BTreeSet<String>, StoreError> {
-        let since = self.now.minus(self.shared.timing.worker_alive);
-        let live = self.cache.live(&mut self.tx, since).await?;
-        let able = live.iter().filter(|worker| campaign.accepts(&worker.pin));
+        let live = self.live().await?;
+        let able = live.iter().filter(|worker| {
+            campaign.accepts(&worker.pin) && self.shared.lacking.has_files(&worker.id, task)
+        });
         Ok(able.map(|worker| worker.machine.clone()).collect())
     }
 
@@ -126,7 +135,7 @@ impl<'a> Context<'a> {
         (reason, error): (FailureReason, &str),
     ) -> Result<Ended, StoreError> {
         let campaign = self.campaign(campaign).await?;
-        let jobs::History { mut failed_on, mut silent_on } =
+        let jobs::History { task, mut failed_on, mut silent_on } =
             jobs::history(&mut self.tx, job.id).await?;
         // Includes the attempt that ends now, whatever its failure: only the fields that concern
         // this failure are used.
@@ -139,7 +148,7 @@ impl<'a> Context<'a> {
             silences: u32::try_from(silent_on.len()).unwrap_or(u32::MAX),
             failed_on: failed_on.into_iter().collect(),
             silent_on: silent_on.into_iter().collect(),
-            able: self.able_machines(&campaign).await?,
+            able: self.able_machines(&campaign, &task).await?,
         };
         let now = self.now;
         let before = &campaign.health;

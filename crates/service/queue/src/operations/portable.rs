@@ -130,7 +130,8 @@ impl Portable {
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
         let settled = Arc::new(SettlementWatch::new());
-        View::begin(&self.store, now, Timing::default(), settled, None, filming).await
+        let lacking = Arc::default();
+        View::begin(&self.store, now, Timing::default(), settled, None, filming, lacking).await
     }
 
     /// Returns the videos, by path; the database lists no other kind of artifact.

@@ -11,7 +11,8 @@ use serde::Deserialize;
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, JobId, WorkerId};
 
-/// Charged attempts after which a job is quarantined.
+/// Charged attempts after which a job is quarantined. The schema's index `job_failing` uses the same
+/// number.
 pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 /// Machines on which a job must have failed before it is quarantined, unless no able machine is
 /// left that has not failed at it: one broken machine must not put a rollout into quarantine.

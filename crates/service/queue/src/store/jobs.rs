@@ -71,6 +71,8 @@ pub(crate) struct ExpiredRow {
 /// Machines of a job's failed attempts, one entry for each attempt.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
+    /// Task of the job, such as "libero_goal/3".
+    pub(crate) task: String,
     /// Machines of charged failures.
     #[sqlx(json)]
     pub(crate) failed_on: Vec<String>,
@@ -450,11 +452,12 @@ pub(crate) async fn retry(
 /// that does not name its machine counts as a machine of its own.
 pub(crate) async fn history(tx: &mut SqliteConnection, job: JobId) -> Result<History, StoreError> {
     sqlx::query_as(
-        "SELECT json_group_array(coalesce(w.machine, f.worker_id)) FILTER (WHERE f.charged)
+        "SELECT j.task,
+             json_group_array(coalesce(w.machine, f.worker_id)) FILTER (WHERE f.charged)
                  AS failed_on,
              json_group_array(coalesce(w.machine, f.worker_id))
                  FILTER (WHERE f.reason = 'worker_silent') AS silent_on
-         FROM job j JOIN failure f ON f.job_id = j.id AND f.attempt > j.forgiven_attempt
+         FROM job j LEFT JOIN failure f ON f.job_id = j.id AND f.attempt > j.forgiven_attempt
          LEFT JOIN worker w ON w.id = f.worker_id WHERE j.id = ?",
     )
     .bind(job)
