@@ -150,12 +150,8 @@ CREATE TABLE stop (
     CHECK ((used IS NULL) = (stopped_ms IS NULL))
 ) STRICT;
 
--- A clock that was set back moves an instant that is ahead of it; nothing else changes.
 CREATE TRIGGER stop_is_final
-BEFORE UPDATE ON stop
-WHEN OLD.stopped_ms IS NOT NULL
-    AND (NEW.campaign_id <> OLD.campaign_id OR NEW.configurations <> OLD.configurations
-        OR NEW.used IS NOT OLD.used OR coalesce(NEW.stopped_ms > OLD.stopped_ms, TRUE))
+BEFORE UPDATE ON stop WHEN OLD.stopped_ms IS NOT NULL
 BEGIN
     SELECT RAISE (ABORT, 'stop_is_final');
 END;
