@@ -150,12 +150,8 @@ CREATE TABLE stop (
     CHECK ((used IS NULL) = (stopped_ms IS NULL))
 ) STRICT;
 
--- A clock that was set back moves an instant that is ahead of it; nothing else changes.
 CREATE TRIGGER stop_is_final
-BEFORE UPDATE ON stop
-WHEN OLD.stopped_ms IS NOT NULL
-    AND (NEW.campaign_id <> OLD.campaign_id OR NEW.configurations <> OLD.configurations
-        OR NEW.used IS NOT OLD.used OR coalesce(NEW.stopped_ms > OLD.stopped_ms, TRUE))
+BEFORE UPDATE ON stop WHEN OLD.stopped_ms IS NOT NULL
 BEGIN
     SELECT RAISE (ABORT, 'stop_is_final');
 END;
@@ -237,9 +233,10 @@ CREATE TABLE job (
 
 -- What a claim walks: only rows that wait, so that its cost does not grow with the campaign.
 CREATE INDEX job_queued ON job (campaign_id, task, unit_order) WHERE state = 'queued';
--- Likewise jobs that lost their policy so often that they are run alone only, jobs that fall due,
--- and leases.
+-- Likewise jobs that lost their policy so often that they are run alone only, jobs that failed so
+-- often that they avoid machines, jobs that fall due, and leases.
 CREATE INDEX job_alone ON job (campaign_id, unit_order) WHERE state = 'queued' AND losses >= 4;
+CREATE INDEX job_failing ON job (campaign_id) WHERE state = 'queued' AND charged_attempts >= 3;
 CREATE INDEX job_backed_off ON job (not_before_ms) WHERE state = 'queued' AND not_before_ms > 0;
 CREATE INDEX job_leased ON job (lease_expires_ms) WHERE state = 'leased';
 CREATE INDEX job_held ON job (campaign_id, task, lease_owner) WHERE state = 'leased';

@@ -33,10 +33,12 @@ use tracing_subscriber::util::SubscriberInitExt;
 /// rules.
 const SMALL_TABLES: [&str; 10] =
     ["c", "t", "p", "w", "d", "s", "campaign", "policy", "worker", "ending_tally"];
-/// Indices that hold only jobs that are leased, backed off or run alone.
-const SMALL_INDICES: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
+/// Indices that hold only jobs that are leased, backed off, run alone or avoid a machine.
+const SMALL_INDICES: [&str; 5] =
+    ["job_leased", "job_held", "job_backed_off", "job_alone", "job_failing"];
 /// Indices that frequent statements must walk.
-const REQUIRED_INDICES: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
+const REQUIRED_INDICES: [&str; 5] =
+    ["job_queued", "job_leased", "job_failing", "job_siblings", "worker_seen"];
 
 /// Evidence that a loop of the table in docs/ARCHITECTURE.md does not walk all jobs of a campaign,
 /// or the reason why it may.

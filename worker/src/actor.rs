@@ -32,8 +32,8 @@ pub enum PolicyError {
         policy: String,
         endpoint: String,
         problem: String,
-        /// Number of queries that the policy had answered in this session when a query failed;
-        /// `None` if another call failed, or the policy is overloaded.
+        /// Number of queries that the policy had answered in this attempt; `None` if it had not
+        /// even described itself, or is overloaded.
         answered: Option<u32>,
     },
     #[error("{} at {endpoint} cannot be used: {fault}", label(policy))]

@@ -220,8 +220,8 @@ pub enum FailureKind {
     /// The policy cannot be reached, is overloaded or has an unusable description, or the execution
     /// model would drop every answer. Not charged to the rollout.
     PolicyUnavailable,
-    /// The policy accepted the episode, but did not answer its first or a later query. Not charged
-    /// to the rollout, unless the rollout loses its policy repeatedly.
+    /// The policy described itself, but did not answer a later call of the attempt. Not charged to
+    /// the rollout, unless the rollout loses its policy repeatedly.
     PolicyLost {
         /// Number of queries that the policy had answered.
         answered: u32,

@@ -40,6 +40,9 @@ pub struct PolicyClient {
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
     peer: Peer,
+    /// Number of queries that the policy has answered since it last described itself, that is, in
+    /// the current attempt; `None` if the last Describe failed.
+    answered: Option<u32>,
 }
 
 /// Names, in messages, of the settings with which a campaign's user addresses a policy.
@@ -76,7 +79,7 @@ impl PolicyClient {
         let grpc = GrpcClient::new(connection.map_err(PolicyError::Access)?)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
-        Ok(Self { endpoint: endpoint.to_owned(), runtime, grpc, peer })
+        Ok(Self { endpoint: endpoint.to_owned(), runtime, grpc, peer, answered: None })
     }
 
     pub fn endpoint(&self) -> &str {
@@ -90,15 +93,9 @@ impl PolicyClient {
         self.runtime.block_on(with_deadline(deadline, call))
     }
 
-    fn unavailable(
-        &self,
-        call: &str,
-        session: PolicySession<'_>,
-        answered: Option<u32>,
-        status: &Status,
-    ) -> PolicyError {
+    fn unavailable(&self, call: &str, session: PolicySession<'_>, status: &Status) -> PolicyError {
         PolicyError::Unavailable {
-            answered: answered.filter(|_| status.code() != Code::ResourceExhausted),
+            answered: self.answered.filter(|_| status.code() != Code::ResourceExhausted),
             call: call.to_owned(),
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
@@ -106,15 +103,9 @@ impl PolicyClient {
         }
     }
 
-    fn refused(
-        &self,
-        call: &str,
-        session: PolicySession<'_>,
-        query: Option<u32>,
-        status: &Status,
-    ) -> PolicyError {
+    fn refused(&self, call: &str, session: PolicySession<'_>, status: &Status) -> PolicyError {
         if is_outage(status) {
-            return self.unavailable(call, session, query, status);
+            return self.unavailable(call, session, status);
         }
         PolicyError::Failed {
             call: call.to_owned(),
@@ -139,9 +130,11 @@ impl Actor for PolicyClient {
             suite: session.suite.to_owned(),
         };
         let mut grpc = self.grpc.clone();
+        self.answered = None;
         let about = self
             .call(session.deadline, grpc.describe(request))
-            .map_err(|status| self.unavailable("Describe", session, None, &status))?;
+            .map_err(|status| self.unavailable("Describe", session, &status))?;
+        self.answered = Some(0);
         read_description(about).map_err(|fault| PolicyError::Description {
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
@@ -166,7 +159,7 @@ impl Actor for PolicyClient {
         let mut grpc = self.grpc.clone();
         self.call(session.deadline, grpc.reset(request))
             .map(|_| ())
-            .map_err(|status| self.refused("Reset", session, None, &status))
+            .map_err(|status| self.refused("Reset", session, &status))
     }
 
     fn end(&mut self, session: PolicySession<'_>) {
@@ -197,7 +190,8 @@ impl Actor for PolicyClient {
         let call = format!("query {query_index}");
         let response = self
             .call(session.deadline, grpc.infer(request))
-            .map_err(|status| self.refused(&call, session, Some(query_index), &status))?;
+            .map_err(|status| self.refused(&call, session, &status))?;
+        self.answered = Some(query_index + 1);
         let horizon = u32::try_from(horizon).unwrap_or(u32::MAX);
         let actions = policy_protocol::actions(&response, horizon);
         let actions = actions.map_err(|fault| PolicyError::InvalidAnswer {

@@ -238,7 +238,8 @@ fn adopt_failed(error: AdoptError) -> Status {
     let code = match error {
         AdoptError::Queue(error) => return failed(error),
         AdoptError::Exists { .. } => Code::AlreadyExists,
-        AdoptError::NoSource { .. }
+        AdoptError::Ahead { .. }
+        | AdoptError::NoSource { .. }
         | AdoptError::OtherSource { .. }
         | AdoptError::OtherBudgets { .. } => Code::FailedPrecondition,
         AdoptError::Film { .. } => return unavailable(&error),

@@ -141,6 +141,140 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
     assert_eq!(committed, Verdict::Accepted);
 }
 
+/// Regression: the failure that stopped a worker left one able machine, so that the worker's next
+/// failure quarantined a rollout, although only the broken machine had tried it.
+#[tokio::test]
+async fn a_stopped_workers_last_failures_quarantine_no_rollout() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    let mut sound = bench.worker_at("sound", "s").await;
+    for start in 0..3 {
+        let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
+        worker.heartbeat(&[], 0).await;
+        sound.heartbeat(&[], 0).await;
+        let leases = worker.claim(3).await;
+        assert_eq!(leases.len(), 3);
+        let mut released = None;
+        for lease in &leases {
+            let answer = worker.release(lease, Reason::SlotCrashed).await;
+            assert_eq!(answer.verdict(), Released::Requeued, "only one machine has failed");
+            released = Some(answer);
+        }
+        let is_stopped = released.is_some_and(|last| !last.stop_leasing.is_empty());
+        assert_eq!(is_stopped, start > 0);
+    }
+    bench.advance(PAST_BACKOFF_SECS).await;
+    sound.heartbeat(&[], 0).await;
+    assert_eq!(sound.claim(64).await.len(), 12, "the sound machine tries all of them");
+}
+
+/// Regression: a claim read the first waiting rollouts of its task, and those that avoided its
+/// machine hid all others. Checks a campaign that is leased task by task, and one with a stop rule,
+/// which is leased in a random order.
+#[tokio::test]
+async fn rollouts_that_avoid_a_machine_hide_no_others_from_it() {
+    let stop = json!({"rule": "width(I) < 0.001", "seed": 7});
+    for changes in [json!({}), json!({ "stop": stop })] {
+        let bench = Bench::start().await;
+        let spec = with(small_spec("first"), json!({"configs": [0, 1, 2, 3, 4, 5]}));
+        let created = bench.create(&with(spec, changes)).await;
+        assert_eq!(created.expect("created").jobs_total, 24);
+        let mut diverging = bench.worker_at("diverging", "d").await;
+        let mut sound = bench.worker_at("sound", "s").await;
+        for _ in 0..3 {
+            bench.advance(PAST_BACKOFF_SECS).await;
+            diverging.heartbeat(&[], 0).await;
+            sound.heartbeat(&[], 0).await;
+            for lease in diverging.claim(12).await {
+                diverging.release(&lease, Reason::SimulatorError).await;
+            }
+        }
+        bench.advance(PAST_BACKOFF_SECS).await;
+        diverging.heartbeat(&[], 0).await;
+        sound.heartbeat(&[], 0).await;
+        assert_eq!(diverging.claim(64).await.len(), 12, "the rollouts without a failure");
+        let idle = diverging.claim_response("").await.idle_reason;
+        assert!(idle.contains("`first` have failed on this machine"), "{idle}");
+        assert_eq!(sound.claim(64).await.len(), 12);
+    }
+}
+
+/// Claims without a job, from a worker that lacks the files of the only task.
+async fn claim_without_files(worker: &mut Worker) -> String {
+    let mut request = worker.claim_request(0.0, "");
+    request.lacking_tasks = vec!["libero_object/0".to_owned()];
+    let answer = worker.service.claim(request).await.expect("an answer").into_inner();
+    assert_eq!(answer.lease, None);
+    answer.idle_reason
+}
+
+/// Regression: a rollout was left for ever to a machine that lacked the files of its task.
+#[tokio::test]
+async fn a_machine_without_the_files_of_a_task_is_not_able_to_run_it() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    let mut partial = bench.worker_at("partial", "p").await;
+    let mut complete = bench.worker_at("complete", "c").await;
+    claim_without_files(&mut partial).await;
+    for attempt in 1..=3 {
+        bench.advance(PAST_BACKOFF_SECS).await;
+        partial.heartbeat(&[], 0).await;
+        complete.heartbeat(&[], 0).await;
+        let lease = complete.claim_one().await;
+        let released = complete.release(&lease, Reason::SlotCrashed).await;
+        let expected = if attempt < 3 { Released::Requeued } else { Released::Quarantined };
+        assert_eq!(released.verdict(), expected, "{attempt}");
+    }
+}
+
+/// A coordinator that has just started does not know yet which files workers lack: it leaves the
+/// rollout to the other machine until that machine's next claim.
+#[tokio::test]
+async fn after_a_restart_a_machine_is_able_until_its_claim_says_otherwise() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    claim_without_files(&mut bench.worker_at("partial", "p").await).await;
+    let bench = bench.restart().await;
+    let mut partial = bench.worker_at("partial", "p").await;
+    let mut complete = bench.worker_at("complete", "c").await;
+    let mut job = None;
+    for _ in 0..3 {
+        bench.advance(PAST_BACKOFF_SECS).await;
+        partial.heartbeat(&[], 0).await;
+        complete.heartbeat(&[], 0).await;
+        let lease = complete.claim_one().await;
+        job = Some(lease.job_id);
+        let released = complete.release(&lease, Reason::SimulatorError).await;
+        assert_eq!(released.verdict(), Released::Requeued);
+    }
+    bench.advance(PAST_BACKOFF_SECS).await;
+    partial.heartbeat(&[], 0).await;
+    complete.heartbeat(&[], 0).await;
+    assert_ne!(Some(complete.claim_one().await.job_id), job, "it is left to the other machine");
+    claim_without_files(&mut partial).await;
+    let lease = complete.claim_one().await;
+    assert_eq!(Some(lease.job_id), job, "no other machine can run it");
+    let released = complete.release(&lease, Reason::SimulatorError).await;
+    assert_eq!(released.verdict(), Released::Quarantined);
+}
+
+/// Regression: the status gave no reason, since workers were compared by what they are pinned to.
+#[tokio::test]
+async fn a_campaign_whose_files_every_live_worker_lacks_says_so() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    let mut partial = bench.worker_at("partial", "p").await;
+    let files = "assets that this worker lacks, for task libero_object/0";
+    let idle = claim_without_files(&mut partial).await;
+    assert!(idle.contains(files), "{idle}");
+    let reason = bench.status("first").await.waiting_reason;
+    let expected = files.replace("this worker", "every live worker");
+    assert_eq!(reason, format!("no worker suits: the campaign needs {expected}"));
+    let _complete = bench.worker_at("complete", "c").await;
+    assert_eq!(bench.status("first").await.waiting_reason, "");
+}
+
 #[tokio::test]
 async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;

@@ -17,43 +17,40 @@ use sqlx::AssertSqlSafe;
 use crate::harness::{Bench, small_spec, with};
 
 const DAY_MS: i64 = 24 * 3_600 * 1_000;
-/// The longest back-off.
-const LONGEST_WAIT_MS: i64 = 60_000;
 const LEASE_MS: i64 = 30_000;
 
-/// Every column that stores an instant, as table and column, and how far after the current instant
-/// it may lie once the coordinator has started, milliseconds; `None` if that depends on the row.
-/// Instants may lie in the past by any amount: a clock that jumped ahead ends back-offs and pauses,
-/// makes workers silent until they call, and leaves leases their full time.
-const INSTANTS: [(&str, &str, Option<i64>); 20] = [
-    ("artifact", "stored_ms", Some(0)),
-    ("campaign", "created_ms", Some(0)),
+/// Every column that stores an instant, as table and column, and whether the instant was the
+/// present one when it was stored; the others are ends of leases, back-offs and pauses. Instants may
+/// lie in the past by any amount: a clock that jumped ahead ends back-offs and pauses, makes workers
+/// silent until they call, and leaves leases their full time.
+const INSTANTS: [(&str, &str, bool); 20] = [
+    ("artifact", "stored_ms", true),
+    ("campaign", "created_ms", true),
     // A result that does not fit the pin is not charged if its lease is older than this instant.
-    ("campaign", "pinned_ms", Some(0)),
-    ("campaign", "state_since_ms", Some(0)),
-    ("divergence", "reported_ms", Some(0)),
-    // After this instant, a disconnected worker can no longer report a result. It is moved back
-    // together with `leased_ms`.
-    ("failure", "ceiling_ms", None),
-    ("failure", "failed_ms", Some(0)),
-    ("failure", "leased_ms", Some(0)),
+    ("campaign", "pinned_ms", true),
+    ("campaign", "state_since_ms", true),
+    ("divergence", "reported_ms", true),
+    // After this instant, a disconnected worker can no longer report a result.
+    ("failure", "ceiling_ms", false),
+    ("failure", "failed_ms", true),
+    ("failure", "leased_ms", true),
     // `leased_ms` plus the longest duration of the attempt; at a start of the coordinator, at least
     // the end of the renewed lease.
-    ("job", "ceiling_ms", None),
-    ("job", "lease_expires_ms", Some(LEASE_MS)),
-    ("job", "leased_ms", Some(0)),
-    ("job", "not_before_ms", Some(LONGEST_WAIT_MS)),
+    ("job", "ceiling_ms", false),
+    ("job", "lease_expires_ms", false),
+    ("job", "leased_ms", true),
+    ("job", "not_before_ms", false),
     // Failures of leases that were granted before this instant are no evidence of an outage.
-    ("policy", "available_ms", Some(0)),
-    ("policy", "resume_ms", Some(LONGEST_WAIT_MS)),
-    ("result", "committed_ms", Some(0)),
-    ("stop", "stopped_ms", Some(0)),
+    ("policy", "available_ms", true),
+    ("policy", "resume_ms", false),
+    ("result", "committed_ms", true),
+    ("stop", "stopped_ms", true),
     // Decides whether a lease expired because its worker was silent, which is not charged.
-    ("worker", "heartbeat_ms", Some(0)),
+    ("worker", "heartbeat_ms", true),
     // Decides whether a worker is alive.
-    ("worker", "last_seen_ms", Some(0)),
-    ("worker", "registered_ms", Some(0)),
-    ("worker", "signed_off_ms", Some(0)),
+    ("worker", "last_seen_ms", true),
+    ("worker", "registered_ms", true),
+    ("worker", "signed_off_ms", true),
 ];
 
 /// Stores an instant in every column of `INSTANTS`.
@@ -106,24 +103,59 @@ async fn every_column_with_an_instant_is_listed() {
     assert_eq!(columns_in_schema.collect::<Vec<_>>(), named, "list new columns in INSTANTS");
 }
 
-/// Regression: instants stayed ahead of a clock that was set back.
+/// Returns the latest instant in every column of `INSTANTS`, except those that a start renews.
+async fn unrenewed(bench: &Bench) -> Vec<(&'static str, &'static str, Option<i64>)> {
+    let mut instants = Vec::new();
+    for (table, column, _) in INSTANTS {
+        if table != "job" || !["lease_expires_ms", "ceiling_ms"].contains(&column) {
+            instants.push((table, column, latest(bench, table, column).await));
+        }
+    }
+    instants
+}
+
+/// Regression: one start with a wrong clock moved the times of all results to that start.
 #[tokio::test]
-async fn a_clock_set_back_leaves_no_instant_in_the_future() {
+async fn a_clock_set_back_alters_no_stored_instant() {
     let bench = Bench::start().await;
     store_every_instant(&bench).await;
-    let now = bench.clock.now().0 - DAY_MS;
+    let before = unrenewed(&bench).await;
+    let now = bench.queue.now();
     let folder = bench.stop().await;
-    let clock = Arc::new(ManualClock::at(UnixMillis(now)));
-    let bench = Bench::start_in(folder, clock).await;
-    for (table, column, ahead) in INSTANTS {
-        let latest = latest(&bench, table, column).await;
-        let latest = latest.unwrap_or_else(|| panic!("no row has {table}.{column}"));
-        // No attempt of these campaigns may last an hour.
-        let max_ahead = ahead.unwrap_or(3_600_000);
-        assert!(latest <= now + max_ahead, "{table}.{column} is {} ms ahead", latest - now);
-    }
+    let bench = Bench::start_in(folder, Arc::new(ManualClock::at(UnixMillis(10_000)))).await;
+    assert_eq!(unrenewed(&bench).await, before);
+    assert_eq!(bench.queue.now(), now, "the clock continues");
+    // The clock goes on from there, and a right one takes over.
+    bench.advance(5).await;
+    assert_eq!(bench.queue.now().0, now.0 + 5_000);
+    let right = UnixMillis(now.0 + 60_000);
+    let folder = bench.stop().await;
+    let bench = Bench::start_in(folder, Arc::new(ManualClock::at(right))).await;
+    assert_eq!(bench.queue.now(), right);
+    assert_eq!(unrenewed(&bench).await, before);
     let folder = bench.stop().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
+}
+
+#[tokio::test]
+async fn the_clock_begins_at_the_newest_instant_of_every_column() {
+    let mut bench = Bench::start().await;
+    store_every_instant(&bench).await;
+    for (table, column, _) in INSTANTS.into_iter().filter(|(.., is_present)| *is_present) {
+        let newest = bench.queue.now().0 + DAY_MS;
+        let pool = bench.database().await;
+        // A stop is final, so its row is replaced.
+        let statement = match table {
+            "stop" => format!(
+                "REPLACE INTO stop SELECT campaign_id, configurations, used, {newest} FROM stop"
+            ),
+            _ => format!("UPDATE {table} SET {column} = {newest} WHERE {column} IS NOT NULL"),
+        };
+        sqlx::raw_sql(AssertSqlSafe(statement)).execute(&pool).await.expect("stored");
+        pool.close().await;
+        bench = bench.restart().await;
+        assert_eq!(bench.queue.now().0, newest, "{table}.{column}");
+    }
 }
 
 #[tokio::test]
@@ -165,23 +197,14 @@ async fn a_clock_jump_ahead_expires_no_lease() {
 async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_full_time() {
     let bench = Bench::start().await;
     store_every_instant(&bench).await;
-    let mut before = Vec::new();
-    for (table, column, _) in INSTANTS {
-        before.push(latest(&bench, table, column).await);
-    }
+    let before = unrenewed(&bench).await;
     bench.clock.advance(Duration::from_secs(24 * 3_600));
     let now = bench.clock.now().0;
     let bench = bench.restart().await;
-    let restarted = ["lease_expires_ms", "ceiling_ms"];
-    for ((table, column, _), before) in INSTANTS.into_iter().zip(before) {
-        let latest = latest(&bench, table, column).await;
-        match table == "job" && restarted.contains(&column) {
-            true => assert_eq!(latest, Some(now + LEASE_MS), "{table}.{column}"),
-            false => {
-                assert_eq!(latest, before, "{table}.{column}");
-                assert!(latest < Some(now), "{table}.{column} is ahead");
-            }
-        }
+    assert_eq!(unrenewed(&bench).await, before);
+    assert!(before.iter().all(|(.., latest)| *latest < Some(now)));
+    for column in ["lease_expires_ms", "ceiling_ms"] {
+        assert_eq!(latest(&bench, "job", column).await, Some(now + LEASE_MS), "{column}");
     }
     // A worker is silent until it calls; back-offs and pauses are over.
     assert_eq!(bench.status("times").await.live_workers, 0);

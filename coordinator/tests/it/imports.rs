@@ -136,6 +136,23 @@ async fn check_unchanged(target: &Bench, before: &[String], file: &Path) {
     target.assert_invariants().await;
 }
 
+/// The clock of the next start would begin at such a time.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_archive_whose_times_lie_days_ahead_is_refused() {
+    let mut source = Bench::with(&small_spec("moved")).await;
+    source.run(2, "").await;
+    let file = source.archive("moved");
+    let target = Bench::empty().await;
+    let before = target.rows().await;
+    let bad = target.folder.path().join("bad.tar.gz");
+    let ahead = "UPDATE result SET committed_ms = 9223372036854775807
+                 WHERE job_id = (SELECT min(job_id) FROM result)";
+    alter(&file, &bad, ahead).await;
+    let message = target.refused(&["campaign", "import", &bad.display().to_string()]);
+    assert!(message.contains("s ahead of this coordinator's"), "{message}");
+    check_unchanged(&target, &before, &file).await;
+}
+
 /// The step budgets of derived rollouts must equal those of the source campaign's rollouts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused() {

@@ -192,6 +192,7 @@ fn moving(messages: &mut Messages) {
             campaign: campaign(), source_campaign: campaign(),
         },
         AdoptError::OtherBudgets { .. } => AdoptError::OtherBudgets { campaign: campaign() },
+        AdoptError::Ahead { .. } => AdoptError::Ahead { campaign: campaign(), seconds: 90_000 },
         AdoptError::Film { .. } => AdoptError::Film { path: path(), source: io_error() },
         AdoptError::Queue(_) => AdoptError::Queue(QueueError::ShuttingDown),
     );

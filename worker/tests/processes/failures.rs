@@ -79,6 +79,32 @@ async fn an_unavailable_policy_charges_no_rollout() {
     .await;
 }
 
+/// Regression: a policy that died at Reset was never reported as lost, so that a rollout whose
+/// Reset kills the policy was tried for ever.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_attempt_loses_its_policy_at_whatever_call_follows_the_description() {
+    if !ready("an_attempt_loses_its_policy_at_whatever_call_follows_the_description") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::start().await;
+    let expected = [
+        ("dying-at-reset", Some(0)),
+        ("dying-at-query", Some(2)),
+        ("dying-at-reset", Some(0)),
+        ("unknown", None),
+        ("overloaded", None),
+    ];
+    for (job, (name, _)) in (1..).zip(expected) {
+        coordinator.lease(lease(job, name, &policy.url()));
+    }
+    let _worker = WorkerProcess::start(&coordinator.url());
+    for (number, (name, answered)) in (1..).zip(expected) {
+        let release = coordinator.message(number).await.release(Reason::PolicyUnavailable);
+        assert_eq!(release.answered_queries, answered, "{name}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_endpoint_where_nobody_listens_is_named() {
     if !ready("an_endpoint_where_nobody_listens_is_named") {

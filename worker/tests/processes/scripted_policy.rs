@@ -113,6 +113,7 @@ impl Policy for Service {
         self.received.lock().expect("unpoisoned").resets.push(request);
         match policy.as_str() {
             "refusing" => Err(Status::invalid_argument("this instruction is not one of 40")),
+            "dying-at-reset" => Err(Status::unavailable("the server has died")),
             _ => Ok(Response::new(ResetResponse {})),
         }
     }
@@ -134,6 +135,9 @@ impl Policy for Service {
             "generous" => actions = answer(full + 7, 7),
             "wild" => actions.actions.fill(1.5),
             "broken" => return Err(Status::internal("CUDA error: device-side assert triggered")),
+            "dying-at-query" if query == 2 => {
+                return Err(Status::unavailable("the server has died"));
+            }
             "overloaded" => return Err(Status::resource_exhausted("the queue is full")),
             "silent" => std::future::pending().await,
             "slow" => tokio::time::sleep(Duration::from_millis(200)).await,

@@ -181,7 +181,7 @@ impl Model {
             *self.silences.entry(granted.job).or_default() += 1;
         }
         let suspicion = self.suspicion(granted);
-        let consequence = job.after_failure(reason, suspicion, self.now, &mut self.rng);
+        let consequence = job.after_failure(reason, &suspicion, self.now, &mut self.rng);
         if reason.blames() == Some(Party::Machine) {
             let in_a_row = self.in_a_row.entry(granted.worker.clone()).or_default();
             *in_a_row = strike(*in_a_row).in_a_row;
@@ -265,7 +265,7 @@ impl Model {
             self.failed_on.entry(granted.job).or_default().push(granted.worker.clone());
         }
         let silences = self.suspicion(granted).silences;
-        let workers = self.suspicion(granted).failed_on_machines;
+        let workers = self.suspicion(granted).failed_on.len();
         let job = self.job(granted.job);
         job.charged_attempts += u32::from(charged);
         job.losses += u32::from(reason.is_loss());
@@ -298,11 +298,12 @@ impl Model {
 
     fn suspicion(&self, granted: &Granted) -> Suspicion {
         let others = self.failed_on.get(&granted.job).into_iter().flatten();
-        let distinct: BTreeSet<&WorkerId> = others.chain([&granted.worker]).collect();
+        let failed_on: BTreeSet<String> =
+            others.chain([&granted.worker]).map(|worker| worker.0.clone()).collect();
         Suspicion {
-            failed_on_machines: distinct.len() as u32,
-            silent_on_machines: distinct.len() as u32,
-            able_machines: WORKERS as u32,
+            silent_on: failed_on.clone(),
+            failed_on,
+            able: (0..WORKERS).map(|number| format!("w{number}")).collect(),
             silences: self.silences.get(&granted.job).copied().unwrap_or(0),
         }
     }

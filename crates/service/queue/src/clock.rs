@@ -1,5 +1,6 @@
 //! Instants, and the injected clock, through which alone this crate reads the time.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -33,6 +34,12 @@ pub trait Clock: Send + Sync {
 pub struct SystemClock {
     started: UnixMillis,
     running: Instant,
+}
+
+/// Another clock, ahead of it by a constant span.
+struct Ahead {
+    clock: Arc<dyn Clock>,
+    span: Duration,
 }
 
 /// A clock that changes only by [`ManualClock::advance`]: for tests, and for replaying a recorded
@@ -75,6 +82,29 @@ impl Clock for SystemClock {
     fn now(&self) -> UnixMillis {
         self.started.plus(self.running.elapsed())
     }
+}
+
+impl Clock for Ahead {
+    fn now(&self) -> UnixMillis {
+        self.clock.now().plus(self.span)
+    }
+}
+
+/// Returns a clock that begins at `newest`, the newest stored instant, or now if that is later, so
+/// that stored instants lie in the past and none needs to be altered.
+pub(crate) fn beginning_at(newest: UnixMillis, clock: Arc<dyn Clock>) -> Arc<dyn Clock> {
+    let span = newest.since(clock.now());
+    if span.is_zero() {
+        return clock;
+    }
+    if let seconds @ 1.. = span.as_secs() {
+        tracing::warn!(
+            "the machine's clock is {seconds} s behind the newest time in the data folder, at \
+             which the coordinator's clock begins: one of them is wrong; if it is the machine's, \
+             set it right and start the coordinator again"
+        );
+    }
+    Arc::new(Ahead { clock, span })
 }
 
 impl ManualClock {

@@ -18,6 +18,7 @@ pub(crate) mod films;
 pub(crate) mod heartbeat;
 pub(crate) mod imported;
 pub(crate) mod in_flight;
+pub(crate) mod lacking;
 pub(crate) mod local_videos;
 pub(crate) mod merge;
 pub(crate) mod portable;

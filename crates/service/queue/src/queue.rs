@@ -10,7 +10,7 @@ use rollout_types::AttemptId;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
-use crate::clock::{Clock, UnixMillis};
+use crate::clock::{self, Clock, UnixMillis};
 use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
@@ -25,7 +25,7 @@ use crate::operations::{removals, start};
 use crate::read::{Changes, View};
 use crate::remote_storage::RemoteStorage;
 use crate::rules::lease::FailureReason;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, instants};
 use crate::tasks::Tasks;
 use crate::timing::Timing;
 
@@ -87,6 +87,8 @@ impl Queue {
         timing: Timing,
         remote_storage: Option<Arc<dyn RemoteStorage>>,
     ) -> Result<Arc<Queue>, StoreError> {
+        let newest = instants::newest(&mut *store.read().await?).await?;
+        let clock = clock::beginning_at(newest, clock);
         let shared = Arc::new(Shared::new(store, clock, rng, timing, remote_storage));
         start::start(&shared).await?;
         // Remote storage may be unavailable; removals are then retried in the background.
@@ -137,7 +139,8 @@ impl Queue {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
         let (now, timing, settled) = (shared.now(), shared.timing, shared.settled.clone());
-        View::begin(&shared.store, now, timing, settled, self.held(), filming).await
+        let lacking = shared.lacking.clone();
+        View::begin(&shared.store, now, timing, settled, self.held(), filming, lacking).await
     }
 
     /// Returns a watch for commits.

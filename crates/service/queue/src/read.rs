@@ -29,6 +29,7 @@ use sqlx::{Sqlite, SqliteConnection, Transaction};
 
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
+use crate::operations::lacking::LackingTasks;
 use crate::operations::settled::SettlementWatch;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
@@ -57,6 +58,7 @@ pub struct View {
     held: Option<String>,
     /// Number of videos that each worker renders or uploads; workers without videos are absent.
     filming: BTreeMap<WorkerId, u32>,
+    lacking: Arc<LackingTasks>,
     /// Counts of the transactions that settled jobs.
     settled: Arc<SettlementWatch>,
     /// Settling transactions that derivation had processed when the view began.
@@ -71,6 +73,7 @@ impl View {
         settled: Arc<SettlementWatch>,
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
+        lacking: Arc<LackingTasks>,
     ) -> Result<View, StoreError> {
         let processed = settled.processed();
         Ok(View {
@@ -79,6 +82,7 @@ impl View {
             timing,
             held,
             filming,
+            lacking,
             settled,
             processed,
         })

@@ -4,15 +4,10 @@ use std::collections::BTreeSet;
 
 use super::context::Context;
 use crate::ids::{JobId, WorkerId};
-use crate::rules::choice::{WaitingTask, choose_task, first_tasks};
-use crate::rules::lease::MIN_MACHINES_TO_QUARANTINE;
+use crate::rules::choice::{WaitingTask, choose_task};
 use crate::store::StoreError;
 use crate::store::campaigns::Campaign;
-use crate::store::claims::{self, Grant};
-
-/// Candidate jobs read beyond the number requested, because some waiting jobs avoid the machine
-/// whose worker claims a job.
-const SPARE_CANDIDATES: usize = 8;
+use crate::store::claims::{self, Asked, Grant};
 
 /// A worker's request for one job.
 #[derive(Clone, Debug)]
@@ -43,7 +38,41 @@ pub(super) struct PendingClaim<'a> {
     pub(super) exhausted: BTreeSet<String>,
 }
 
+/// Tasks and machines such that waiting jobs of the task have failed too often on the machine and
+/// are left to the other able machines.
+#[derive(Debug, Default)]
+pub(super) struct Avoided(BTreeSet<(String, String)>);
+
+impl Avoided {
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(super) fn contains(&self, task: &str, machine: &str) -> bool {
+        self.0.contains(&(task.to_owned(), machine.to_owned()))
+    }
+
+    /// Returns what to ask for to serve a machine from a task.
+    fn ask(&self, task: &str, machine: &str) -> Asked {
+        let avoids = self.contains(task, machine);
+        (task.to_owned(), avoids.then(|| machine.to_owned()))
+    }
+}
+
 impl Context<'_> {
+    /// Returns the tasks and machines for which jobs of the campaign are left to other machines:
+    /// another able machine exists, so that failures on this one alone quarantine nothing.
+    pub(super) async fn avoided(&mut self, campaign: &Campaign) -> Result<Avoided, StoreError> {
+        let mut avoided = BTreeSet::new();
+        for (task, machine) in claims::failing(&mut self.tx, campaign.id).await? {
+            let able = self.able_machines(campaign, &task).await?;
+            if able.iter().any(|able| *able != machine) {
+                avoided.insert((task, machine));
+            }
+        }
+        Ok(Avoided(avoided))
+    }
+
     /// Assigns up to `room` jobs of a campaign to claims: each claim gets a job of its warm task
     /// or, if that task has no job left, of the task with the fewest leases. Removes served claims
     /// from `pending`. Returns the grants with the indices of their claims.
@@ -53,9 +82,7 @@ impl Context<'_> {
         pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        // With enough machines, a job that failed too often avoids the machines of its failures.
-        let avoids_failed_machine =
-            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+        let avoided = self.avoided(campaign).await?;
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
@@ -67,43 +94,34 @@ impl Context<'_> {
             if tasks.is_none() && !pending.iter().all(is_warm) {
                 tasks = Some(claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?);
             }
-            let mut chosen: Vec<Option<String>> = Vec::with_capacity(pending.len());
+            let mut chosen: Vec<Option<Asked>> = Vec::with_capacity(pending.len());
             let mut open = room - grants.len();
             for claim in pending.iter() {
                 let tasks = tasks.as_deref_mut().unwrap_or_default();
                 let task = (open > 0).then(|| claim.choose(tasks)).flatten();
                 open -= usize::from(task.is_some());
-                chosen.push(task);
+                chosen.push(task.map(|task| avoided.ask(&task, claim.machine)));
             }
-            let demand: BTreeSet<&str> = chosen.iter().flatten().map(String::as_str).collect();
+            let demand: BTreeSet<Asked> = chosen.iter().flatten().cloned().collect();
             if demand.is_empty() {
                 break;
             }
-            let limit = chosen.len() + taken.len() + SPARE_CANDIDATES;
-            let demand = demand.into_iter();
+            let limit = chosen.len() + taken.len();
             let mut candidates =
-                claims::candidates(&mut self.tx, campaign.id, demand, limit, self.now).await?;
+                claims::candidates(&mut self.tx, campaign.id, &demand, limit, self.now).await?;
             let mut unserved = Vec::new();
-            for (place, mut claim) in pending.drain(..).enumerate() {
-                let Some(Some(task)) = chosen.get(place) else {
+            for (mut claim, asked) in pending.drain(..).zip(chosen) {
+                let Some(asked) = asked else {
                     unserved.push(claim);
                     continue;
                 };
-                let suits = |job: &claims::Candidate| {
-                    !(taken.contains(&job.id)
-                        || avoids_failed_machine && job.has_failed_on(claim.machine))
-                };
-                let waiting = candidates.get_mut(task);
-                let job = waiting.and_then(|jobs| {
-                    let at = jobs.iter().position(suits)?;
-                    jobs.remove(at)
-                });
-                let Some(job) = job else {
-                    claim.exhausted.insert(task.clone());
+                let waiting = candidates.get_mut(&asked).into_iter();
+                let mut waiting = waiting.flat_map(|jobs| std::iter::from_fn(|| jobs.pop_front()));
+                let Some(job) = waiting.find(|job| taken.insert(job.id)) else {
+                    claim.exhausted.insert(asked.0);
                     unserved.push(claim);
                     continue;
                 };
-                taken.insert(job.id);
                 grants.push((claim.place, self.grant(job.id, claim.request)));
             }
             *pending = unserved;
@@ -120,73 +138,63 @@ impl Context<'_> {
         pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        // With enough machines, a job that failed too often avoids the machines of its failures.
-        let avoids_failed_machine =
-            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
-        let limit = room.min(pending.len()) + SPARE_CANDIDATES;
-        let mut tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
-        let is_runnable = |task: &str| pending.iter().any(|claim| claim.request.has_files_of(task));
-        tasks.retain(|waiting| is_runnable(&waiting.task));
-        let tasks = first_tasks(tasks, limit);
-        let tasks = tasks.iter().map(String::as_str);
+        let avoided = self.avoided(campaign).await?;
+        let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+        let asked_by = |claim: &PendingClaim<'_>| -> Vec<Asked> {
+            let tasks = tasks.iter().map(|waiting| waiting.task.as_str());
+            let runnable = tasks.filter(|task| claim.request.has_files_of(task));
+            runnable.map(|task| avoided.ask(task, claim.machine)).collect()
+        };
+        let demand: BTreeSet<Asked> = pending.iter().flat_map(asked_by).collect();
+        let limit = room.min(pending.len());
         let candidates =
-            claims::candidates(&mut self.tx, campaign.id, tasks, limit, self.now).await?;
-        let candidates = candidates.into_iter();
-        let mut candidates: Vec<_> = candidates
-            .flat_map(|(task, jobs)| jobs.into_iter().map(move |job| (task.clone(), job)))
-            .collect();
-        candidates.sort_by_key(|(_, job)| job.unit_order);
+            claims::candidates(&mut self.tx, campaign.id, &demand, limit, self.now).await?;
+        let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut unserved = Vec::new();
         for claim in pending.drain(..) {
-            let request = claim.request;
-            let suits = |(task, job): &(String, claims::Candidate)| {
-                request.has_files_of(task)
-                    && !(avoids_failed_machine && job.has_failed_on(claim.machine))
-            };
-            let found = match grants.len() < room {
-                true => candidates.iter().position(suits),
-                false => None,
-            };
-            let Some(found) = found else {
-                unserved.push(claim);
-                continue;
-            };
-            let (_, job) = candidates.remove(found);
-            grants.push((claim.place, self.grant(job.id, request)));
+            let asked = asked_by(&claim);
+            let lists = asked.iter().filter_map(|asked| candidates.get(asked));
+            let open = lists.filter_map(|jobs| jobs.iter().find(|job| !taken.contains(&job.id)));
+            match open.min_by_key(|job| job.unit_order) {
+                Some(job) if grants.len() < room => {
+                    taken.insert(job.id);
+                    grants.push((claim.place, self.grant(job.id, claim.request)));
+                }
+                _ => unserved.push(claim),
+            }
         }
         *pending = unserved;
         Ok(grants)
     }
 
-    /// Assigns a job that must run alone to one of the claims. Returns the index of the claim, the
-    /// grant, and the reason why the job runs alone; `None` if no such job suits any of the claims.
+    /// Assigns a job of these tasks that must run alone to one of the claims. Returns the index of
+    /// the claim, the grant, and the reason why the job runs alone; `None` if no such job suits any
+    /// of the claims.
     pub(super) async fn choose_lone(
         &mut self,
         campaign: &Campaign,
+        tasks: &[&str],
         pending: &mut Vec<PendingClaim<'_>>,
     ) -> Result<Option<(usize, Grant, String)>, StoreError> {
-        // With enough machines, a job that failed too often avoids the machines of its failures.
-        let avoids_failed_machine =
-            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
-        let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
-        for (at, claim) in pending.iter().enumerate() {
-            let suits = |lone: &&claims::LoneJob| {
-                claim.request.has_files_of(&lone.task)
-                    && !(avoids_failed_machine && lone.job.has_failed_on(claim.machine))
-            };
-            let Some(chosen) = waiting.iter().find(suits) else {
-                continue;
-            };
-            let reason = format!(
-                "rollout `{}` runs alone, because {} of its attempts lost the policy",
-                chosen.rollout_id, chosen.losses
-            );
-            let granted = (claim.place, self.grant(chosen.job.id, claim.request), reason);
-            pending.remove(at);
-            return Ok(Some(granted));
+        let avoided = self.avoided(campaign).await?;
+        let mut asked = Vec::new();
+        for (place, claim) in pending.iter().enumerate() {
+            let runnable = tasks.iter().filter(|task| claim.request.has_files_of(task));
+            asked.extend(runnable.map(|task| {
+                let avoids = avoided.contains(task, claim.machine);
+                (*task, avoids.then_some(claim.machine), place)
+            }));
         }
-        Ok(None)
+        let Some(chosen) = claims::lone(&mut self.tx, campaign.id, &asked, self.now).await? else {
+            return Ok(None);
+        };
+        let claim = pending.remove(chosen.place as usize);
+        let reason = format!(
+            "rollout `{}` runs alone, because {} of its attempts lost the policy",
+            chosen.rollout_id, chosen.losses
+        );
+        Ok(Some((claim.place, self.grant(chosen.id, claim.request), reason)))
     }
 
     fn grant(&self, job: JobId, to: &ClaimRequest) -> Grant {

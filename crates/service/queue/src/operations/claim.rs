@@ -7,11 +7,11 @@ use std::time::Duration;
 use libero_family::TaskKey;
 use rollout_types::{AttemptId, Pin};
 
-use super::choose::PendingClaim;
+use super::choose::{Avoided, PendingClaim};
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
-use crate::rules::choice::{WaitingCampaign, WaitingTask, choose_campaign};
+use crate::rules::choice::{WaitingCampaign, choose_campaign};
 use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant, LeasedJob, Term};
@@ -109,33 +109,38 @@ impl Context<'_> {
             }
             let idle_reason = self.idle_reason(&pin).await?;
             let is_lacking = pending.iter().any(|claim| !claim.request.lacking_tasks.is_empty());
-            let waiting = match is_lacking {
-                true => self.waiting_tasks(&pin).await?,
-                false => Vec::new(),
-            };
+            let unserved = self.unserved(&pin, is_lacking).await?;
             for claim in pending {
-                let missing = waiting
-                    .iter()
-                    .filter_map(|(campaign, tasks)| missing_files(campaign, tasks, claim.request));
-                let reasons = Some(idle_reason.clone()).filter(|reason| !reason.is_empty());
-                let reasons: Vec<String> = reasons.into_iter().chain(missing).collect();
+                let reasons = unserved.iter().filter_map(|unserved| unserved.reason(&claim));
+                let reasons = Some(idle_reason.clone()).into_iter().chain(reasons);
+                let reasons: Vec<String> = reasons.filter(|reason| !reason.is_empty()).collect();
                 answers[claim.place] = Ok(Claimed { job: None, idle_reason: reasons.join("; ") });
             }
         }
         Ok(answers)
     }
 
-    /// Returns the standings of the claiming workers, and records new claims as signs of life.
+    /// Returns the standings of the claiming workers, and records new claims as signs of life, and
+    /// the tasks whose files the workers lack.
     async fn standings(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
     ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
         let claiming: Vec<_> = requests.iter().map(|(request, _)| &request.worker).collect();
         let standings = workers::standings(&mut self.tx, &claiming).await?;
-        let new = requests.iter().filter(|(_, is_new)| *is_new);
-        let new: Vec<_> = new.map(|(request, _)| &request.worker).collect();
+        let new = requests.iter().filter(|(_, is_new)| *is_new).map(|(request, _)| *request);
+        let new: Vec<&ClaimRequest> = new.collect();
         if !new.is_empty() {
-            workers::record_calls(&mut self.tx, &new, self.now).await?;
+            let workers: Vec<_> = new.iter().map(|request| &request.worker).collect();
+            workers::record_calls(&mut self.tx, &workers, self.now).await?;
+        }
+        let known = new.into_iter().filter(|request| standings.contains_key(&request.worker));
+        let record = |request: &ClaimRequest| {
+            self.shared.lacking.record(&request.worker, &request.lacking_tasks)
+        };
+        if known.map(record).fold(false, |has_changed, record| has_changed | record) {
+            // A job that was left to one of these workers may suit others now.
+            self.shared.work.notify_waiters();
         }
         Ok(standings)
     }
@@ -225,14 +230,16 @@ impl Context<'_> {
         if pending.is_empty() {
             return Ok(assigned);
         }
-        let lone = claims::with_lone_jobs(&mut self.tx).await?;
+        let lone = claims::lone_tasks(&mut self.tx).await?;
         if lone.is_empty() {
             return Ok(assigned);
         }
         let waiting = self.cache.waiting(&mut self.tx).await?;
         let mut tried: BTreeSet<PolicyId> = BTreeSet::new();
-        for campaign in waiting.iter().filter(|candidate| lone.contains(&candidate.id)) {
-            let may_lease = !pending.is_empty()
+        for campaign in waiting.iter() {
+            let tasks = lone.iter().filter(|(id, _)| *id == campaign.id);
+            let tasks: Vec<&str> = tasks.map(|(_, task)| task.as_str()).collect();
+            let may_lease = !(pending.is_empty() || tasks.is_empty())
                 && campaign.state.may_lease()
                 && campaign.accepts(pin)
                 && campaign.health.allowance(self.now) != Allowance::Nothing
@@ -240,7 +247,7 @@ impl Context<'_> {
             if !may_lease || !policies::is_idle(&mut self.tx, campaign.policy_id).await? {
                 continue;
             }
-            let chosen = self.choose_lone(campaign, pending).await?;
+            let chosen = self.choose_lone(campaign, &tasks, pending).await?;
             if let Some((place, grant, reason)) = chosen {
                 tried.insert(campaign.policy_id);
                 tracing::info!("policy `{}`: {reason}", campaign.policy);
@@ -323,49 +330,73 @@ impl Context<'_> {
         Ok(reasons.join("; "))
     }
 
-    /// Returns the campaigns that may lease to workers of a pin, with their waiting tasks.
-    async fn waiting_tasks(
-        &mut self,
-        pin: &Pin,
-    ) -> Result<Vec<(CampaignName, Vec<WaitingTask>)>, StoreError> {
-        let mut waiting = Vec::new();
+    /// Returns the campaigns that may lease to workers of a pin, with those of their waiting tasks
+    /// that claims may not be served from. `is_lacking` is true if workers lack files.
+    async fn unserved(&mut self, pin: &Pin, is_lacking: bool) -> Result<Vec<Unserved>, StoreError> {
+        let mut unserved = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
-            if campaign.accepts(pin) && campaign.state.may_lease() {
+            let may_lease = campaign.accepts(pin)
+                && campaign.state.may_lease()
+                && campaign.health.allowance(self.now) != Allowance::Nothing;
+            if !may_lease {
+                continue;
+            }
+            let avoided = self.avoided(campaign).await?;
+            if is_lacking || !avoided.is_empty() {
                 let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
-                waiting.push((campaign.name.clone(), tasks));
+                let tasks = tasks.into_iter().map(|waiting| waiting.task).collect();
+                unserved.push(Unserved { campaign: campaign.name.clone(), tasks, avoided });
             }
         }
-        Ok(waiting)
+        Ok(unserved)
     }
 }
 
-/// Describes the files that a worker lacks for a campaign's waiting tasks, by the example of one
-/// task; `None` if no task waits, or the worker has the files of at least one waiting task.
-fn missing_files(
-    campaign: &CampaignName,
-    waiting: &[WaitingTask],
-    request: &ClaimRequest,
-) -> Option<String> {
-    let first = &waiting.first()?.task;
-    if waiting.iter().any(|waiting| request.has_files_of(&waiting.task)) {
-        return None;
+/// A campaign with waiting tasks that claims may not be served from.
+struct Unserved {
+    campaign: CampaignName,
+    tasks: Vec<String>,
+    avoided: Avoided,
+}
+
+impl Unserved {
+    /// Returns the reason why no task suits a claim; `None` if there is no such reason.
+    fn reason(&self, claim: &PendingClaim<'_>) -> Option<String> {
+        let Unserved { campaign, tasks, avoided } = self;
+        let first = tasks.first()?;
+        let has_files = |task: &&String| claim.request.has_files_of(task);
+        let mut runnable = tasks.iter().filter(has_files).peekable();
+        if runnable.peek().is_none() {
+            let files = missing_files(first, tasks.len(), "this worker");
+            return Some(format!("campaign `{campaign}` needs {files}"));
+        }
+        runnable.all(|task| avoided.contains(task, claim.machine)).then(|| {
+            format!(
+                "the waiting rollouts of campaign `{campaign}` have failed on this machine and are \
+                 left to another one"
+            )
+        })
     }
-    let others = match waiting.len() {
+}
+
+/// Describes the files that workers (`who`) lack for each of a number of tasks, by the example of
+/// the first task.
+pub(crate) fn missing_files(first: &str, tasks: usize, who: &str) -> String {
+    let others = match tasks {
         1 => "",
         _ => " and others",
     };
-    let files = match TaskKey::files_of(first) {
+    match TaskKey::files_of(first) {
         Some(benchmark) => format!(
-            "task files that this worker lacks; run `{}` on its machine",
+            "task files that {who} lacks; run `{}` on the worker's machine",
             libero_family::fetch_command(benchmark)
         ),
         None if first.contains('+') => format!(
-            "task files that this worker lacks or has in another version, for task \
-             {first}{others}; its log names the files"
+            "task files that {who} lacks or has in another version, for task {first}{others}; the \
+             worker's log names the files"
         ),
-        None => format!("assets that this worker lacks, for task {first}{others}"),
-    };
-    Some(format!("campaign `{campaign}` needs {files}"))
+        None => format!("assets that {who} lacks, for task {first}{others}"),
+    }
 }
 
 /// Returns the standing of a worker, or the error if the worker may not lease.
@@ -407,24 +438,25 @@ mod tests {
 
     #[test]
     fn missing_files_are_described_by_a_task_and_whether_others_wait() {
-        let tasks = ["libero_goal/3", "libero_goal/4"];
-        let waiting =
-            tasks.map(|task| WaitingTask { task: task.to_owned(), first_unit: 0, leased: 0 });
+        let tasks = ["libero_goal/3", "libero_goal/4"].map(str::to_owned);
         let mut request = ClaimRequest {
             worker: WorkerId("a".to_owned()),
             claim: String::new(),
             warm_task: None,
-            lacking_tasks: tasks.map(str::to_owned).into(),
+            lacking_tasks: tasks.clone().into(),
         };
-        let campaign = CampaignName::parse("c").expect("a name");
+        let reason = |tasks: &[String], request: &ClaimRequest| {
+            let campaign = CampaignName::parse("c").expect("a name");
+            let avoided = Avoided::default();
+            let unserved = Unserved { campaign, tasks: tasks.to_vec(), avoided };
+            let exhausted = BTreeSet::new();
+            unserved.reason(&PendingClaim { place: 0, request, machine: "m", exhausted })
+        };
         let one = "campaign `c` needs assets that this worker lacks, for task libero_goal/3";
-        let missing = |waiting: &[WaitingTask], request: &ClaimRequest| {
-            missing_files(&campaign, waiting, request)
-        };
-        assert_eq!(missing(&waiting[..1], &request).as_deref(), Some(one));
+        assert_eq!(reason(&tasks[..1], &request).as_deref(), Some(one));
         let several = format!("{one} and others");
-        assert_eq!(missing(&waiting, &request), Some(several));
-        request.lacking_tasks.remove(tasks[1]);
-        assert_eq!(missing(&waiting, &request), None);
+        assert_eq!(reason(&tasks, &request), Some(several));
+        request.lacking_tasks.remove(&tasks[1]);
+        assert_eq!(reason(&tasks, &request), None);
     }
 }

@@ -20,6 +20,7 @@ use crate::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::jobs::NamedAttempt;
+use crate::store::workers::Live;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
 /// Longest time after a policy's pause for which a job that could not reach the policy yields to
@@ -85,13 +86,23 @@ impl<'a> Context<'a> {
         self.cache.campaign(&mut self.tx, id).await
     }
 
-    /// Returns the number of machines with a live worker that could run the campaign's jobs.
-    pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
+    /// Returns the workers that are alive and may lease.
+    pub(super) async fn live(&mut self) -> Result<Arc<Vec<Live>>, StoreError> {
         let since = self.now.minus(self.shared.timing.worker_alive);
-        let live = self.cache.live(&mut self.tx, since).await?;
-        let able = live.iter().filter(|worker| campaign.accepts(&worker.pin));
-        let machines: BTreeSet<&str> = able.map(|worker| worker.machine.as_str()).collect();
-        Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
+        self.cache.live(&mut self.tx, since).await
+    }
+
+    /// Returns the machines with a live worker that could run the campaign's jobs of a task.
+    pub(super) async fn able_machines(
+        &mut self,
+        campaign: &Campaign,
+        task: &str,
+    ) -> Result<BTreeSet<String>, StoreError> {
+        let live = self.live().await?;
+        let able = live.iter().filter(|worker| {
+            campaign.accepts(&worker.pin) && self.shared.lacking.has_files(&worker.id, task)
+        });
+        Ok(able.map(|worker| worker.machine.clone()).collect())
     }
 
     /// Restores the lease of an attempt whose worker was cut off and has reconnected. Returns the
@@ -124,12 +135,20 @@ impl<'a> Context<'a> {
         (reason, error): (FailureReason, &str),
     ) -> Result<Ended, StoreError> {
         let campaign = self.campaign(campaign).await?;
-        let history = jobs::history(&mut self.tx, job.id, &lease.owner).await?;
+        let jobs::History { task, mut failed_on, mut silent_on } =
+            jobs::history(&mut self.tx, job.id).await?;
+        // Includes the attempt that ends now, whatever its failure: only the fields that concern
+        // this failure are used.
+        let standings = workers::standings(&mut self.tx, &[&lease.owner]).await?;
+        for machine in standings.into_values().map(|worker| worker.machine) {
+            failed_on.push(machine.clone());
+            silent_on.push(machine);
+        }
         let suspicion = Suspicion {
-            failed_on_machines: history.failed_on_machines,
-            silent_on_machines: history.silent_on_machines,
-            able_machines: self.able_machines(&campaign).await?,
-            silences: history.silences,
+            silences: u32::try_from(silent_on.len()).unwrap_or(u32::MAX),
+            failed_on: failed_on.into_iter().collect(),
+            silent_on: silent_on.into_iter().collect(),
+            able: self.able_machines(&campaign, &task).await?,
         };
         let now = self.now;
         let before = &campaign.health;
@@ -143,7 +162,7 @@ impl<'a> Context<'a> {
             _ => before.after_other_failure(id, now),
         });
         let mut next_step =
-            self.shared.decide(|rng| job.after_failure(reason, suspicion, now, rng));
+            self.shared.decide(|rng| job.after_failure(reason, &suspicion, now, rng));
         if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
             (is_outage && before.is_probe(id), &after.state, &mut next_step)
         {

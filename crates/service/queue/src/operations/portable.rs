@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use libero_ctrl::CampaignSpec;
 use paired::Outcome;
@@ -29,6 +30,10 @@ use crate::store::{
     removals as removal_marks, schema, undecodable,
 };
 use crate::timing::Timing;
+
+/// Longest time by which the instants of an added campaign may be ahead of this coordinator's clock,
+/// which begins at the newest one when the coordinator starts the next time.
+const MAX_AHEAD: Duration = Duration::from_secs(24 * 3_600);
 
 /// A campaign in a data folder of its own.
 #[derive(Debug)]
@@ -130,7 +135,8 @@ impl Portable {
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
         let settled = Arc::new(SettlementWatch::new());
-        View::begin(&self.store, now, Timing::default(), settled, None, filming).await
+        let lacking = Arc::default();
+        View::begin(&self.store, now, Timing::default(), settled, None, filming, lacking).await
     }
 
     /// Returns the videos, by path; the database lists no other kind of artifact.
@@ -222,7 +228,12 @@ impl Queue {
         let shared = &*self.shared;
         let mut target = from.copy_target(name)?;
         let films = from.films().await?;
+        let newest = instants::newest(&mut *from.store.read().await?).await?;
         let mut context = Context::begin(shared, vec![]).await?;
+        let ahead = newest.since(context.now);
+        if ahead > MAX_AHEAD {
+            return Err(AdoptError::Ahead { campaign: target.name, seconds: ahead.as_secs() });
+        }
         if campaigns::by_name(&mut context.tx, &target.name).await?.is_some() {
             return Err(AdoptError::Exists { campaign: target.name });
         }
@@ -321,9 +332,6 @@ impl Queue {
         campaigns::take_name(&mut context.tx, &target.name).await?;
         hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
         portable::copy_stop_and_state(&mut context.tx, (id, old)).await?;
-        // The exporting coordinator's clock may be ahead of this one.
-        let latest = now.plus(rollout_types::Waits::USUAL.longest);
-        instants::set_back(&mut context.tx, now, latest).await?;
         if let Some(source) = local_source {
             derivations::insert(&mut context.tx, id, source).await?;
         }
@@ -368,6 +376,12 @@ pub enum AdoptError {
         "add campaign `{campaign}`: its rollouts have other step budgets than those of its source campaign; archive it again"
     )]
     OtherBudgets { campaign: CampaignName },
+    #[error(
+        "add campaign `{campaign}`: its newest time is {seconds} s ahead of this coordinator's; \
+         if this machine's clock is behind, set it right and start the coordinator again; \
+         otherwise import the archive once that time has come"
+    )]
+    Ahead { campaign: CampaignName, seconds: u64 },
     #[error(
         "move film {} into the data folder: make room on that disk, and make the folder writable \
          for this user",

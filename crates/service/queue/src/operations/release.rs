@@ -26,8 +26,8 @@ pub(crate) struct Release {
     pub(crate) attempt: AttemptId,
     pub(crate) reason: FailureReason,
     pub(crate) error: String,
-    /// Queries that the policy had answered, if it was reachable at the attempt's first query and
-    /// was lost later.
+    /// Queries that the policy had answered, if it had described itself to the attempt and was lost
+    /// later.
     pub(crate) answered: Option<u32>,
 }
 

@@ -9,6 +9,7 @@ use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
 use super::in_flight::Films;
+use super::lacking::LackingTasks;
 use super::settled::SettlementWatch;
 use crate::clock::{Clock, UnixMillis};
 use crate::remote_storage::RemoteStorage;
@@ -26,6 +27,8 @@ pub(crate) struct Shared {
     /// Held while a video is added to the data folder or removed from it.
     pub(crate) files: tokio::sync::Mutex<()>,
     pub(super) films: Films,
+    /// Tasks whose files workers lack.
+    pub(crate) lacking: Arc<LackingTasks>,
     /// Remote storage of videos, if configured.
     pub(crate) remote_storage: Option<Arc<dyn RemoteStorage>>,
     /// Notified when jobs may have become leasable.
@@ -55,6 +58,7 @@ impl Shared {
             cache: tokio::sync::Mutex::default(),
             files: tokio::sync::Mutex::default(),
             films: Films::default(),
+            lacking: Arc::default(),
             remote_storage,
             work: Notify::new(),
             settled: Arc::new(SettlementWatch::new()),

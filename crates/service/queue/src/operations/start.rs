@@ -1,19 +1,14 @@
-//! Correction of stored instants when the coordinator starts, and restart of all leases at that
-//! time and after the machine was suspended.
+//! Restart of all leases when the coordinator starts, and after the machine was suspended.
 
 use super::context::Context;
 use super::shared::Shared;
 use crate::store::failpoint::Step;
-use crate::store::{StoreError, backup, instants, jobs};
+use crate::store::{StoreError, backup, jobs};
 
-/// Restarts every lease, since no heartbeat could arrive while the coordinator was down, and
-/// corrects instants that lie in the future.
+/// Restarts every lease, since no heartbeat could arrive while the coordinator was down.
 pub(crate) async fn start(shared: &Shared) -> Result<(), StoreError> {
     backup::remove_leftover(shared.store.folder());
     let mut context = Context::begin(shared, vec![Step::Start]).await?;
-    let now = context.now;
-    let latest = now.plus(rollout_types::Waits::USUAL.longest);
-    instants::set_back(&mut context.tx, now, latest).await?;
     restart_leases(&mut context).await?;
     context.commit().await
 }

@@ -8,13 +8,15 @@ use sqlx::SqliteConnection;
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, CampaignName};
+use crate::operations::claim::missing_files;
 use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
 use crate::store::derivations::{self, Source};
 use crate::store::stops::{self, EarlyStop};
-use crate::store::{Doing, StoreError, workers};
+use crate::store::workers::Live;
+use crate::store::{Doing, StoreError, claims, workers};
 
 /// Window over which a campaign's rate is measured; shorter if the earliest of the rollouts
 /// committed in it began, or the campaign was resumed, within the window.
@@ -46,7 +48,7 @@ pub struct CampaignStatus {
     /// Committed rollouts per second over [`RATE_WINDOW`]; `None` if there were none, or the
     /// campaign is not running.
     pub rate_per_sec: Option<f64>,
-    /// Seconds that the remaining rollouts take at that rate.
+    /// Seconds that the remaining rollouts take at that rate; `None` while none can be leased.
     pub eta_secs: Option<f64>,
     /// Live workers that meet the campaign's requirements and its pin.
     pub live_workers: u32,
@@ -119,7 +121,7 @@ impl View {
 
     /// Returns the status of all campaigns, oldest first.
     pub async fn statuses(&mut self) -> Result<Vec<CampaignStatus>, StoreError> {
-        let live = self.live_pins().await?;
+        let live = self.able_workers().await?;
         let mut list = Vec::new();
         for campaign in campaigns::all(self.tx()).await? {
             list.push(self.status_among(campaign, &live).await?);
@@ -129,21 +131,37 @@ impl View {
 
     /// Returns the status of one campaign.
     pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
-        let live = self.live_pins().await?;
+        let live = self.able_workers().await?;
         self.status_among(campaign, &live).await
     }
 
-    /// Returns the pins of the workers that are alive.
-    async fn live_pins(&mut self) -> Result<Vec<Pin>, StoreError> {
+    /// Returns the workers that are alive and may lease.
+    async fn able_workers(&mut self) -> Result<Vec<Live>, StoreError> {
         let since = self.now.minus(self.timing.worker_alive);
-        let live = workers::live(self.tx(), since).await?;
-        Ok(live.into_iter().map(|worker| worker.pin).collect())
+        workers::live(self.tx(), since).await
+    }
+
+    /// Returns the reason why none of these workers can run a campaign's waiting jobs, although
+    /// they meet its requirements: they lack files. Empty if there is no such reason.
+    async fn files_reason(
+        &mut self,
+        campaign: CampaignId,
+        able: &[&Live],
+    ) -> Result<String, StoreError> {
+        let tasks = claims::queued_tasks(self.tx(), campaign).await?;
+        let has_files =
+            |task: &String| able.iter().any(|worker| self.lacking.has_files(&worker.id, task));
+        let Some(first) = tasks.first().filter(|_| !tasks.iter().any(has_files)) else {
+            return Ok(String::new());
+        };
+        let files = missing_files(first, tasks.len(), "every live worker");
+        Ok(format!("no worker suits: the campaign needs {files}"))
     }
 
     async fn status_among(
         &mut self,
         campaign: Campaign,
-        live: &[Pin],
+        live: &[Live],
     ) -> Result<CampaignStatus, StoreError> {
         let now = self.now;
         let counts = Counts::read(self.tx(), campaign.id).await?;
@@ -166,8 +184,8 @@ impl View {
             PolicyState::Paused { resume, .. } => Some(resume.since(now)),
             PolicyState::Available | PolicyState::Probing { .. } => None,
         };
-        let able = live.iter().filter(|live| campaign.accepts(live));
-        let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
+        let able = live.iter().filter(|live| campaign.accepts(&live.pin));
+        let able: Vec<&Live> = able.collect();
         let source = derivations::awaited(self.tx(), campaign.id).await?;
         let may_grow = match &source {
             _ if campaign.state.is_over() => false,
@@ -186,9 +204,12 @@ impl View {
             (true, None, Some(reason)) => {
                 format!("policy `{}` is paused: {reason}", campaign.policy)
             }
-            (true, None, None) if live_workers > 0 => String::new(),
-            (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
+            (true, None, None) if able.is_empty() => {
+                no_worker_reason(&campaign.demand(), live.first().map(|live| &live.pin))
+            }
+            (true, None, None) => self.files_reason(campaign.id, &able).await?,
         };
+        let is_stuck = is_waiting && !waiting_reason.is_empty();
         let fingerprints = self.fingerprints(campaign.id).await?;
         let stop = stops::early_stop(self.tx(), campaign.id).await?;
         Ok(CampaignStatus {
@@ -197,8 +218,8 @@ impl View {
             policy_pause_reason,
             policy_retry,
             rate_per_sec,
-            eta_secs: rate_per_sec.map(|rate| remaining / rate),
-            live_workers,
+            eta_secs: rate_per_sec.filter(|_| !is_stuck).map(|rate| remaining / rate),
+            live_workers: u32::try_from(able.len()).unwrap_or(u32::MAX),
             waiting_reason,
             fingerprints,
             stop,

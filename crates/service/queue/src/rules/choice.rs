@@ -54,14 +54,6 @@ pub fn choose_task(waiting: &[WaitingTask]) -> Option<&WaitingTask> {
     waiting.iter().min_by_key(|candidate| (candidate.leased, candidate.first_unit))
 }
 
-/// Returns the tasks whose first waiting jobs come first, up to `jobs` tasks. They contain the next
-/// `jobs` jobs of a campaign leased in job order: every other task's jobs come after these.
-pub fn first_tasks(mut waiting: Vec<WaitingTask>, jobs: usize) -> Vec<String> {
-    waiting.sort_by_key(|task| task.first_unit);
-    let first = waiting.into_iter().take(jobs);
-    first.map(|waiting| waiting.task).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -123,18 +115,6 @@ mod tests {
         check(&[3, 1, 5, 1], 6);
         check(&[3, 1, 5, 1], 1);
         check(&[2], 5);
-    }
-
-    #[test]
-    fn the_first_tasks_are_those_whose_next_jobs_come_first() {
-        let waiting = |task: &str, first_unit| WaitingTask {
-            task: task.to_owned(),
-            first_unit,
-            leased: first_unit as u32,
-        };
-        let tasks = vec![waiting("a", 7), waiting("b", 0), waiting("c", 3)];
-        assert_eq!(first_tasks(tasks.clone(), 2), ["b", "c"]);
-        assert_eq!(first_tasks(tasks, 9), ["b", "c", "a"]);
     }
 
     #[test]

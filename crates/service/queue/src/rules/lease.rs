@@ -1,6 +1,7 @@
 //! Lifecycle of one job: its states, their transitions, and the charging of attempts without a
 //! result. `choice` decides which job is leased next; `outage` handles outages of policies.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use rand_chacha::rand_core::Rng;
@@ -10,12 +11,14 @@ use serde::Deserialize;
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, JobId, WorkerId};
 
-/// Charged attempts after which a job is quarantined.
+/// Charged attempts after which a job is quarantined. The schema's index `job_failing` uses the same
+/// number.
 pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
-/// Machines on which a job must have failed before it is quarantined, if workers on that many
-/// machines are alive: one broken machine must not put a rollout into quarantine. Failures of the
-/// policy need one machine. Workers that do not report their machine count as one machine each.
-pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
+/// Machines on which a job must have failed before it is quarantined, unless no able machine is
+/// left that has not failed at it: one broken machine must not put a rollout into quarantine.
+/// Failures of the policy need one machine. Workers that do not report their machine count as one
+/// machine each.
+pub const MIN_MACHINES_TO_QUARANTINE: usize = 2;
 /// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
 /// From this number on, each attempt of a job that is cut off with its worker (whose heartbeats
@@ -169,14 +172,14 @@ pub enum AfterFailure {
 
 /// Evidence against a job: its attempts since an operator last took it out of quarantine, including
 /// the attempt that ends now.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Suspicion {
-    /// Distinct machines with a charged failure.
-    pub failed_on_machines: u32,
-    /// Distinct machines with an attempt that was cut off with its worker.
-    pub silent_on_machines: u32,
+    /// Machines with a charged failure.
+    pub failed_on: BTreeSet<String>,
+    /// Machines with an attempt that was cut off with its worker.
+    pub silent_on: BTreeSet<String>,
     /// Machines with a live worker that could run the job.
-    pub able_machines: u32,
+    pub able: BTreeSet<String>,
     /// Attempts that were cut off with their worker.
     pub silences: u32,
 }
@@ -236,11 +239,10 @@ impl Job {
     pub fn after_failure(
         &self,
         reason: FailureReason,
-        suspicion: Suspicion,
+        suspicion: &Suspicion,
         now: UnixMillis,
         rng: &mut impl Rng,
     ) -> AfterFailure {
-        let machines = MIN_MACHINES_TO_QUARANTINE.min(suspicion.able_machines);
         // `failures` is the number of failures that determines the back-off of a job that is not
         // quarantined; 0 for no back-off.
         let (is_quarantined, failures) = match reason {
@@ -252,18 +254,16 @@ impl Job {
             FailureReason::WorkerSilent => {
                 let silences = suspicion.silences;
                 (
-                    silences >= MAX_SILENCES && suspicion.silent_on_machines >= machines,
+                    silences >= MAX_SILENCES && suspicion.is_confirmed_by(&suspicion.silent_on),
                     (silences + 1).saturating_sub(SILENCES_UNTIL_BACKOFF),
                 )
             }
             _ if !reason.is_charged() => (false, 0),
             _ => {
                 let charged = self.charged_attempts + 1;
-                let needed = match reason.blames() {
-                    Some(Party::Policy) => 1,
-                    _ => machines,
-                };
-                (charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_machines >= needed, charged)
+                let is_confirmed = reason.blames() == Some(Party::Policy)
+                    || suspicion.is_confirmed_by(&suspicion.failed_on);
+                (charged >= MAX_CHARGED_ATTEMPTS && is_confirmed, charged)
             }
         };
         match (is_quarantined, failures) {
@@ -274,6 +274,15 @@ impl Job {
                 AfterFailure::Requeue { not_before: now.plus(wait.max(Waits::USUAL.first)) }
             }
         }
+    }
+}
+
+impl Suspicion {
+    /// Returns true if failures on these machines are evidence against the job rather than against
+    /// a machine: there are enough of them, or no able machine is left without a failure. The sets
+    /// are compared, not their sizes: a broken machine is often not able any more.
+    fn is_confirmed_by(&self, machines: &BTreeSet<String>) -> bool {
+        machines.len() >= MIN_MACHINES_TO_QUARANTINE || self.able.is_subset(machines)
     }
 }
 
@@ -487,21 +496,20 @@ mod tests {
         }
     }
 
-    /// Returns the next step of a job after `count` attempts that ended for this reason.
-    fn after(reason: FailureReason, count: u32, machines: u32) -> AfterFailure {
-        let suspicion = Suspicion {
-            failed_on_machines: 0,
-            silent_on_machines: machines,
-            able_machines: 2,
-            silences: count,
-        };
-        let job = job(count, JobState::Leased(lease(true)));
-        job.after_failure(reason, suspicion, UnixMillis(0), &mut ChaCha8Rng::seed_from_u64(1))
+    /// Returns the next step of a job after `count` attempts that ended for this reason, on these
+    /// machines.
+    fn after(reason: FailureReason, count: u32, on: &[&str], able: &[&str]) -> AfterFailure {
+        let set = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let suspicion =
+            Suspicion { failed_on: set(on), silent_on: set(on), able: set(able), silences: count };
+        let mut job = job(count, JobState::Leased(lease(true)));
+        job.charged_attempts = count - 1;
+        job.after_failure(reason, &suspicion, UnixMillis(0), &mut ChaCha8Rng::seed_from_u64(1))
     }
 
     #[test]
     fn a_job_that_repeatedly_loses_its_policy_backs_off_and_is_finally_quarantined() {
-        let lost = |count| after(FailureReason::PolicyLost, count, 0);
+        let lost = |count| after(FailureReason::PolicyLost, count, &["a"], &["a", "b"]);
         let at_once = AfterFailure::Requeue { not_before: UnixMillis(0) };
         assert_eq!(lost(1), at_once);
         for count in LOSSES_UNTIL_BACKOFF..MAX_LOSSES {
@@ -515,13 +523,31 @@ mod tests {
     }
 
     #[test]
-    fn a_job_that_crashes_workers_on_two_machines_is_quarantined() {
-        let silent = |count, machines| after(FailureReason::WorkerSilent, count, machines);
+    fn only_after_its_third_silence_does_a_job_back_off() {
+        let silent = |count| after(FailureReason::WorkerSilent, count, &["a"], &["a", "b"]);
         let at_once = AfterFailure::Requeue { not_before: UnixMillis(0) };
-        assert_eq!(silent(1, 1), at_once);
-        assert_ne!(silent(SILENCES_UNTIL_BACKOFF, 1), at_once);
-        assert!(matches!(silent(MAX_SILENCES, 1), AfterFailure::Requeue { .. }));
-        assert_eq!(silent(MAX_SILENCES, 2), AfterFailure::Quarantine);
+        assert_eq!(silent(1), at_once);
+        assert_ne!(silent(SILENCES_UNTIL_BACKOFF), at_once);
+    }
+
+    /// Regression: sizes were compared, so that a broken machine, which was not able any more, met
+    /// the requirement of one able machine that had not tried the job.
+    #[test]
+    fn no_able_machine_is_left_untried_when_a_job_is_quarantined() {
+        for (reason, count) in [
+            (FailureReason::WorkerSilent, MAX_SILENCES),
+            (FailureReason::SlotCrashed, MAX_CHARGED_ATTEMPTS),
+        ] {
+            let is_quarantined = |count, on: &[&str], able: &[&str]| {
+                after(reason, count, on, able) == AfterFailure::Quarantine
+            };
+            assert!(!is_quarantined(count, &["broken"], &["broken", "sound"]));
+            assert!(!is_quarantined(count, &["broken"], &["sound"]), "{reason:?}");
+            assert!(is_quarantined(count, &["broken"], &["broken"]));
+            assert!(is_quarantined(count, &["broken"], &[]));
+            assert!(is_quarantined(count, &["broken", "other"], &["sound"]));
+            assert!(!is_quarantined(count - 1, &["broken", "other"], &[]));
+        }
     }
 
     #[test]

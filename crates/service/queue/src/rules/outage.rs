@@ -51,9 +51,9 @@ pub enum PolicyState {
 /// Evidence about a policy that an attempt could not reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Contact {
-    /// Number of queries that the policy had answered when a query of this attempt failed; `None`
-    /// if an earlier call failed, the policy is overloaded, or the worker does not report the
-    /// number.
+    /// Number of queries that the policy had answered when a later call of this attempt failed;
+    /// `None` if the policy had not described itself to this attempt, is overloaded, or the worker
+    /// does not report the number.
     pub answered: Option<u32>,
     /// True if the policy has answered another attempt since this job last failed to reach it.
     pub is_back: bool,
@@ -66,7 +66,7 @@ impl Contact {
     /// crashed the policy. The loss is then counted against the job.
     ///
     /// A policy that answered no query of the attempt may have been down before the attempt, since
-    /// some back-ends accept an episode without calling their server. It counts as lost only if it
+    /// some servers describe themselves and accept an episode while they answer no query. It counts as lost only if it
     /// answered another attempt since this job last failed to reach it, or if all other waiting
     /// jobs have repeatedly lost it.
     pub fn was_lost(self) -> bool {

@@ -1,7 +1,7 @@
 //! Statements that find waiting jobs and grant leases.
 
 use sqlx::types::Text;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use rollout_types::AttemptId;
 use serde::Serialize;
@@ -11,7 +11,7 @@ use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::choice::WaitingTask;
-use crate::rules::lease::{LOSSES_UNTIL_ALONE, MAX_CHARGED_ATTEMPTS};
+use crate::rules::lease::LOSSES_UNTIL_ALONE;
 
 /// A leased job with the fields that a worker needs.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
@@ -36,40 +36,38 @@ macro_rules! leased_columns {
     };
 }
 
-/// A waiting job.
+/// A task, and the machine that its rollouts must not have failed on too often; `None` for any
+/// rollouts.
+pub(crate) type Asked = (String, Option<String>);
+
+/// A waiting job, as the answer to an [`Asked`].
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Candidate {
     pub(crate) id: JobId,
-    /// Task, such as "libero_goal/3".
     task: String,
+    machine: Option<String>,
     /// Place in the campaign's order of jobs.
     pub(crate) unit_order: i64,
-    /// Machines on which the job failed, JSON; `None` if the job has fewer than
-    /// [`MAX_CHARGED_ATTEMPTS`] charged failures.
-    failed_on: Option<String>,
 }
 
-/// SQL for the `failed_on` of a [`Candidate`], job `j`. `failures` is the SQL parameter of the
-/// number of charged failures below which `failed_on` is NULL.
-macro_rules! failed_on {
-    ($failures:literal) => {
-        concat!(
-            "CASE WHEN j.charged_attempts >= ",
-            $failures,
-            " THEN (SELECT json_group_array(coalesce(w.machine, f.worker_id))
-                  FROM failure f LEFT JOIN worker w ON w.id = f.worker_id
-                  WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)
-             END AS failed_on"
-        )
+/// SQL condition that job `j` may run on the machine of an [`Asked`], in the columns of the JSON
+/// array `asked`: the machine is NULL, or the job has fewer than `MAX_CHARGED_ATTEMPTS` charged
+/// failures, 3, or none of them was on this machine.
+macro_rules! suits_machine {
+    () => {
+        "(j.charged_attempts < 3 OR NOT EXISTS
+             (SELECT 1 FROM failure f LEFT JOIN worker w ON w.id = f.worker_id
+              WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt
+                  AND coalesce(w.machine, f.worker_id) = asked.value ->> 1))"
     };
 }
 
 /// A job that runs alone, that is, only as its policy's single lease.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct LoneJob {
-    #[sqlx(flatten)]
-    pub(crate) job: Candidate,
-    pub(crate) task: String,
+    pub(crate) id: JobId,
+    /// Index of the claim that gets the job.
+    pub(crate) place: u32,
     pub(crate) rollout_id: String,
     /// Number of attempts that ended because the policy became unreachable.
     pub(crate) losses: u32,
@@ -93,16 +91,6 @@ pub(crate) struct Term {
     /// Milliseconds from the grant to the ceiling, for each control step of the budget, settling
     /// included.
     pub(crate) ceiling_per_step_ms: i64,
-}
-
-impl Candidate {
-    /// Returns true if the job should run on another machine: it has at least
-    /// [`MAX_CHARGED_ATTEMPTS`] charged failures, one of them on this machine.
-    pub(crate) fn has_failed_on(&self, machine: &str) -> bool {
-        let failed_on = self.failed_on.as_deref().unwrap_or("[]");
-        let failed_on: Vec<&str> = serde_json::from_str(failed_on).unwrap_or_default();
-        failed_on.contains(&machine)
-    }
 }
 
 /// Returns the current leases that were granted to earlier requests with the same claim ids.
@@ -164,78 +152,116 @@ pub(crate) async fn waiting_tasks(
     Ok(rows.into_iter().filter_map(waiting).collect())
 }
 
-/// Returns for each task up to `limit` waiting jobs whose back-off is over, without jobs that run
+/// Returns the machines on which waiting jobs have failed that reached `MAX_CHARGED_ATTEMPTS`, by
+/// task. Reads only these jobs.
+pub(crate) async fn failing(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<(String, String)>, StoreError> {
+    // The 3 is `MAX_CHARGED_ATTEMPTS` and must match the index.
+    sqlx::query_as(
+        "SELECT DISTINCT j.task, coalesce(w.machine, f.worker_id)
+         FROM job j INDEXED BY job_failing
+         JOIN failure f ON f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt
+         LEFT JOIN worker w ON w.id = f.worker_id
+         WHERE j.campaign_id = ? AND j.state = 'queued' AND j.charged_attempts >= 3",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("find jobs that have failed too often on a machine")
+}
+
+/// Returns for each `asked` up to `limit` waiting jobs whose back-off is over, without jobs that run
 /// alone, in the campaign's order of jobs.
 pub(crate) async fn candidates(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
-    tasks: impl Iterator<Item = &str>,
+    asked: &BTreeSet<Asked>,
     limit: usize,
     now: UnixMillis,
-) -> Result<BTreeMap<String, VecDeque<Candidate>>, StoreError> {
+) -> Result<BTreeMap<Asked, VecDeque<Candidate>>, StoreError> {
     let waiting: Vec<Candidate> = sqlx::query_as(concat!(
-        "SELECT j.id, j.task, j.unit_order, ",
-        failed_on!("?5"),
-        " FROM json_each(?3) AS asked JOIN job j ON j.id IN
-             (SELECT q.id FROM job q
-              WHERE q.campaign_id = ?1 AND q.task = asked.value AND q.state = 'queued'
-                  AND q.not_before_ms <= ?2 AND q.losses < ?6
-              ORDER BY q.unit_order LIMIT ?4)
-         ORDER BY j.unit_order",
+        "SELECT q.id, q.unit_order, asked.value ->> 0 AS task, asked.value ->> 1 AS machine
+         FROM json_each(?3) AS asked JOIN job q ON q.id IN
+             (SELECT j.id FROM job j
+              WHERE j.campaign_id = ?1 AND j.task = asked.value ->> 0 AND j.state = 'queued'
+                  AND j.not_before_ms <= ?2 AND j.losses < ?5 AND ",
+        suits_machine!(),
+        " ORDER BY j.unit_order LIMIT ?4)
+         ORDER BY q.unit_order",
     ))
     .bind(campaign)
     .bind(now)
-    .bind(json(tasks.collect::<Vec<_>>()))
+    .bind(json(asked))
     .bind(i64::try_from(limit).unwrap_or(i64::MAX))
-    .bind(MAX_CHARGED_ATTEMPTS)
     .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
     .doing("find waiting jobs")?;
-    let mut candidates: BTreeMap<String, VecDeque<Candidate>> = BTreeMap::new();
+    let mut candidates: BTreeMap<Asked, VecDeque<Candidate>> = BTreeMap::new();
     for job in waiting {
-        let of_task = candidates.entry(job.task.clone()).or_default();
-        of_task.push_back(job);
+        let asked = (job.task.clone(), job.machine.clone());
+        candidates.entry(asked).or_default().push_back(job);
     }
     Ok(candidates)
 }
 
-/// Returns the campaigns with waiting jobs that run alone. Reads only these jobs.
-pub(crate) async fn with_lone_jobs(
+/// Returns the campaigns and tasks with waiting jobs that run alone. Reads only these jobs.
+pub(crate) async fn lone_tasks(
     tx: &mut SqliteConnection,
-) -> Result<Vec<CampaignId>, StoreError> {
+) -> Result<BTreeSet<(CampaignId, String)>, StoreError> {
     // The 4 is `LOSSES_UNTIL_ALONE` and must match the index `job_alone`.
-    sqlx::query_scalar(
-        "SELECT DISTINCT campaign_id FROM job WHERE state = 'queued' AND losses >= 4",
+    let tasks: Vec<(CampaignId, String)> = sqlx::query_as(
+        "SELECT DISTINCT campaign_id, task FROM job INDEXED BY job_alone
+         WHERE state = 'queued' AND losses >= 4",
     )
     .fetch_all(tx)
     .await
-    .doing("find campaigns with jobs that run alone")
+    .doing("find tasks with jobs that run alone")?;
+    Ok(tasks.into_iter().collect())
 }
 
-/// Returns up to `limit` waiting jobs of a campaign that run alone and whose back-off is over, in
-/// the campaign's order of jobs.
+/// Returns the first waiting job of a campaign that runs alone, whose back-off is over, and that
+/// suits one of the claims, each of which is asked for with its index; the first such claim gets
+/// the job.
 pub(crate) async fn lone(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
-    limit: usize,
+    asked: &[(&str, Option<&str>, usize)],
     now: UnixMillis,
-) -> Result<Vec<LoneJob>, StoreError> {
+) -> Result<Option<LoneJob>, StoreError> {
     // The 4 is `LOSSES_UNTIL_ALONE` and must match the index `job_alone`.
     sqlx::query_as(concat!(
-        "SELECT j.id, j.task, j.unit_order, j.rollout_id, j.losses, ",
-        failed_on!("?4"),
-        " FROM job j WHERE j.campaign_id = ?1 AND j.state = 'queued' AND j.losses >= 4
-             AND j.not_before_ms <= ?2
-         ORDER BY j.unit_order LIMIT ?3"
+        "SELECT j.id, j.rollout_id, j.losses, asked.value ->> 2 AS place
+         FROM json_each(?3) AS asked CROSS JOIN job j INDEXED BY job_alone
+         WHERE j.campaign_id = ?1 AND j.task = asked.value ->> 0 AND j.state = 'queued'
+             AND j.losses >= 4 AND j.not_before_ms <= ?2 AND ",
+        suits_machine!(),
+        " ORDER BY place, j.unit_order LIMIT 1"
     ))
     .bind(campaign)
     .bind(now)
-    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
-    .bind(MAX_CHARGED_ATTEMPTS)
+    .bind(json(asked))
+    .fetch_optional(tx)
+    .await
+    .doing("find a job that runs alone")
+}
+
+/// Returns the tasks of a campaign that have waiting jobs, also those that run alone or back off.
+pub(crate) async fn queued_tasks(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<String>, StoreError> {
+    sqlx::query_scalar(
+        "SELECT t.task FROM campaign_task t WHERE t.campaign_id = ? AND EXISTS
+             (SELECT 1 FROM job j
+              WHERE j.campaign_id = t.campaign_id AND j.task = t.task AND j.state = 'queued')",
+    )
+    .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("find jobs that run alone")
+    .doing("find the tasks of waiting jobs")
 }
 
 /// Leases waiting jobs to their workers: one statement increments the attempts and grants the

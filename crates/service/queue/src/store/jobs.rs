@@ -68,14 +68,17 @@ pub(crate) struct ExpiredRow {
     pub(crate) heartbeat_ms: Option<UnixMillis>,
 }
 
-/// Numbers of a job's attempts. The fields are those of
-/// [`Suspicion`](crate::rules::lease::Suspicion). Each includes the attempt that ends now, whatever
-/// its failure: only the fields that concern this failure are used.
-#[derive(Clone, Copy, Debug, sqlx_macros::FromRow)]
+/// Machines of a job's failed attempts, one entry for each attempt.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
-    pub(crate) failed_on_machines: u32,
-    pub(crate) silent_on_machines: u32,
-    pub(crate) silences: u32,
+    /// Task of the job, such as "libero_goal/3".
+    pub(crate) task: String,
+    /// Machines of charged failures.
+    #[sqlx(json)]
+    pub(crate) failed_on: Vec<String>,
+    /// Machines of attempts that were cut off with their worker.
+    #[sqlx(json)]
+    pub(crate) silent_on: Vec<String>,
 }
 
 /// Progress of an attempt, as its worker reports it.
@@ -445,29 +448,22 @@ pub(crate) async fn retry(
     .map(drop)
 }
 
-/// Counts a job's attempts since an operator last retried the job, including the attempt of
-/// `worker` that ends now. A worker that does not name its machine counts as a machine of its own.
-pub(crate) async fn history(
-    tx: &mut SqliteConnection,
-    job: JobId,
-    worker: &WorkerId,
-) -> Result<History, StoreError> {
+/// Returns the machines of a job's failed attempts since an operator last retried the job. A worker
+/// that does not name its machine counts as a machine of its own.
+pub(crate) async fn history(tx: &mut SqliteConnection, job: JobId) -> Result<History, StoreError> {
     sqlx::query_as(
-        "SELECT 1 + count(DISTINCT iif(f.charged, nullif(coalesce(w.machine, f.worker_id), o.machine),
-                 NULL)) AS failed_on_machines,
-             1 + count(DISTINCT iif(f.reason = 'worker_silent',
-                 nullif(coalesce(w.machine, f.worker_id), o.machine), NULL)) AS silent_on_machines,
-             1 + coalesce(sum(f.reason = 'worker_silent'), 0) AS silences
-         FROM (SELECT coalesce(machine, id) AS machine FROM worker WHERE id = ?2) o
-         JOIN job j ON j.id = ?1
-         LEFT JOIN failure f ON f.job_id = j.id AND f.attempt > j.forgiven_attempt
-         LEFT JOIN worker w ON w.id = f.worker_id",
+        "SELECT j.task,
+             json_group_array(coalesce(w.machine, f.worker_id)) FILTER (WHERE f.charged)
+                 AS failed_on,
+             json_group_array(coalesce(w.machine, f.worker_id))
+                 FILTER (WHERE f.reason = 'worker_silent') AS silent_on
+         FROM job j LEFT JOIN failure f ON f.job_id = j.id AND f.attempt > j.forgiven_attempt
+         LEFT JOIN worker w ON w.id = f.worker_id WHERE j.id = ?",
     )
     .bind(job)
-    .bind(worker)
     .fetch_one(tx)
     .await
-    .doing("count a job's failed attempts")
+    .doing("find a job's failed attempts")
 }
 
 /// Returns the instant of the last attempt at a job that ended because the policy was unreachable.

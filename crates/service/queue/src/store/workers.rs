@@ -242,6 +242,7 @@ pub(crate) async fn sign_off(
 /// A live worker that may lease.
 #[derive(Clone, Debug)]
 pub(crate) struct Live {
+    pub(crate) id: WorkerId,
     /// Asset pack, simulator and renderer.
     pub(crate) pin: Pin,
     /// Machine of the worker; the worker's own id if it does not name its machine.
@@ -253,8 +254,8 @@ pub(crate) async fn live(
     tx: &mut SqliteConnection,
     since: UnixMillis,
 ) -> Result<Vec<Live>, StoreError> {
-    let live: Vec<(Json<Pin>, String)> = sqlx::query_as(concat!(
-        "SELECT ",
+    let live: Vec<(WorkerId, Json<Pin>, String)> = sqlx::query_as(concat!(
+        "SELECT id, ",
         pin!("worker"),
         ", coalesce(machine, id) FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
              AND signed_off_ms IS NULL",
@@ -264,5 +265,5 @@ pub(crate) async fn live(
     .await
     .doing("count live workers")?;
     let live = live.into_iter();
-    Ok(live.map(|(Json(pin), machine)| Live { pin, machine }).collect())
+    Ok(live.map(|(id, Json(pin), machine)| Live { id, pin, machine }).collect())
 }
