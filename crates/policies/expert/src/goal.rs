@@ -60,14 +60,17 @@ const CLEAR_OF_HANDLE_M: f64 = 0.08;
 /// Distance from the grip point to the box of an object within which the object may be
 /// between the fingers, m.
 const BETWEEN_M: f64 = 0.005;
+/// The same for fingers that are opening, m.
+const FALLEN_M: f64 = 0.03;
 
 /// Returns the command that opens the fingers and backs the hand out from a handle; `None` if the
 /// hand is free.
 fn let_go(world: &World, motion: &Motion) -> Option<Command> {
     let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
     let is_open = world.opening > FINGERS_OPEN_M;
-    // Fingers that have begun to open continue, although the object has already fallen.
-    let has_object_at_grip = motion.opens() || world.objects_at_grip(BETWEEN_M).next().is_some();
+    // Fingers that have begun to open continue, although the object has already fallen a little.
+    let between = if motion.opens() { FALLEN_M } else { BETWEEN_M };
+    let has_object_at_grip = world.objects_at_grip(between).next().is_some();
     let way_out = match (is_open, handle) {
         (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
         (true, None) => return None,

@@ -461,6 +461,23 @@ mod tests {
     }
 
     #[test]
+    fn a_hand_at_a_knob_that_is_on_finishes_the_turn_and_leaves() {
+        let task = RoutineTask::TurnKnob { stove: "stove_1".to_owned() };
+        let stage_at = |position: f64, opening: f64| {
+            let scene = KinematicScene::new("turnon", &["stove_1"])
+                .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
+                .joint("stove_1_button", position);
+            let at_knob = task.stage(2, &scene.world()).unwrap().unwrap().hand;
+            let (world, motion) = with_hand(scene, at_knob, &[opening; 3]);
+            assert!(is_at_knob(&world, "stove_1").unwrap());
+            task.current_stage(&world, &motion).unwrap()
+        };
+        assert_eq!(stage_at(0.6, 0.026), 3, "turns further");
+        assert_eq!(stage_at(0.9, 0.026), 4, "opens the fingers");
+        assert_eq!(stage_at(0.9, 0.08), 5, "leaves");
+    }
+
+    #[test]
     fn a_hand_that_turns_with_the_door_keeps_pushing_it() {
         let scene = || {
             KinematicScene::new("close", &["microwave_1"])
