@@ -19,9 +19,8 @@ FORMAT = "rollout-student/2"
 IN_SINGLE_PRECISION = ("state_mean", "state_std")
 
 
-def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str, look: str = "") -> None:
-    """Writes a weights file in half precision; the state's scale is in single precision. ``look``
-    is the look of the pictures that the student learned from.
+def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str) -> None:
+    """Writes a weights file in half precision; the state's scale is in single precision.
 
     The file is replaced atomically, so that a running collection reads complete weights.
     """
@@ -31,8 +30,7 @@ def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str, look: str
     }
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(file.name + ".part")
-    metadata = {"format": FORMAT, "name": name} | ({"look": look} if look else {})
-    save_file(rounded, part, metadata=metadata)
+    save_file(rounded, part, metadata={"format": FORMAT, "name": name})
     part.chmod(0o644)
     os.replace(part, file)
 

@@ -138,7 +138,14 @@ impl Simulation {
 
     /// Takes a snapshot of everything that the next step depends on.
     fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
-        self.state.with(py, State::snapshot)
+        self.state.with(py, |state| {
+            Ok(Snapshot {
+                environment: state.environment.snapshot().map_err(simulation)?,
+                conditions: state.conditions.clone(),
+                expert: state.expert.clone(),
+                compiled: Arc::clone(state.environment.compiled()),
+            })
+        })
     }
 
     /// Restores a snapshot of an environment of the same scene.
