@@ -27,7 +27,6 @@ from functools import partial
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 import rollout_libero
 from training.wordings import TASK_NAMES
@@ -77,7 +76,7 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
         steps_left -= 1
         action, expert = np.zeros(7), True
         if arguments.driver == "copy":
-            action, expert = expert_action(env), False
+            action, expert = env.foresee(1)[0][0, 0], False
         elif interrupted and arguments.driver == "pushes":
             action[:6] = 3.0 * wander
         elif interrupted:
@@ -91,15 +90,6 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
         if terminated[0] or truncated[0]:
             env.close()
             return bool(terminated[0]), steps
-
-
-def expert_action(env: rollout_libero.VectorEnvironment) -> NDArray[np.float64]:
-    """Returns the expert's next action. The environment's state remains unchanged."""
-    before = env.snapshot()
-    *_, info = env.step_chunk(np.zeros((1, 1, 7)), "none", expert=np.zeros((1, 1), bool))
-    env.restore(before)
-    action: NDArray[np.float64] = info["expert_action"][0, 0]
-    return action
 
 
 def check(arguments: argparse.Namespace) -> None:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 import rollout_libero
 from rollout_libero.scenes import scene_of_task
 from training.drivers import AlternatingDrivers, Commands, ExpertDriver
-from training.network import PICTURE, STATE
+from training.network import ARM, CHUNK, PICTURE, STATE
 from training.observations import RENDERED, frames, robot_state
 from training.shards import Driver, Episode, Outcome, Writer, next_number
 from training.student import Student
@@ -42,8 +42,7 @@ of libero_10 are longer, and their steps more diverse."""
 FAILURES_WEIGHT = 3.0
 """Factor on the number of environments of a task that the student always fails."""
 BUDGETS = 2
-"""Default step limit of an episode, in multiples of the benchmark's limit. A learning student is
-slow."""
+"""Step limit of an episode, in multiples of the benchmark's limit. A learning student is slow."""
 OUTCOMES = "outcomes.json"
 """File in the folder of shards. For each task, it counts the successes of the student driving
 alone, and the episodes in which the student drove alone."""
@@ -172,8 +171,6 @@ class Group:
         wordings: Sequence[Sequence[str]],
         *,
         steps_per_frame: int,
-        budgets: int,
-        solved_only: bool,
         perturbed: float,
         threads: int,
         seed: Sequence[int],
@@ -186,7 +183,6 @@ class Group:
         self._writer, self._tally, self._newest_student = writer, tally, newest_student
         self._wordings = wordings
         self._steps_per_frame = steps_per_frame
-        self._solved_only = solved_only
         self._perturbed = perturbed
         self._device = device
         self._rng = np.random.default_rng(seed)
@@ -199,7 +195,7 @@ class Group:
             width=RENDERED,
             orientation="upright",
             init_states="sampled",
-            max_steps=[budgets * rollout_libero.Task.of(name).max_steps for name in names],
+            max_steps=[BUDGETS * rollout_libero.Task.of(name).max_steps for name in names],
             autoreset_mode=AutoresetMode.NEXT_STEP,
         )
         self._expert_driver = ExpertDriver(n, self._rng)
@@ -213,14 +209,10 @@ class Group:
         most_steps = int(self._env.max_steps.max())
         most_frames = -(-most_steps // self._steps_per_frame)
         self._frame_count = np.zeros(n, np.int64)
-        self._step_count = np.zeros(n, np.int64)
         # The system allocates pages of these arrays only when they are written.
         self._frames = np.empty((n, most_frames, 2, PICTURE, PICTURE, 3), np.uint8)
         self._state = np.empty((n, most_frames, STATE), np.float32)
-        self._frame_step = np.empty((n, most_frames), np.int32)
-        self._label = np.empty((n, most_steps, 7), np.float32)
-        self._executed = np.empty((n, most_steps, 7), np.float32)
-        self._source = np.empty((n, most_steps), np.uint8)
+        self._target = np.empty((n, most_frames, CHUNK, ARM + 1), np.float32)
 
     def run(self, until: float) -> None:
         """Collects until the monotonic clock reads ``until``."""
@@ -244,14 +236,14 @@ class Group:
         begins = np.zeros(n, bool)
         pictures, state = self._network_inputs(observation)
         while time.monotonic() < until:
-            acting = np.flatnonzero(~begins)
-            self._store_frames(acting, pictures.cpu().numpy(), state)
+            target, progresses = self._env.foresee(CHUNK)
+            stored = np.flatnonzero(~begins & progresses)
+            self._store_frames(stored, pictures.cpu().numpy(), state, target)
             commands = self._next_commands(pictures, state)
             observation, _, terminated, truncated, info = self._env.step_chunk(
                 commands.actions, "last", expert=commands.expert
             )
-            self._store_steps(commands, info["taken"], info["expert_action"])
-            self._tally.add_steps(int(info["taken"].sum()), len(acting))
+            self._tally.add_steps(int(info["taken"].sum()), len(stored))
             # `step_chunk` began the next rollout in environments whose rollout had ended before.
             if begins.any():
                 self._begin(np.flatnonzero(begins))
@@ -288,7 +280,6 @@ class Group:
         return Commands(
             np.where(takes_turns[:, :, np.newaxis], in_turns.actions, by_expert.actions),
             np.where(takes_turns, in_turns.expert, by_expert.expert),
-            np.where(takes_turns, in_turns.source, by_expert.source),
         )
 
     def _begin(self, indices: NDArray[np.int64]) -> None:
@@ -296,7 +287,7 @@ class Group:
         self._expert_driver.begin(indices)
         self._alternating_drivers.begin(indices)
         self._student_takes_turns[indices] = self._newest_student.student() is not None
-        self._frame_count[indices] = self._step_count[indices] = 0
+        self._frame_count[indices] = 0
         for index in indices:
             wordings = self._wordings[self._tasks[index]]
             # Half of the episodes use the benchmark's own words.
@@ -313,36 +304,21 @@ class Group:
         self._perturbations[index] = chosen
 
     def _store_frames(
-        self, indices: NDArray[np.int64], pictures: NDArray[np.uint8], state: NDArray[np.float32]
+        self,
+        indices: NDArray[np.int64],
+        pictures: NDArray[np.uint8],
+        state: NDArray[np.float32],
+        target: NDArray[np.float64],
     ) -> None:
         frame = self._frame_count[indices]
         self._frames[indices, frame] = pictures[indices]
         self._state[indices, frame] = state[indices]
-        self._frame_step[indices, frame] = self._step_count[indices]
+        self._target[indices, frame] = target[indices]
         self._frame_count[indices] += 1
 
-    def _store_steps(
-        self, commands: Commands, taken: NDArray[np.int64], label: NDArray[np.float64]
-    ) -> None:
-        rows, steps = np.nonzero(np.arange(self._steps_per_frame) < taken[:, np.newaxis])
-        episode_steps = self._step_count[rows] + steps
-        labels, actions = label[rows, steps], commands.actions[rows, steps]
-        if not np.isfinite(labels).all():
-            task = TASK_NAMES[self._tasks[rows[~np.isfinite(labels).all(axis=1)][0]]]
-            raise RuntimeError(
-                f"the expert has no action in {task}: report this error with the task's name"
-            )
-        by_expert = commands.expert[rows, steps, np.newaxis]
-        self._label[rows, episode_steps] = labels
-        self._executed[rows, episode_steps] = np.where(
-            by_expert, np.clip(labels + actions, -1.0, 1.0), actions
-        )
-        self._source[rows, episode_steps] = commands.source[rows, steps]
-        self._step_count += taken
-
     def _end(self, index: int, outcome: Outcome) -> None:
-        """Ends an episode, and passes it to the writer if it is to be stored."""
-        count, steps = self._frame_count[index], self._step_count[index]
+        """Ends an episode, and passes it to the writer."""
+        count = self._frame_count[index]
         self._frame_count[index] = 0
         takes_turns = self._student_takes_turns[index]
         drivers = self._alternating_drivers if takes_turns else self._expert_driver
@@ -350,7 +326,7 @@ class Group:
         task = int(self._tasks[index])
         if outcome != Outcome.UNFINISHED:
             self._tally.add_episode(task, driver, outcome == Outcome.SUCCESS)
-        if steps == 0 or (self._solved_only and outcome != Outcome.SUCCESS):
+        if not count:
             return
         self._writer.add(
             Episode(
@@ -360,10 +336,7 @@ class Group:
                 self._perturbations[index],
                 self._frames[index, :count].copy(),
                 self._state[index, :count].copy(),
-                self._frame_step[index, :count].copy(),
-                self._label[index, :steps].copy(),
-                self._executed[index, :steps].copy(),
-                self._source[index, :steps].copy(),
+                self._target[index, :count].copy(),
             )
         )
 
@@ -471,8 +444,6 @@ def collect(arguments: argparse.Namespace) -> None:
                 newest_student,
                 wordings,
                 steps_per_frame=STEPS_PER_FRAME,
-                budgets=arguments.budgets,
-                solved_only=arguments.solved_only,
                 perturbed=arguments.perturbed,
                 threads=arguments.threads,
                 seed=[arguments.seed, run, number],
@@ -530,13 +501,6 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=2, help="alternating groups of environments")
     parser.add_argument("--threads", type=int, default=16, help="threads per group")
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
-    parser.add_argument(
-        "--budgets", type=int, default=BUDGETS,
-        help="step limit of an episode, in multiples of the benchmark's",
-    )  # fmt: skip
-    parser.add_argument(
-        "--solved-only", action="store_true", help="store only the episodes that end in success"
-    )
     parser.add_argument(
         "--failures", type=Path, nargs="+", metavar="FOLDER",
         help="folders of earlier shards: tasks that the student failed alone get more environments",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.network import ARM, CHUNK
-from training.shards import Driver, Source
+from training.shards import Driver
 
 ACTION_SIZE = ARM + 1
 """Numbers of an action."""
@@ -55,8 +55,6 @@ class Commands(NamedTuple):
     elsewhere."""
     expert: NDArray[np.bool_]
     """[n, k]: True where the expert drives."""
-    source: NDArray[np.uint8]
-    """[n, k]: ``Source`` of each step."""
 
 
 class Disturbance:
@@ -76,14 +74,13 @@ class Disturbance:
         self._noise_left[indices] = 0
         self._push_left[indices] = 0
 
-    def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Returns the numbers to be added to the arm's next actions, [n, steps, 6], and the
-        ``Source`` of each step, [n, steps]."""
-        by_step = [self._step() for _ in range(steps)]
-        added, source = zip(*by_step, strict=True)
-        return np.stack(added, axis=1), np.stack(source, axis=1)
+    def next(self, steps: int) -> NDArray[np.float64]:
+        """Returns the numbers to be added to the next actions, [n, steps, 7]; the gripper is the
+        expert's."""
+        added = np.stack([self._step() for _ in range(steps)], axis=1)
+        return np.concatenate([added, np.zeros_like(added[..., :1])], axis=-1)
 
-    def _step(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    def _step(self) -> NDArray[np.float64]:
         rng, n = self._rng, len(self._disturbed)
         begins = self._disturbed & (self._noise_left == 0)
         sigma = rng.uniform(*NOISE, n) * (rng.random(n) >= QUIET_SHARE)
@@ -99,9 +96,7 @@ class Disturbance:
 
         sigma = np.where(self._disturbed, self._sigma, 0.0)
         added = rng.normal(size=(n, ARM)) * sigma[:, np.newaxis]
-        added = np.where(pushed[:, np.newaxis], self._push, added)
-        source = np.where(sigma > 0, Source.NOISE, Source.EXPERT)
-        return added, np.where(pushed, Source.PUSH, source).astype(np.uint8)
+        return np.where(pushed[:, np.newaxis], self._push, added)
 
     def _draw_pushes(self, count: int) -> NDArray[np.float64]:
         """Draws pushes in random directions and of random size, [count, 6]."""
@@ -127,8 +122,8 @@ class ExpertDriver:
 
     def next(self, steps: int) -> Commands:
         """Returns the commands of the next steps."""
-        added, source = self._disturbance.next(steps)
-        return Commands(_with_gripper(added), np.ones(source.shape, bool), source)
+        added = self._disturbance.next(steps)
+        return Commands(added, np.ones(added.shape[:2], bool))
 
 
 class AlternatingDrivers:
@@ -182,21 +177,15 @@ class AlternatingDrivers:
 
     def next(self, steps: int) -> Commands:
         """Returns the commands of the next ``steps`` steps; ``steps`` must divide the horizons."""
-        added, source = self._disturbance.next(steps)
+        added = self._disturbance.next(steps)
         positions = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
         answers = np.take_along_axis(self._answers, positions[:, :, np.newaxis], axis=1)
         student = self._student[:, np.newaxis]
-        actions = np.where(student[:, :, np.newaxis], answers, _with_gripper(added))
+        actions = np.where(student[:, :, np.newaxis], answers, added)
         self._used += steps
         self._turn_left -= steps
-        source = np.where(student, np.uint8(Source.STUDENT), source)
-        return Commands(actions, np.broadcast_to(~student, source.shape), source)
+        return Commands(actions, np.broadcast_to(~student, actions.shape[:2]))
 
 
 def _draw_steps(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
     return rng.integers(limits[0], limits[1] + 1, n)
-
-
-def _with_gripper(arm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Appends a zero for the gripper to the numbers that are added to the arm's actions."""
-    return np.concatenate([arm, np.zeros((*arm.shape[:-1], 1))], axis=-1)

@@ -3,7 +3,8 @@
     python -m training.export --run runs/second --name student --into student.safetensors \\
         --reference queries.safetensors
 
-The file of `--reference` has four queries, each in a scene that LIBERO's samplers place, and the
+Run it with the same ``ROLLOUT_LOOK`` as the collection: the file says which look was learned. The
+file of `--reference` has four queries, each in a scene that LIBERO's samplers place, and the
 answers of the rounded weights, computed in single precision on the CPU.
 """
 
@@ -30,8 +31,10 @@ REFERENCE_STEPS = 24
 
 def export(run: Path, name: str, into: Path) -> None:
     """Writes the running mean of a run's weights to the file ``into``, in half precision."""
+    from rollout_libero.files import look
+
     state = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
-    save_weights(state["mean"], into, name)
+    save_weights(state["mean"], into, name, look())
     print(f"{into}: {into.stat().st_size:,} bytes, step {state['step']:,}")
 
 

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import torch
 
-from training.collect import BUDGETS, OUTCOMES, read_outcomes
+from training.collect import OUTCOMES, read_outcomes
 from training.train import WEIGHTS
 
 LEAVE_SECONDS = 12.0
@@ -85,10 +85,8 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
             "--weights", arguments.data / "run" / WEIGHTS,
             "--envs", arguments.envs // count, "--threads", max(1, arguments.workers // count),
             "--perturbed", arguments.perturbed, "--seed", 1000 * number + at,
-            "--tasks", *arguments.tasks, "--budgets", arguments.budgets,
+            "--tasks", *arguments.tasks,
         )  # fmt: skip
-        if arguments.solved_only:
-            command.append("--solved-only")
         earlier = rounds(arguments.data)[:-1]
         if any((folder / OUTCOMES).exists() for folder in earlier):
             command += ["--failures", *map(str, earlier)]
@@ -187,8 +185,6 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=160, help="number of environments")
     parser.add_argument("--perturbed", type=float, default=0.0, help="share of perturbed episodes")
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
-    parser.add_argument("--budgets", type=int, default=BUDGETS, help="as in training.collect")
-    parser.add_argument("--solved-only", action="store_true", help="as in training.collect")
     parser.add_argument("--episodes", type=int, default=10, help="per task, in evaluate")
     parser.add_argument("--batch", type=int, default=1024, help="frames per training step")
     parser.add_argument("--wordings", type=int, default=4000, help="wordings per task")

@@ -1,16 +1,12 @@
 """Collected episodes on disk: folders of shards, each with some dozens of episodes.
 
-A shard has F frames, S control steps and E episodes. There is a frame before
-every few steps, and a label for every step.
+A shard has F frames and E episodes. Its arrays are
 
     frames.npy       uint8   [F, 2, 128, 128, 3]  both cameras, row 0 at the top
     table.npz:
       state          float32 [F, 14]  the robot's state at the frame
-      frame_step     int32   [F]      the step that follows the frame, from the shard's first step
-      label          float32 [S, 7]   the expert's action
-      executed       float32 [S, 7]   the executed action
-      source         uint8   [S]      a ``Source``
-      frames, steps  int32   [E]      number of frames, and of steps, in the episode
+      target         float32 [F, 8, 7]  the expert's next actions; NaN after the goal is reached
+      frames         int32   [E]      number of frames in the episode
       task           int16   [E]      index in ``wordings.TASK_NAMES``
       outcome        uint8   [E]      an ``Outcome``
       driver         uint8   [E]      a ``Driver``
@@ -30,33 +26,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from training.network import CHUNK
-
 FRAMES_PER_SHARD = 2_000
 PREFIX = "shard_"
-MAX_DRIFT = 0.5
-"""Bound on the sum of the differences between the student's and the expert's actions within a
-chunk, along any axis; it corresponds to 0.025 m. After a larger sum, the expert's later labels in
-the chunk do not count."""
-
-
 STALL_FRAMES = 12
 STALL_M = 0.008
 """The robot has stalled if hand and fingers have moved less than this distance, metres, in the last
 ``STALL_FRAMES`` frames."""
-
-
-class Source(IntEnum):
-    """Driver of a step, or the disturbance of the expert in the step."""
-
-    EXPERT = 0
-    """The expert's action, unchanged."""
-    NOISE = 1
-    """The expert's action with Gaussian noise."""
-    PUSH = 2
-    """The expert's action plus a push."""
-    STUDENT = 3
-    """The student's action."""
 
 
 class Outcome(IntEnum):
@@ -82,7 +57,7 @@ class Driver(IntEnum):
 
 
 class Episode(NamedTuple):
-    """One rollout. ``frame_step`` is counted from the rollout's first step."""
+    """One rollout; the module's documentation describes the arrays."""
 
     task: int
     outcome: Outcome
@@ -90,10 +65,7 @@ class Episode(NamedTuple):
     perturbation: str
     frames: NDArray[np.uint8]
     state: NDArray[np.float32]
-    frame_step: NDArray[np.int32]
-    label: NDArray[np.float32]
-    executed: NDArray[np.float32]
-    source: NDArray[np.uint8]
+    target: NDArray[np.float32]
 
 
 class Shard(NamedTuple):
@@ -101,12 +73,8 @@ class Shard(NamedTuple):
 
     frames: NDArray[np.uint8]
     state: NDArray[np.float32]
-    frame_step: NDArray[np.int32]
-    label: NDArray[np.float32]
-    executed: NDArray[np.float32]
-    source: NDArray[np.uint8]
+    target: NDArray[np.float32]
     episode_frames: NDArray[np.int32]
-    episode_steps: NDArray[np.int32]
     task: NDArray[np.int16]
     outcome: NDArray[np.uint8]
     driver: NDArray[np.uint8]
@@ -115,46 +83,6 @@ class Shard(NamedTuple):
     def repeat_per_frame(self, values: NDArray[Any]) -> NDArray[Any]:
         """Repeats each episode's value, [E], for each of the episode's frames, [F]."""
         return np.repeat(values, self.episode_frames)
-
-
-class Targets(NamedTuple):
-    """The network's target output at each of F frames."""
-
-    actions: NDArray[np.float32]
-    """[F, 8, 7]: the expert's actions."""
-    valid: NDArray[np.bool_]
-    """[F, 8]: True for actions that count in the loss."""
-
-
-def targets(shard: Shard) -> Targets:
-    """Returns the expert's next eight actions at each frame, and a mask of the actions that count.
-
-    After a frame, actions count until the episode ends or the robot deviates from the expert:
-    it is pushed, or the student moves the gripper differently or drifts too far. After noise,
-    actions still count, because the mean of the noise is zero.
-    """
-    first = shard.frame_step[:, np.newaxis]
-    steps = first + np.arange(CHUNK)
-    end = shard.repeat_per_frame(np.cumsum(shard.episode_steps))[:, np.newaxis]
-    pushed = _sum_before(shard.source == Source.PUSH)
-    by_student = shard.source == Source.STUDENT
-    deviation = (shard.executed - shard.label).astype(np.float64) * by_student[:, np.newaxis]
-    gripper_differs = _sum_before(np.abs(deviation[:, 6]) > 0.5)
-    drift = _sum_before(deviation[:, :3])
-    last_step = np.minimum(steps, len(shard.label) - 1)
-    valid = (
-        (steps < end)
-        & (pushed[last_step] == pushed[first])
-        & (gripper_differs[last_step] == gripper_differs[first])
-        & (np.abs(drift[last_step] - drift[first]).max(axis=2) <= MAX_DRIFT)
-    )
-    return Targets(shard.label[np.minimum(steps, end - 1)], valid)
-
-
-def _sum_before(values: NDArray[Any]) -> NDArray[Any]:
-    """Returns for each step the sum of the values of all earlier steps."""
-    total = np.cumsum(values, axis=0)
-    return np.concatenate([np.zeros_like(total[:1]), total[:-1]])
 
 
 def worth_learning(shard: Shard) -> NDArray[np.bool_]:
@@ -194,21 +122,10 @@ def next_number(folder: Path) -> int:
 
 def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
     """Writes a shard atomically, and returns its folder."""
-    steps = np.array([len(episode.label) for episode in episodes], np.int32)
-    first_steps = np.cumsum(steps, dtype=np.int32) - steps
     table: dict[str, Any] = {
         "state": np.concatenate([episode.state for episode in episodes]),
-        "frame_step": np.concatenate(
-            [
-                episode.frame_step + first_step
-                for episode, first_step in zip(episodes, first_steps, strict=True)
-            ]
-        ).astype(np.int32),
-        "label": np.concatenate([episode.label for episode in episodes]),
-        "executed": np.concatenate([episode.executed for episode in episodes]),
-        "source": np.concatenate([episode.source for episode in episodes]),
+        "target": np.concatenate([episode.target for episode in episodes]),
         "frames": np.array([len(episode.frames) for episode in episodes], np.int32),
-        "steps": steps,
         "task": np.array([episode.task for episode in episodes], np.int16),
         "outcome": np.array([episode.outcome for episode in episodes], np.uint8),
         "driver": np.array([episode.driver for episode in episodes], np.uint8),
@@ -229,9 +146,8 @@ def read(folder: Path) -> Shard:
     with np.load(folder / "table.npz") as table:
         return Shard(
             np.load(folder / "frames.npy"),
-            table["state"], table["frame_step"], table["label"], table["executed"], table["source"],
-            table["frames"], table["steps"], table["task"], table["outcome"], table["driver"],
-            table["perturbation"],
+            table["state"], table["target"], table["frames"], table["task"], table["outcome"],
+            table["driver"], table["perturbation"],
         )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from training.network import ARM, CHUNK, PICTURE, STATE
-from training.shards import Shard, read, shard_folders, stalled, targets, worth_learning
+from training.shards import Shard, read, shard_folders, stalled, worth_learning
 from training.wordings import TASK_NAMES
 
 FRAME_BYTES = 2 * PICTURE * PICTURE * 3
@@ -66,14 +66,14 @@ class Store:
         if appended < len(indices):
             replaced = torch.randperm(self.capacity - appended, device=device)
             rows = torch.cat([rows, replaced[: len(indices) - appended]])
-        target = targets(shard)
+        target = torch.from_numpy(shard.target[indices]).to(device)
         task = torch.from_numpy(shard.repeat_per_frame(shard.task)[indices].astype(np.int64))
         frames = torch.from_numpy(shard.frames).view(-1, FRAME_BYTES).view(torch.int64).to(device)
         self._frames[rows] = frames[torch.from_numpy(indices).to(device)]
         self._state[rows] = torch.from_numpy(shard.state[indices]).to(self._state.device)
         self._task[rows] = task.to(self._task.device)
-        self._targets[rows] = torch.from_numpy(target.actions[indices]).to(self._targets.device)
-        self._valid[rows] = torch.from_numpy(target.valid[indices]).to(self._valid.device).float()
+        self._targets[rows] = target.nan_to_num()
+        self._valid[rows] = target[:, :, 0].isfinite().float()
         self._weight[rows] = suite_weights[task // 10].to(self._weight.device)
         self.count += appended
         self._cumulative = self._weight[: self.count].cumsum(0)

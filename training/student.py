@@ -19,8 +19,9 @@ FORMAT = "rollout-student/2"
 IN_SINGLE_PRECISION = ("state_mean", "state_std")
 
 
-def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str) -> None:
-    """Writes a weights file in half precision; the state's scale is in single precision.
+def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str, look: str = "") -> None:
+    """Writes a weights file in half precision; the state's scale is in single precision. ``look``
+    is the look of the pictures that the student learned from.
 
     The file is replaced atomically, so that a running collection reads complete weights.
     """
@@ -30,7 +31,8 @@ def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str) -> None:
     }
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(file.name + ".part")
-    save_file(rounded, part, metadata={"format": FORMAT, "name": name})
+    metadata = {"format": FORMAT, "name": name} | ({"look": look} if look else {})
+    save_file(rounded, part, metadata=metadata)
     part.chmod(0o644)
     os.replace(part, file)
 

@@ -347,6 +347,10 @@ class Batch:
         the expert's actions; `successes`, [simulations, steps], True if the goal holds after the
         step; and `errors`, None or the exception of each simulation, whose `steps` counts the steps
         that it completed. Invalid arguments raise before any simulation moves."""
+    def foresee(self, steps: int) -> tuple[F64, NDArray[np.bool_]]:
+        """Returns the actions that the scripted expert takes in each simulation's next `steps`
+        steps if it drives, [simulations, steps, 7], NaN after the step that reaches the goal; and
+        whether it makes progress in them, [simulations]. No simulation changes."""
     def restore(self, snapshots: Sequence[Snapshot]) -> None:
         """Restores a snapshot in each simulation. If one cannot be restored, no simulation
         changes."""

@@ -289,6 +289,15 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         result = observation, success.astype(np.float64), success, truncated, infos
         return self._finished(result, infos, errors)
 
+    def foresee(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Returns the actions that the scripted expert takes in the next steps if it drives from
+        now on, [n, steps, 7], without changing the environments.
+
+        Actions after the step that reaches the goal are NaN. The second array, [n], is False where
+        the expert makes no progress: the hand is stuck, or retreats from where it was stuck.
+        """
+        return self._batch.foresee(steps)
+
     def _scheduled(
         self, actions: NDArray[np.float64], limits: list[int], is_expert: bool
     ) -> tuple[NDArray[np.float64], dict[int, native.Schedule]]:

@@ -17,6 +17,8 @@ from training.wordings import TASK_NAMES
 
 LENGTHS = (7, 10)
 """Steps until success, of environments with even and with odd numbers."""
+STUCK = 8
+"""Step at which the expert makes no progress."""
 
 
 class FakeEnvironments:
@@ -44,17 +46,22 @@ class FakeEnvironments:
 
     def step_chunk(self, actions: Any, _render: str, *, expert: Any) -> tuple[Any, ...]:
         begins, k = self.ended.copy(), actions.shape[1]
+        assert expert.shape == (self.n, k)
         for index in np.flatnonzero(begins):
             self.step[index], self.perturbed[index] = 0, self.perturbed_next[index]
         taken = np.where(begins, 0, np.minimum(k, self.length - self.step))
-        labels = np.full((self.n, k, 7), np.nan)
-        for index in range(self.n):
-            labels[index, : taken[index]] = 0.0
-            labels[index, : taken[index], 0] = (self.step[index] + np.arange(taken[index])) / 100
         self.step += taken
         self.ended = ~begins & (self.step == self.length)
-        info = {"taken": taken, "expert_action": labels}
+        info = {"taken": taken}
         return self.observation(), None, self.ended, np.zeros(self.n, bool), info
+
+    def foresee(self, steps: int) -> tuple[Any, Any]:
+        """The expert makes no progress at step ``STUCK``."""
+        ahead = self.step[:, None] + np.arange(steps)
+        actions = np.zeros((self.n, steps, 7))
+        actions[:, :, 0] = ahead / 100
+        actions[ahead >= self.length[:, None]] = np.nan
+        return actions, self.step != STUCK
 
     def observation(self) -> dict[str, Any]:
         picture = (
@@ -80,32 +87,33 @@ def collect_shards(folder: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any
     defaults: dict[str, Any] = {
         "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
         "envs": 4, "groups": 2, "threads": 1, "tasks": ["libero_goal"], "failures": None,
-        "budgets": 2, "solved_only": False,
         "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
     collect.collect(argparse.Namespace(**(defaults | changed)))
     return [read(path) for path in shard_folders(folder)]
 
 
-def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def check_frames(shard: Shard) -> None:
+    """Asserts that each frame's pictures, state and targets are of the same step, and that frames
+    at which the expert makes no progress are not stored."""
+    step = shard.frames[:, 0, 0, 0, 0].astype(int)
+    assert set(step) <= {0, 4}
+    assert (shard.frames == step[:, None, None, None, None]).all()
+    np.testing.assert_allclose(shard.state[:, 0], step / 10, rtol=1e-6)
+    ahead = step[:, None] + np.arange(8)
+    valid = np.isfinite(shard.target).all(axis=2)
+    np.testing.assert_allclose(shard.target[valid][:, 0], ahead[valid] / 100, rtol=1e-6)
+    assert set(valid.sum(axis=1) + step) <= {8, *LENGTHS}
+
+
+def test_frames_targets_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shards = collect_shards(tmp_path, monkeypatch)
     assert shards
     for shard in shards:
-        ends = np.cumsum(shard.episode_steps)
-        first_steps = ends - shard.episode_steps
-        in_episode = np.arange(len(shard.label)) - np.repeat(first_steps, shard.episode_steps)
-        np.testing.assert_allclose(shard.label[:, 0], in_episode / 100, rtol=1e-6)
-        step = shard.frame_step - shard.repeat_per_frame(first_steps)
-        assert (step % 4 == 0).all()
-        assert (shard.frames == step[:, None, None, None, None]).all()
-        np.testing.assert_allclose(shard.state[:, 0], step / 10, rtol=1e-6)
+        check_frames(shard)
         whole = shard.outcome == Outcome.SUCCESS
-        assert set(shard.episode_steps[whole]) <= set(LENGTHS)
-        assert (shard.episode_frames[whole] == -(-shard.episode_steps[whole] // 4)).all()
-        clean = np.repeat(shard.driver == Driver.CLEAN, shard.episode_steps)
-        assert clean.any() and not clean.all()
-        np.testing.assert_array_equal(shard.executed[clean], shard.label[clean])
-        assert (shard.executed[~clean] != shard.label[~clean]).any()
+        assert whole.any() and (shard.episode_frames[whole] == 2).all()
+        assert {Driver.CLEAN, Driver.DISTURBED} == set(shard.driver)
 
 
 def test_a_second_run_adds_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,18 +151,6 @@ def test_tasks_that_the_student_fails_get_more_environments() -> None:
     assert tasks.count(23) > 2 * tasks.count(22)
 
 
-def test_solved_only_stores_only_successful_episodes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    outcomes = [shard.outcome for shard in collect_shards(tmp_path / "all", monkeypatch)]
-    assert set(np.concatenate(outcomes)) > {Outcome.SUCCESS}
-    solved = [
-        shard.outcome
-        for shard in collect_shards(tmp_path / "solved", monkeypatch, solved_only=True)
-    ]
-    assert set(np.concatenate(solved)) == {Outcome.SUCCESS}
-
-
 def test_tasks_are_chosen_by_prefix() -> None:
     tasks = collect.tasks_of_environments(8, ["libero_goal/3", "libero_10/9"], {})
     assert {TASK_NAMES[task] for task in tasks} == {"libero_goal/3", "libero_10/9"}
@@ -183,10 +179,7 @@ def test_the_student_takes_part_once_its_weights_exist(
     drivers = np.concatenate([shard.driver for shard in shards])
     assert set(drivers) <= {Driver.IN_TURNS, Driver.STUDENT} and len(drivers)
     for shard in shards:
-        first_steps = np.cumsum(shard.episode_steps) - shard.episode_steps
-        step = shard.frame_step - shard.repeat_per_frame(first_steps)
-        assert (step % 4 == 0).all()
-        assert (shard.frames == step[:, None, None, None, None]).all()
+        check_frames(shard)
 
 
 def test_the_student_keeps_its_weights_when_their_file_disappears(

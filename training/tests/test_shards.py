@@ -1,4 +1,4 @@
-"""Shards on disk, and the targets computed from them."""
+"""Shards on disk."""
 
 from pathlib import Path
 
@@ -11,68 +11,36 @@ from training.shards import (
     Driver,
     Episode,
     Outcome,
-    Source,
     Writer,
     next_number,
     read,
     shard_folders,
-    targets,
     worth_learning,
     write,
 )
 
 
-def episode(steps: int, *, first_label: float = 0.0, driver: Driver = Driver.CLEAN,
-            outcome: Outcome = Outcome.SUCCESS) -> Episode:  # fmt: skip
-    """Returns a fake episode with a frame at every third step. The first number of a label is the
-    step plus ``first_label``."""
-    frame_step = np.arange(0, steps, 3, dtype=np.int32)
-    label = np.zeros((steps, 7), np.float32)
-    label[:, 0] = first_label + np.arange(steps)
+def episode(
+    frames: int, *, driver: Driver = Driver.CLEAN, outcome: Outcome = Outcome.SUCCESS
+) -> Episode:
+    """Returns a fake episode, whose targets begin with the frame's number."""
+    target = np.zeros((frames, 8, 7), np.float32)
+    target[:, 0, 0] = np.arange(frames)
     return Episode(
         task=2,
         outcome=outcome,
         driver=driver,
         perturbation="",
-        frames=np.zeros((len(frame_step), 2, 128, 128, 3), np.uint8),
-        state=np.zeros((len(frame_step), 14), np.float32),
-        frame_step=frame_step,
-        label=label,
-        executed=label.copy(),
-        source=np.zeros(steps, np.uint8),
+        frames=np.zeros((frames, 2, 128, 128, 3), np.uint8),
+        state=np.zeros((frames, 14), np.float32),
+        target=target,
     )
 
 
-def test_targets_are_the_next_labels_up_to_the_episodes_end(tmp_path: Path) -> None:
-    shard = read(write(tmp_path, 0, [episode(10), episode(5, first_label=100)]))
-    actions, valid = targets(shard)
-    assert actions.shape == (4 + 2, 8, 7)
-    assert actions[1, :, 0].tolist() == [3, 4, 5, 6, 7, 8, 9, 9]
-    assert valid.sum(axis=1).tolist() == [8, 7, 4, 1, 5, 2]
-    assert actions[4, :5, 0].tolist() == [100, 101, 102, 103, 104]
-
-
-def test_targets_after_a_push_do_not_count(tmp_path: Path) -> None:
-    pushed = episode(20)
-    pushed.source[5:7] = Source.PUSH
-    _, valid = targets(read(write(tmp_path, 0, [pushed])))
-    # Frames are at steps 0, 3, 6 and so on; steps 5 and 6 are pushed. The targets of a frame count
-    # up to and including the first pushed step.
-    assert valid.sum(axis=1).tolist()[:4] == [6, 3, 1, 8]
-    assert valid[0].tolist() == [True] * 6 + [False] * 2
-
-
-def test_targets_continue_after_noise_and_end_when_the_student_drifts(tmp_path: Path) -> None:
-    noisy, drifting, gripping, agreeing = (episode(9) for _ in range(4))
-    noisy.executed[:, 1] += 0.4
-    noisy.source[:] = Source.NOISE
-    for by_student in (drifting, gripping, agreeing):
-        by_student.source[:] = Source.STUDENT
-    drifting.executed[:, 1] += 0.2
-    gripping.executed[2, 6] += 2.0
-    agreeing.executed[:, 1] += 0.01
-    _, valid = targets(read(write(tmp_path, 0, [noisy, drifting, gripping, agreeing])))
-    assert valid[::3].sum(axis=1).tolist() == [8, 3, 3, 8]
+def test_a_shard_has_the_targets_of_its_episodes(tmp_path: Path) -> None:
+    shard = read(write(tmp_path, 0, [episode(3), episode(2)]))
+    assert shard.target[:, 0, 0].tolist() == [0, 1, 2, 0, 1]
+    assert shard.repeat_per_frame(np.array([5, 6])).tolist() == [5, 5, 5, 6, 6]
 
 
 def test_the_experts_failed_episodes_are_left_out(tmp_path: Path) -> None:
@@ -92,7 +60,7 @@ def test_a_writer_continues_after_existing_shards(tmp_path: Path) -> None:
     (tmp_path / "shard_00007.part").mkdir()
     writer = Writer(tmp_path, frames_per_shard=5)
     for _ in range(3):
-        writer.add(episode(10))
+        writer.add(episode(4))
     writer.close()
     assert [path.name for path in shard_folders(tmp_path)] == [
         "shard_00003",

@@ -28,14 +28,10 @@ def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
     for number in range(first, shards):
         episodes = []
         for index in range(3):
-            label = rng.uniform(-1, 1, (12, 7)).astype(np.float32)
+            target = rng.uniform(-1, 1, (4, 8, 7)).astype(np.float32)
             frames = np.full((4, 2, 128, 128, 3), 10 * number + index, np.uint8)
             state = rng.normal(size=(4, 14)).astype(np.float32)
-            steps = np.arange(0, 12, 3, dtype=np.int32)
-            episodes.append(
-                Episode(task, Outcome.SUCCESS, Driver.CLEAN, "", frames, state, steps, label,
-                        label, np.zeros(12, np.uint8))
-            )  # fmt: skip
+            episodes.append(Episode(task, Outcome.SUCCESS, Driver.CLEAN, "", frames, state, target))
         write(folder, number, episodes)
 
 
@@ -158,6 +154,22 @@ def test_weights_are_half_precision_except_the_states_scale(tmp_path: Path) -> N
     assert single == {"state_mean", "state_std"}
     assert file.stat().st_size < 4_000_000
     assert load_network(file, CPU).state_std.min() >= 0.009
+
+
+def test_exported_weights_name_the_look_that_was_learned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
+    from safetensors import safe_open
+
+    from training.export import export
+
+    fill(tmp_path / "data", 1)
+    train(arguments(tmp_path))
+    monkeypatch.setenv("ROLLOUT_LOOK", "mujoco-3.3.3")
+    export(tmp_path / "run", "student", tmp_path / "weights")
+    with safe_open(tmp_path / "weights", "pt") as opened:
+        assert opened.metadata()["look"] == "mujoco-3.3.3"
 
 
 def test_training_without_shards_is_refused(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{PyArrayDyn, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::{ActionFrame, RobotState};
@@ -132,6 +132,34 @@ impl Batch {
             }
             Ok(())
         })
+    }
+
+    /// Returns the actions that the scripted expert takes in each environment's next `steps` steps
+    /// if it drives, [environments, steps, 7], NaN after the step that reaches the goal, and
+    /// whether the expert makes progress in them, [environments]. Environments remain unchanged.
+    fn foresee<'py>(
+        &self,
+        py: Python<'py>,
+        steps: usize,
+    ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<bool>>)> {
+        let count = self.states.len();
+        let mut actions = vec![[f64::NAN; WIDTH]; count * steps];
+        let mut progress = vec![false; count];
+        let rows = actions.chunks_exact_mut(steps.max(1)).zip(&mut progress);
+        let tasks: Vec<_> = self.states.iter().zip(rows).collect();
+        let errors = py.detach(|| {
+            run(tasks, self.threads, |(state, (actions, progress))| {
+                let mut guard = state.hold()?;
+                let state = guard.as_mut().ok_or_else(|| closed("close was called"))?;
+                *progress = state.foresee(actions)?;
+                Ok(())
+            })
+        });
+        if let Some(error) = errors.into_iter().flatten().next() {
+            return Err(error);
+        }
+        let actions = shaped(py, actions.into_flattened(), &[count, steps, WIDTH])?;
+        Ok((actions, shaped(py, progress, &[count])?))
     }
 
     /// Starts a rollout in each environment whose entry in `starts` is a start, JSON in a form of
@@ -446,10 +474,10 @@ fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usi
 /// Runs tasks on `threads` threads, including the calling thread; each thread repeatedly takes
 /// the next pending task. Returns the error of each task, in the order of the tasks, when all
 /// tasks have ended.
-fn run<'a>(
-    tasks: Vec<Task<'a>>,
+fn run<T: Send>(
+    tasks: Vec<T>,
     threads: usize,
-    execute: impl Fn(Task<'a>) -> PyResult<()> + Sync,
+    execute: impl Fn(T) -> PyResult<()> + Sync,
 ) -> Vec<Option<PyErr>> {
     let errors = Mutex::new(Vec::from_iter(tasks.iter().map(|_| None)));
     let pending = Mutex::new(tasks.into_iter().enumerate());

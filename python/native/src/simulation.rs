@@ -138,14 +138,7 @@ impl Simulation {
 
     /// Takes a snapshot of everything that the next step depends on.
     fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
-        self.state.with(py, |state| {
-            Ok(Snapshot {
-                environment: state.environment.snapshot().map_err(simulation)?,
-                conditions: state.conditions.clone(),
-                expert: state.expert.clone(),
-                compiled: Arc::clone(state.environment.compiled()),
-            })
-        })
+        self.state.with(py, State::snapshot)
     }
 
     /// Restores a snapshot of an environment of the same scene.

@@ -96,6 +96,40 @@ impl State {
         Ok(action.map(f64::from))
     }
 
+    /// Writes the actions that the expert takes in the next steps if it drives, until the goal
+    /// holds; the state remains unchanged. Returns false if the expert makes no progress in them.
+    pub(crate) fn foresee(&mut self, actions: &mut [[f64; WIDTH]]) -> PyResult<bool> {
+        let before = self.snapshot()?;
+        let result = self.demonstrate(actions);
+        self.restore(&before);
+        result
+    }
+
+    fn demonstrate(&mut self, actions: &mut [[f64; WIDTH]]) -> PyResult<bool> {
+        let steps = actions.len() as u32;
+        for foreseen in actions {
+            let action = self.expert_action()?;
+            if self.expert.is_retreating() {
+                return Ok(false);
+            }
+            *foreseen = action;
+            if self.step(&action, ActionFrame::Relative)? {
+                return Ok(true);
+            }
+        }
+        Ok(!self.expert.makes_no_progress(steps))
+    }
+
+    /// Takes a snapshot of everything that the next step depends on.
+    pub(crate) fn snapshot(&mut self) -> PyResult<Snapshot> {
+        Ok(Snapshot {
+            environment: self.environment.snapshot().map_err(simulation)?,
+            conditions: self.conditions.clone(),
+            expert: self.expert.clone(),
+            compiled: Arc::clone(self.environment.compiled()),
+        })
+    }
+
     /// Notifies the expert that the robot did not execute the expert's last action.
     pub(crate) fn interrupt_expert(&mut self) {
         self.expert.interrupt();

@@ -84,6 +84,21 @@ def test_a_snapshot_includes_the_experts_state(make_vector):
     np.testing.assert_array_equal(infos["expert_action"], labels[0])
 
 
+def test_the_expert_foresees_its_actions_and_changes_nothing(make_vector):
+    environments = make_vector("libero_spatial/0", 2, autoreset_mode="Disabled")
+    environments.reset(seed=0)
+    # After steps of another driver, the expert foresees what it does when it takes over.
+    environments.step_chunk(np.full((2, 10, 7), 0.3), "none", expert=np.zeros((2, 10), bool))
+    foreseen, progresses = environments.foresee(60)
+    again, _ = environments.foresee(60)
+    *_, infos = environments.step_chunk(
+        np.zeros((2, 60, 7)), "none", expert=np.ones((2, 60), bool)
+    )
+    np.testing.assert_array_equal(foreseen, again)
+    np.testing.assert_array_equal(foreseen, infos["expert_action"])
+    assert progresses.all()
+
+
 def test_invalid_expert_arguments_are_refused(make_vector):
     environments = make_vector(TASK, 2, cameras=[])
     environments.reset()

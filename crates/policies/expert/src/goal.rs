@@ -33,7 +33,7 @@ impl Skill {
         match self {
             Self::Transfer(transfer) => transfer.step(world, motion),
             Self::Routine(routine) => routine.step(world, motion),
-            Self::LetGo => Ok(let_go(world)),
+            Self::LetGo => Ok(let_go(world, motion)),
         }
     }
 
@@ -56,17 +56,21 @@ impl Skill {
 }
 
 /// Distance by which the hand backs out from a handle before moving elsewhere, m.
-const CLEAR_OF_HANDLE_M: f64 = 0.06;
+const CLEAR_OF_HANDLE_M: f64 = 0.08;
 /// Distance from the grip point to the box of an object within which the object may be
 /// between the fingers, m.
 const BETWEEN_M: f64 = 0.005;
+/// The same for fingers that are opening, m.
+const FALLEN_M: f64 = 0.03;
 
 /// Returns the command that opens the fingers and backs the hand out from a handle; `None` if the
 /// hand is free.
-fn let_go(world: &World) -> Option<Command> {
+fn let_go(world: &World, motion: &Motion) -> Option<Command> {
     let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
     let is_open = world.opening > FINGERS_OPEN_M;
-    let has_object_at_grip = world.objects_at_grip(BETWEEN_M).next().is_some();
+    // Fingers that have begun to open continue, although the object has already fallen a little.
+    let between = if motion.opens() { FALLEN_M } else { BETWEEN_M };
+    let has_object_at_grip = world.objects_at_grip(between).next().is_some();
     let way_out = match (is_open, handle) {
         (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
         (true, None) => return None,
@@ -78,6 +82,24 @@ fn let_go(world: &World) -> Option<Command> {
         fingers: Fingers::Open,
         pace: 1.0,
     })
+}
+
+/// What the expert knows when it takes over from another controller.
+#[derive(Clone, Copy)]
+struct Takeover<'a> {
+    motion: &'a Motion,
+    /// The previous plan.
+    earlier: &'a VecDeque<Skill>,
+}
+
+impl<'a> Takeover<'a> {
+    /// Returns the earlier transfer of `object`.
+    fn transfer(self, object: &str) -> Option<&'a Transfer> {
+        self.earlier.iter().find_map(|skill| match skill {
+            Skill::Transfer(transfer) if transfer.object() == object => Some(transfer.as_ref()),
+            _ => None,
+        })
+    }
 }
 
 /// Replans after another controller has driven the robot: like [`plan`], but the skill of the
@@ -92,11 +114,12 @@ pub(crate) fn resume(
     motion: &Motion,
     earlier: &VecDeque<Skill>,
 ) -> Result<Vec<Skill>, ExpertError> {
-    let mut skills = plan(world)?;
+    let takeover = Takeover { motion, earlier };
+    let mut skills = plan_after(world, Some(takeover))?;
     let mut holding_skill = None;
     for (index, skill) in skills.iter().enumerate() {
         if let Skill::Transfer(transfer) = skill
-            && transfer.holds(world, motion)?
+            && transfer.holds(takeover.transfer(transfer.object()), world, motion)?
         {
             holding_skill = Some(index);
             break;
@@ -113,22 +136,16 @@ pub(crate) fn resume(
             skills[first..=index].rotate_right(1);
         }
     }
-    let earlier_transfer = |object: &str| {
-        earlier.iter().find_map(|skill| match skill {
-            Skill::Transfer(transfer) if transfer.object() == object => Some(transfer.as_ref()),
-            _ => None,
-        })
-    };
     match skills.first_mut() {
         Some(Skill::Transfer(transfer)) => {
-            let earlier = earlier_transfer(transfer.object());
+            let earlier = takeover.transfer(transfer.object());
             transfer.resume(earlier, world, motion)?;
         }
         Some(Skill::Routine(routine)) => routine.resume(world, motion)?,
         Some(Skill::LetGo) | None => {}
     }
     let can_continue = skills.first().is_some_and(|skill| skill.can_continue(world));
-    if !can_continue && let_go(world).is_some() {
+    if !can_continue && let_go(world, motion).is_some() {
         skills.insert(0, Skill::LetGo);
     }
     Ok(skills)
@@ -142,18 +159,26 @@ pub(crate) fn resume(
 /// If the expert has no skill for a predicate, or the scene lacks an argument or the joint that
 /// moves it.
 pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
+    plan_after(world, None)
+}
+
+/// As [`plan`]. After a takeover, predicates are skipped where the expert, had it come there by
+/// itself, would not have begun the next skill any earlier or later.
+fn plan_after(world: &World, takeover: Option<Takeover<'_>>) -> Result<Vec<Skill>, ExpertError> {
     let (mut opening, mut placing, mut closing) = (Vec::new(), Vec::new(), Vec::new());
     for predicate in &world.goal {
         let arguments: Vec<&str> = predicate.arguments.iter().map(String::as_str).collect();
         match (predicate.name.as_str(), arguments.as_slice()) {
             ("open", [region]) => opening.extend(open(world, region, routine::DRAWER_OPEN_M)?),
-            ("turnon", [stove]) => opening.extend(turn_on(world, stove)?),
+            ("turnon", [stove]) => opening.extend(turn_on(world, stove, takeover)?),
             ("close", [target]) => closing.extend(close(world, target)?),
-            ("on", [object, target]) => placing.extend(put_on(world, predicate, object, target)?),
+            ("on", [object, target]) => {
+                placing.extend(put_on(world, predicate, object, target, takeover)?);
+            }
             ("in", [object, region]) => {
                 let place =
                     Place { relation: Relation::In, target: (*region).to_owned(), slot: 0.0 };
-                let put = transfer(world, object, place)?;
+                let put = transfer(world, object, place, takeover)?;
                 if put.is_some() {
                     opening.extend(open(world, region, routine::DRAWER_AJAR_M)?);
                 }
@@ -182,8 +207,13 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertErr
     Ok((!is_open).then(|| Skill::Routine(Routine::new(pull))))
 }
 
-fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
-    let is_on = routine::knob_is_on(routine::only_joint(world, stove)?);
+fn turn_on(
+    world: &World,
+    stove: &str,
+    takeover: Option<Takeover<'_>>,
+) -> Result<Option<Skill>, ExpertError> {
+    let is_leaving = takeover.is_some() && routine::is_at_knob(world, stove)?;
+    let is_on = routine::knob_is_on(routine::only_joint(world, stove)?) && !is_leaving;
     let turn = RoutineTask::TurnKnob { stove: stove.to_owned() };
     Ok((!is_on).then(|| Skill::Routine(Routine::new(turn))))
 }
@@ -213,6 +243,7 @@ fn put_on(
     predicate: &Predicate,
     object: &str,
     target: &str,
+    takeover: Option<Takeover<'_>>,
 ) -> Result<Option<Skill>, ExpertError> {
     let slot = slot(&world.goal, predicate);
     let mut place = Place { relation: Relation::On, target: target.to_owned(), slot };
@@ -224,7 +255,7 @@ fn put_on(
         let is_placed = place.holds(world, world.entity(object)?)?;
         return Ok((!is_placed).then(|| Skill::Routine(Routine::new(task))));
     }
-    transfer(world, object, place)
+    transfer(world, object, place, takeover)
 }
 
 /// Returns the side of the target on which the predicate's object is placed, if exactly two
@@ -270,10 +301,18 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
     })
 }
 
-fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, ExpertError> {
-    let is_placed = place.holds(world, world.entity(object)?)?;
+fn transfer(
+    world: &World,
+    object: &str,
+    place: Place,
+    takeover: Option<Takeover<'_>>,
+) -> Result<Option<Skill>, ExpertError> {
     let transfer = Transfer::new(object.to_owned(), place);
-    Ok((!is_placed).then(|| Skill::Transfer(Box::new(transfer))))
+    let is_done = match takeover {
+        Some(takeover) => transfer.is_done(takeover.transfer(object), world, takeover.motion)?,
+        None => transfer.is_placed(world)?,
+    };
+    Ok((!is_done).then(|| Skill::Transfer(Box::new(transfer))))
 }
 
 #[cfg(test)]

@@ -37,6 +37,8 @@ const FAR_M: f64 = 0.012;
 const FAR_RAD: f64 = 0.25;
 /// Number of steps of a stuck hand's retreat: up in the first half, back to rest in the second.
 const BACKING_STEPS: u32 = 32;
+/// Displacement in some steps below which a hand far from its target makes no progress, m.
+const PROGRESS_M: f64 = 0.008;
 /// Height of the target above the hand in the first half of the retreat, m.
 const STEP_M: f64 = 0.05;
 
@@ -52,6 +54,8 @@ pub struct Expert {
     far_steps: u32,
     /// Remaining steps of a stuck hand's retreat.
     backing_steps: u32,
+    /// True if the last action was a step of that retreat.
+    is_retreating: bool,
     /// True if another controller has driven the robot since the last action.
     is_interrupted: bool,
 }
@@ -85,6 +89,20 @@ impl Expert {
         self.is_interrupted = true;
     }
 
+    /// Returns true if the last action moved a stuck hand back. Such an action depends on how long
+    /// the hand has been stuck, which neither a picture nor the state shows.
+    #[must_use]
+    pub fn is_retreating(&self) -> bool {
+        self.is_retreating
+    }
+
+    /// Returns true if the hand was far from its target in all of the last `steps` steps and hardly
+    /// moved.
+    #[must_use]
+    pub fn makes_no_progress(&self, steps: u32) -> bool {
+        self.far_steps >= steps && self.motion.moved(steps) < PROGRESS_M
+    }
+
     /// Returns `command`, unless the hand is stuck: caught on an object, or at a joint limit of the
     /// arm, which the expert does not foresee. A stuck hand first moves up and then back to its
     /// rest position, for a number of steps.
@@ -96,7 +114,8 @@ impl Expert {
         if self.far_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
             (self.far_steps, self.backing_steps) = (0, BACKING_STEPS);
         }
-        if self.backing_steps == 0 {
+        self.is_retreating = self.backing_steps > 0;
+        if !self.is_retreating {
             return command;
         }
         self.backing_steps -= 1;
@@ -112,10 +131,10 @@ impl Expert {
     /// episode that continues has not reached its goal.
     fn command(&mut self, world: &World) -> Result<Command, ExpertError> {
         let is_interrupted = std::mem::take(&mut self.is_interrupted);
-        let mut plan = match self.plan.take() {
-            Some(plan) if is_interrupted => goal::resume(world, &self.motion, &plan)?.into(),
-            Some(plan) => plan,
-            None => goal::plan(world)?.into(),
+        let mut plan = match (self.plan.take(), is_interrupted) {
+            (plan, true) => goal::resume(world, &self.motion, &plan.unwrap_or_default())?.into(),
+            (Some(plan), false) => plan,
+            (None, false) => goal::plan(world)?.into(),
         };
         let mut next = None;
         while let (None, Some(skill)) = (next, plan.front_mut()) {

@@ -307,6 +307,13 @@ impl Motion {
         self.trail.iter().all(|place| away(place) < STUCK_M)
     }
 
+    /// Returns the distance between the latest place of the hand and that of `steps` steps ago, or
+    /// the earliest known, m.
+    pub(crate) fn moved(&self, steps: u32) -> f64 {
+        let latest = TRAIL_STEPS - 1;
+        (self.trail[latest] - self.trail[latest.saturating_sub(steps as usize)]).norm()
+    }
+
     /// Returns true if the fingers have closed on something.
     pub(crate) fn grasps(&self, world: &World) -> bool {
         is_partly_open(world) && self.finger_still_steps >= AT_REST_STEPS

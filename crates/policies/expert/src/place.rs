@@ -198,6 +198,19 @@ impl Spot {
         matches!(self.entry, Entry::Through(_)) && to_rest.horizontal_norm() < ON_PATH_M
     }
 
+    /// Returns true if a released object may stay where it is, although its box is not entirely in
+    /// a covered region: the door pushes it further.
+    pub(crate) fn can_stay(&self, object: &Entity) -> bool {
+        let to_rest = self.rest - object.pos;
+        self.can_release_blocked(to_rest) && object.bottom() < self.floor + COVERED_FLOOR_GAP_M
+    }
+
+    /// Returns true if the object is so low that the target may carry it. The surface of a fixture
+    /// may be a little higher than its region.
+    pub(crate) fn is_at_brim(&self, object: &Entity) -> bool {
+        object.bottom() < self.brim + CARRY_M + 2.0 * AT_PLACE_M
+    }
+
     /// Returns true if the held object can be released.
     pub(crate) fn can_release(&self, world: &World, object: &Entity) -> bool {
         match self.entry {

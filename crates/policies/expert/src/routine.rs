@@ -60,8 +60,9 @@ const ASIDE_M: f64 = 0.02;
 const AT_M: f64 = 0.012;
 /// Distance from a handle or knob within which partly open fingers hold it, m.
 const HELD_M: f64 = 0.025;
-/// Height above the contact point within which the hand presses on a flat object, m.
-const PRESSING_M: f64 = 0.006;
+/// Height above the contact point within which the hand presses on a flat object, m. A hand that
+/// drags an object is held 8 mm above that point by the object's rim.
+const PRESSING_M: f64 = 0.012;
 /// Share of full vertical speed in all stages but the approach.
 const GENTLE: f64 = 0.4;
 /// Distance from the centre at which fingertips drag a flat object by its upper face, and
@@ -184,6 +185,17 @@ impl RoutineTask {
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
                 let is_open = world.opening > FINGERS_OPEN_M;
+                if let Self::TurnKnob { stove } = self
+                    && is_at_knob(world, stove)?
+                {
+                    // Open fingers do not turn the knob further, and leave it if it is on.
+                    let position = only_joint(world, stove)?;
+                    match is_open {
+                        true if knob_is_on(position) => return Ok(5),
+                        false if position > KNOB_ON => return Ok(4),
+                        _ => {}
+                    }
+                }
                 if distance < HELD_M && motion::is_partly_open(world) && !is_open {
                     // Not `grasps`: the opening varies while the mechanism moves.
                     if motion.holds_mechanism() { 3 } else { 2 }
@@ -195,7 +207,8 @@ impl RoutineTask {
             }
             Self::PushDrawer { .. } => u32::from(is_on_the_way),
             // The orientation is not compared: it changes by half a turn as the door closes.
-            Self::PushDoor { .. } => u32::from(from.is_straight_to(to, world, ASIDE_M)),
+            // The hand lags behind a door that is nearly closed, so that it is further aside.
+            Self::PushDoor { .. } => u32::from(from.is_straight_to(to, world, 2.0 * ASIDE_M)),
             Self::Drag { object, .. } => {
                 let entity = world.entity(object)?;
                 let widest = entity.half.x.max(entity.half.y);
@@ -234,6 +247,16 @@ pub(crate) fn door_is_closed(position: f64) -> bool {
 /// Returns true if a stove's knob is turned far enough to count as on.
 pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
+}
+
+/// Returns true if the hand is at a stove's knob, or leaves it.
+///
+/// # Errors
+/// If the scene lacks the stove or its joint.
+pub(crate) fn is_at_knob(world: &World, stove: &str) -> Result<bool, ExpertError> {
+    let Some(leaving) = turn_knob(5, world, stove)? else { return Ok(false) };
+    let from = world.grip - leaving.hand.pos;
+    Ok(from.horizontal_norm() < AT_M && from.z < -NEAR_M)
 }
 
 /// Current state of a drawer.
@@ -435,6 +458,23 @@ mod tests {
         assert_eq!(stage_after(&[0.026, 0.026, 0.027]), 3, "the knob shifts between the fingers");
         assert_eq!(stage_after(&[0.06, 0.05, 0.04]), 2, "the fingers close");
         assert_eq!(stage_after(&[0.0; 5]), 0, "there is nothing between the fingers");
+    }
+
+    #[test]
+    fn a_hand_at_a_knob_that_is_on_finishes_the_turn_and_leaves() {
+        let task = RoutineTask::TurnKnob { stove: "stove_1".to_owned() };
+        let stage_at = |position: f64, opening: f64| {
+            let scene = KinematicScene::new("turnon", &["stove_1"])
+                .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
+                .joint("stove_1_button", position);
+            let at_knob = task.stage(2, &scene.world()).unwrap().unwrap().hand;
+            let (world, motion) = with_hand(scene, at_knob, &[opening; 3]);
+            assert!(is_at_knob(&world, "stove_1").unwrap());
+            task.current_stage(&world, &motion).unwrap()
+        };
+        assert_eq!(stage_at(0.6, 0.026), 3, "turns further");
+        assert_eq!(stage_at(0.9, 0.026), 4, "opens the fingers");
+        assert_eq!(stage_at(0.9, 0.08), 5, "leaves");
     }
 
     #[test]

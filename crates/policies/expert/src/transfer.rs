@@ -6,7 +6,7 @@ use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
     Command, FINGERS_OPEN_M, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, detour,
-    pointing_down, pointing_down_like,
+    is_partly_open, pointing_down, pointing_down_like,
 };
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
@@ -34,6 +34,9 @@ const OVER_REST_M: f64 = 0.02;
 const DEEP_M: f64 = 0.003;
 /// Slip of a held object relative to the hand beyond which it counts as lost, m.
 const LOST_M: f64 = 0.03;
+/// Displacement per step below which a held object at its target counts as resting on it, m. A
+/// descending hand moves twice as far, and a hand that releases the object springs back less.
+const RESTING_M: f64 = 0.0015;
 /// Height by which an object is lifted before the grasp is trusted, m.
 const LIFT_M: f64 = 0.03;
 /// Smallest and largest number of steps to wait for the fingers to close.
@@ -124,13 +127,60 @@ impl Transfer {
         &self.object
     }
 
-    /// Returns true if the object is in the hand.
+    /// Returns true if the object is in the hand. The fingers of a hand that held the object
+    /// before, as `earlier` knows, may shift a little, as when the object touches something.
     ///
     /// # Errors
     /// If the scene lacks the object.
-    pub(crate) fn holds(&self, world: &World, motion: &Motion) -> Result<bool, ExpertError> {
+    pub(crate) fn holds(
+        &self,
+        earlier: Option<&Self>,
+        world: &World,
+        motion: &Motion,
+    ) -> Result<bool, ExpertError> {
         let object = world.entity(&self.object)?;
-        Ok(motion.grasps(world) && world.gap_to(object) < BESIDE_M)
+        let held_before = earlier.and_then(Self::last_hold);
+        let keeps = held_before.is_some_and(|hold| !hold.is_lost(world, object));
+        let keeps = keeps && is_partly_open(world) && motion.holds_mechanism();
+        Ok((keeps || motion.grasps(world)) && world.gap_to(object) < BESIDE_M)
+    }
+
+    fn last_hold(&self) -> Option<Hold> {
+        match self.phase {
+            Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold) => Some(hold),
+            _ => None,
+        }
+    }
+
+    /// Returns true if the object is in its place, judging by bounding boxes.
+    ///
+    /// # Errors
+    /// If the scene lacks the object or its place.
+    pub(crate) fn is_placed(&self, world: &World) -> Result<bool, ExpertError> {
+        self.place.holds(world, world.entity(&self.object)?)
+    }
+
+    /// Returns true if nothing is left to be done after another controller has driven the robot.
+    /// An object in the hand counts as placed only where it can be released, and not already above
+    /// its place; a released object counts as placed where the hand would have released it.
+    ///
+    /// # Errors
+    /// If the scene lacks the object or its place.
+    pub(crate) fn is_done(
+        &self,
+        earlier: Option<&Self>,
+        world: &World,
+        motion: &Motion,
+    ) -> Result<bool, ExpertError> {
+        let object = world.entity(&self.object)?;
+        let spot = self.place.spot(world, object)?;
+        if self.holds(earlier, world, motion)? {
+            let is_resting = spot.is_at_brim(object) && motion.per_step().norm() < RESTING_M;
+            let is_released_here = spot.can_release(world, object) || is_resting;
+            return Ok(is_released_here && self.is_placed(world)?);
+        }
+        let is_free = world.gap_to(object) >= BESIDE_M;
+        Ok(self.is_placed(world)? || (is_free && spot.can_stay(object)))
     }
 
     /// Resumes at the phase derived from the state of the world. `earlier` is the same skill
@@ -164,7 +214,7 @@ impl Transfer {
             // does not move back.
             let ahead = if is_at_rest { Vec3::default() } else { to_rest.at_height(0.0) };
             Phase::Release { hand: hand.moved(ahead), way_out: spot.way_out() }
-        } else if self.holds(world, motion)? {
+        } else if self.holds(earlier, world, motion)? {
             let hold = self.hold(earlier, world, object);
             let to_approach_start = Spot::hand_for(world, object, spot.approach_start) - world.grip;
             if spot.can_approach(to_approach_start) || spot.is_entering(to_rest) {
@@ -207,8 +257,7 @@ impl Transfer {
     /// Returns the hold of the object: the hold of `earlier` if the object has not slipped since,
     /// otherwise a new hold from the current poses.
     fn hold(&self, earlier: Option<&Self>, world: &World, object: &Entity) -> Hold {
-        if let Some(Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold)) =
-            earlier.map(|earlier| earlier.phase)
+        if let Some(hold) = earlier.and_then(Self::last_hold)
             && !hold.is_lost(world, object)
         {
             return hold;

@@ -27,6 +27,7 @@ const WIDE_HEAD: usize = 512;
 #[derive(Debug)]
 pub struct Network {
     name: String,
+    look: Option<String>,
     digest: String,
     parameters: usize,
     products: Products,
@@ -79,6 +80,7 @@ impl Network {
             arm: Linear::read(file, "arm", head, ACTIONS * ARM)?,
             gripper: Linear::read(file, "gripper", head, ACTIONS)?,
             name: file.name().to_owned(),
+            look: file.look().map(str::to_owned),
             parameters: file.parameters(),
             digest: hex(&Sha256::digest(bytes)),
             products: Products::of_this_machine(),
@@ -90,6 +92,11 @@ impl Network {
     /// Name of the weights, from the metadata of their file.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Look of the pictures that the weights were trained on, if their file names it.
+    pub fn look(&self) -> Option<&str> {
+        self.look.as_deref()
     }
 
     /// SHA-256 of the weights file, 64 hexadecimal digits.

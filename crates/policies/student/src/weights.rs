@@ -17,6 +17,7 @@ const FINE: &str = "rollout-student/2";
 pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,
     name: String,
+    look: Option<String>,
     is_fine: bool,
     /// Names of the tensors not taken so far.
     remaining: BTreeSet<String>,
@@ -41,6 +42,7 @@ impl<'a> Tensors<'a> {
         let name = entry("name").filter(|name| !name.is_empty());
         Ok(Self {
             name: name.ok_or(WeightsError::Name)?,
+            look: entry("look"),
             remaining: file.names().into_iter().map(str::to_owned).collect(),
             file,
             is_fine,
@@ -50,6 +52,10 @@ impl<'a> Tensors<'a> {
 
     pub(crate) fn name(&self) -> &str {
         &self.name
+    }
+
+    pub(crate) fn look(&self) -> Option<&str> {
+        self.look.as_deref()
     }
 
     /// Returns true for a grid of 32 x 32 and a wide head.

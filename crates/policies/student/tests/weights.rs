@@ -31,6 +31,18 @@ fn weights_have_a_name_and_a_digest() {
 }
 
 #[test]
+fn a_file_may_name_the_look_that_was_learned() {
+    let mut weights = Weights::random(3);
+    let look = |weights: &Weights| {
+        let network = Network::from_safetensors(&weights.bytes()).expect("a network");
+        network.look().map(str::to_owned)
+    };
+    assert_eq!(look(&weights), None);
+    weights.metadata.insert("look".to_owned(), "mujoco-3.3.2".to_owned());
+    assert_eq!(look(&weights).as_deref(), Some("mujoco-3.3.2"));
+}
+
+#[test]
 fn a_missing_tensor_is_named() {
     for tensor in Weights::random(3).tensors.keys() {
         let refusal = error_after(|weights| {

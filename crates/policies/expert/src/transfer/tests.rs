@@ -205,6 +205,11 @@ fn an_object_stopped_before_its_covered_place_is_released_and_pushed_on() {
         panic!("{transfer:?}");
     };
     assert!((hand.pos.y - world.grip.y - distance_before_place).abs() < 1e-9, "{hand:?}");
+    // Released, the object counts as placed, although it is not entirely inside.
+    scene.state.grip_pos[1] -= 0.1;
+    assert!(!transfer.is_placed(&scene.world()).unwrap());
+    assert!(transfer.is_done(None, &scene.world(), &motion).unwrap());
+    scene.state.grip_pos[1] += 0.1;
     // A hand that still moves continues to lower the object.
     let mut motion = motion;
     scene.state.grip_pos[1] += 0.002;
@@ -226,4 +231,37 @@ fn fingers_that_release_an_object_open_fully() {
     let motion = motion_after(&mut scene, &[0.06, 0.067, 0.07]);
     let phase = resumed(None, &scene, &motion).phase;
     assert!(matches!(phase, Phase::Release { .. }), "{phase:?}");
+}
+
+#[test]
+fn a_held_object_counts_as_placed_only_where_it_rests() {
+    const SHELF: &str = "cabinet_1_top_side";
+    let mut transfer = can_into_basket();
+    transfer.place = Place { relation: Relation::On, target: SHELF.to_owned(), slot: 0.0 };
+    let at_height = |bottom: f64, moved: f64| {
+        let mut scene = KinematicScene::new("on", &["can_1", SHELF])
+            .object("can_1", [0.0, 0.0, 0.2 + bottom + 0.038], [0.031, 0.031, 0.038])
+            .region(SHELF, "cabinet_1", [0.0, 0.0, 0.2], [0.1, 0.1, 0.001]);
+        scene.state.grip_pos = scene.state.entities[0].pos;
+        let mut motion = motion_after(&mut scene, &[0.06; 4]);
+        scene.state.grip_pos[2] -= moved;
+        motion.observe(&scene.world());
+        assert!(transfer.is_placed(&scene.world()).unwrap());
+        transfer.is_done(None, &scene.world(), &motion).unwrap()
+    };
+    assert!(!at_height(0.05, 0.0), "above the shelf");
+    assert!(!at_height(0.02, 0.006), "on the way down");
+    assert!(at_height(0.02, 0.0), "stopped by the shelf");
+}
+
+#[test]
+fn an_object_that_shifts_in_the_hand_stays_held() {
+    let mut scene = hand_at_grasp(0.0);
+    let motion = motion_after(&mut scene, &[0.02; 5]);
+    let closed = resumed(None, &scene, &motion);
+    assert!(matches!(closed.phase, Phase::Carry(_)), "{closed:?}");
+    let motion = motion_after(&mut scene, &[0.02, 0.02, 0.02, 0.021]);
+    let world = scene.world();
+    assert!(!closed.holds(None, &world, &motion).unwrap());
+    assert!(closed.holds(Some(&closed), &world, &motion).unwrap());
 }

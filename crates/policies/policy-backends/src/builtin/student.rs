@@ -107,13 +107,15 @@ pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
     // file's digest is published, so the file must not change.
     policy.described.name = weights.name().to_owned();
-    let setting =
-        |name: &str, value: &str| Setting { name: name.to_owned(), value: value.to_owned() };
-    policy.described.settings = vec![
-        setting(TAUGHT_ON, weights.training_pack()),
-        setting(TAUGHT_ON_LOOK, Look::Mujoco333.name()),
-    ];
+    // Files of students that were taught before there were looks do not name one.
+    let look = weights.network().look().unwrap_or(Look::Mujoco333.name());
+    policy.described.settings =
+        vec![setting(TAUGHT_ON, weights.training_pack()), setting(TAUGHT_ON_LOOK, look)];
     policy
+}
+
+fn setting(name: &str, value: &str) -> Setting {
+    Setting { name: name.to_owned(), value: value.to_owned() }
 }
 
 /// Wraps a network as a policy.
@@ -144,6 +146,7 @@ fn describe(network: &Network, checkpoint: String) -> DescribeResponse {
         horizon: ACTIONS as u32,
         execute: ACTIONS as u32,
         language: Language::FreeForm.into(),
+        settings: network.look().map(|look| setting(TAUGHT_ON_LOOK, look)).into_iter().collect(),
         ..DescribeResponse::default()
     }
 }
