@@ -72,8 +72,8 @@ struct Serve {
     /// A policy's name and its back-end: grpc://HOST:PORT[/POLICY],
     /// ws://HOST:PORT (an openpi server), vla-eval://HOST:PORT (a model server
     /// of vla-eval), builtin:noop, builtin:expert, builtin:student,
-    /// builtin:student-randomised, builtin:student-boxes, student:FILE (weights
-    /// that training exported), or several replicas separated by commas (repeatable)
+    /// builtin:student-boxes, student:FILE (weights that training exported), or
+    /// several replicas separated by commas (repeatable)
     #[arg(
         long = "route",
         value_name = "NAME=BACKEND",

@@ -22,16 +22,14 @@ use crate::step::step;
 
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 const CAMPAIGN: &str = "demo";
-/// Look that the demo's policy learned.
-const LOOK: &str = "mujoco-3.3.3";
 /// Name of the demo's policy.
 const POLICY: &str = "student";
 /// Tasks whose first configurations have an emergent failure and a compensated success, in the
 /// fewest control steps that `examples/student` has for such a pair.
-const TASKS: &str = "libero_spatial/0,libero_goal/6";
+const TASKS: &str = "libero_object/3,libero_goal/1";
 const CONFIGURATIONS: &str = "0";
 /// Task with an emergent failure, for the demo's own test.
-const EMERGENT: &str = "libero_spatial/0";
+const EMERGENT: &str = "libero_object/3";
 /// Address of the live page when the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 
@@ -108,16 +106,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     let slots = options.slots.to_string();
     let mut worker = start_one(
         "worker",
-        &[
-            "--connect",
-            &coordinator.url,
-            "--slots",
-            &slots,
-            "--assets",
-            &options.assets,
-            "--look",
-            LOOK,
-        ],
+        &["--connect", &coordinator.url, "--slots", &slots, "--assets", &options.assets],
     )?;
     #[rustfmt::skip]
     run_command(&mut call(&[
@@ -176,7 +165,7 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
 fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
     let mut worker = Command::new(programs.join("worker"));
     worker
-        .args(["film", "--assets", &options.assets, "--look", LOOK])
+        .args(["film", "--assets", &options.assets])
         .args(["--connect", &coordinator.url])
         .args(["--at-a-time", &options.slots.to_string()]);
     capture(&mut worker).map(drop)

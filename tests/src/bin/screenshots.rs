@@ -51,7 +51,7 @@ fn main() -> Result<()> {
         "--tasks", "libero_object/4", "--axes", "all", "--levels", "L2", "--configs", "1",
         "--nominal", "eval", "--record", "all",
     ]);
-    let worker = Process::students_worker(&campaigns.coordinator.url, 2);
+    let worker = Process::worker(&campaigns.coordinator.url, 2, "libero");
     campaigns.wait_for_commits(FILMED, None);
     drop(worker);
     #[rustfmt::skip]
