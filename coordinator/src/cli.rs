@@ -107,9 +107,6 @@ enum Command {
     /// Report the effects of the axes alone and together in a campaign that ran every subset of
     /// them: success by subset, interactions, and each axis's share.
     Interactions(interactions::InteractionsArguments),
-    /// Merge archives of one design, parts of which were run by several coordinators, into one
-    /// archive.
-    Merge(moving::MergeArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Show, write or submit the scripts that run workers and policies on a cluster.
@@ -194,7 +191,6 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Interactions(arguments) => interactions::interactions(arguments).await,
-        Command::Merge(arguments) => moving::merge(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {

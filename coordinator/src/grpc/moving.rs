@@ -52,7 +52,7 @@ pub(super) async fn archive(
         path if path.exists() => path,
         _ => local_films.join(name),
     };
-    let package = package(copy, film_path, source, Vec::new()).await;
+    let package = package(copy, film_path, source).await;
     let package = package.map_err(archive_failed)?;
     Ok(chunks(package, folder, name))
 }

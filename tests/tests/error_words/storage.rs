@@ -16,8 +16,8 @@ use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobId, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
 use queue::{
-    AdoptError, ArtifactError, CopyError, MergeError, OpenError, PortableError, QueueError,
-    RowProblem, RowsError, StoreError, WorkerProblem,
+    AdoptError, ArtifactError, CopyError, OpenError, PortableError, QueueError, RowProblem,
+    RowsError, StoreError, WorkerProblem,
 };
 use report::{
     BadLine, BudgetTooSmall, DocumentError, FamilyComparisonError, FamilyError, ImportError,
@@ -195,24 +195,6 @@ fn moving(messages: &mut Messages) {
         AdoptError::Ahead { .. } => AdoptError::Ahead { campaign: campaign(), seconds: 90_000 },
         AdoptError::Film { .. } => AdoptError::Film { path: path(), source: io_error() },
         AdoptError::Queue(_) => AdoptError::Queue(QueueError::ShuttingDown),
-    );
-    variants!(messages, MergeError,
-        MergeError::Derived { .. } => MergeError::Derived { campaign: campaign() },
-        MergeError::Specification { .. } => MergeError::Specification {
-            first: campaign(), second: campaign(), differs: "`levels`".to_owned(),
-        },
-        MergeError::Rollout { .. } => MergeError::Rollout {
-            rollout: JobName { rollout_id: "object/t0/clean/i03".to_owned(), replicate: 1 },
-        },
-        MergeError::Pin { .. } => MergeError::Pin { first: text(), second: text() },
-        MergeError::Policy { .. } => MergeError::Policy {
-            suite: Suite::Object, difference: "name is `a` now and was `b`".to_owned(),
-        },
-        MergeError::Contradictions { .. } => MergeError::Contradictions {
-            count: 1, examples: text(),
-        },
-        MergeError::Queue(_) => MergeError::Queue(QueueError::ShuttingDown),
-        MergeError::Portable(_) => MergeError::Portable(portable()),
     );
     variants!(messages, StorageError,
         StorageError::Location { .. } => StorageError::Location { location: text() },

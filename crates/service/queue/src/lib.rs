@@ -38,7 +38,6 @@ pub use operations::error::QueueError;
 pub use operations::films::Film;
 pub use operations::imported::{RowProblem, RowsError, WorkerProblem};
 pub use operations::local_videos::{FilmRemoval, LocalFilm};
-pub use operations::merge::{MergeError, Merged, merge};
 pub use operations::portable::{
     AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,
 };

@@ -13,7 +13,6 @@ pub(crate) mod claims;
 pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
-pub(crate) mod halves;
 pub(crate) mod hidden;
 pub(crate) mod imported;
 pub(crate) mod instants;
