@@ -87,7 +87,7 @@ pub(crate) fn original_packages() -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Installs the browser for the live page's tests and screenshots.
+/// Installs the browser for the live page's tests.
 ///
 /// # Errors
 /// If the browser is missing and cannot be installed.
