@@ -153,7 +153,7 @@ impl Tests<'_> {
             Suite::Policies => policies(root, cache, programs)?,
             Suite::Archive => {
                 println!("Testing the release archive, with the programs just built");
-                dist::test(root, cache, programs, deploy::schemas(cache).as_deref())?;
+                dist::test(root, cache, programs)?;
             }
             Suite::Wheels => {
                 println!("Testing the Python packages as wheels");
