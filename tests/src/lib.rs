@@ -9,8 +9,6 @@ pub mod documents;
 pub mod family;
 pub mod fidelity;
 pub mod files;
-pub mod import_cycles;
 pub mod measure;
-pub mod phrases;
 pub mod programs;
 pub mod slurm;

@@ -23,6 +23,7 @@ mod memory;
 pub mod message;
 mod observation;
 pub mod parent;
+mod picture;
 pub mod policy;
 pub mod preview;
 pub mod rescue;

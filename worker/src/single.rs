@@ -5,6 +5,7 @@
 
 mod capture;
 mod error;
+mod npy;
 mod own_task;
 mod recorded;
 mod trace;

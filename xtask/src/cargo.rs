@@ -48,12 +48,6 @@ pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     Ok(programs.join(name))
 }
 
-/// Builds one program with the release profile and returns its path.
-pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf> {
-    let programs = build(root, &["--quiet", "--release", "--bin", name])?;
-    Ok(programs.with_file_name("release").join(name))
-}
-
 /// Builds the named programs with the release profile, and returns their folder.
 pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building the programs with the release profile");

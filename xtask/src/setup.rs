@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use crate::cargo::build_programs;
-use crate::packages::WHEELS;
+use crate::packages::{WHEELS, Wheel};
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
@@ -31,14 +31,28 @@ const SLURM_DAEMONS: [&str; 3] = ["slurmctld", "slurmd", "munged"];
 
 /// Sets up the machine, skipping completed steps. Returns the cache folder.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
+    let cache = linker(root)?;
+    sources(&cache)?;
+    Ok(cache)
+}
+
+/// Sets up what a build needs. Returns the cache folder.
+pub(crate) fn linker(root: &Path) -> Result<PathBuf> {
     println!("Setting up");
     let cache = cache_dir()?;
     step("tools", tools)?;
-    for wheel in &WHEELS {
-        step(wheel.requirement, || wheel.provide(&cache))?;
-    }
+    provide(&WHEELS[..1], &cache)?;
     step("libmujoco for the linker", || link_mujoco(root, &cache))?;
     Ok(cache)
+}
+
+/// Fetches the files that scenes are made from.
+pub(crate) fn sources(cache: &Path) -> Result<()> {
+    provide(&WHEELS[1..], cache)
+}
+
+fn provide(wheels: &[Wheel], cache: &Path) -> Result<()> {
+    wheels.iter().try_for_each(|wheel| step(wheel.requirement, || wheel.provide(cache)).map(drop))
 }
 
 /// Fetches LIBERO's assets into the user's cache folder, as far as `tasks` (SUITE/N, separated by
@@ -87,7 +101,7 @@ pub(crate) fn original_packages() -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Installs the browser for the live page's tests and screenshots.
+/// Installs the browser for the live page's tests.
 ///
 /// # Errors
 /// If the browser is missing and cannot be installed.

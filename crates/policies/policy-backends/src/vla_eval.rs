@@ -270,7 +270,7 @@ fn observation(
     let images = images.map(|(camera, slot)| {
         let frame = observations::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
-        Ok((Value::from(*slot), frame.map_err(|error| error.to_string())?))
+        Ok((Value::from(*slot), frame?))
     });
     let images = Value::Map(images.collect::<Result<_, String>>()?);
     let entry = |key: &str, value| (Value::from(key), value);

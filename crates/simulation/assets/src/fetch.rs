@@ -73,10 +73,10 @@ impl Fetch<'_> {
             files: 0,
             of_files: to_fetch.len(),
             bytes: 0,
-            of_bytes: to_fetch.iter().map(|file| self.origin.transfer_bytes(file)).sum(),
+            of_bytes: to_fetch.iter().map(|file| file.stored).sum(),
         };
         self.send_report(Report::Arriving(progress))?;
-        for group in self.origin.group_by_parcel(&to_fetch) {
+        for group in Origin::group_by_parcel(&to_fetch) {
             let (origin, table) = (self.origin, self.into.table());
             let parcel = self.retry(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
