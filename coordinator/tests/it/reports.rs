@@ -99,7 +99,7 @@ async fn a_finished_campaign_has_its_paired_measures() {
     assert_eq!(paired, &json["cells"][0]["paired"]);
     assert_eq!((&paired["n"], &paired["b"], &paired["c"]), (&json!(4), &json!(2), &json!(0)));
     assert_eq!(paired["i"], json!(-0.5));
-    assert_eq!(json["nominal"][0]["count"], json!({"successes": 4, "n": 4}));
+    assert_eq!(json["nominal"]["count"], json!({"successes": 4, "n": 4}));
     let head = "campaign reported\npolicy expert at http://127.0.0.1:50051\n";
     assert!(report.table.starts_with(head), "{}", report.table);
     let widest = report.table.lines().map(|line| line.chars().count()).max();
