@@ -176,7 +176,7 @@ async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
         provenance.policy_privileged = true;
         provenance.policy_canonical_only = true;
         provenance.program_version = version.to_owned();
-        provenance.policy_checkpoint = format!("step {version}");
+        provenance.policy_checkpoint.clear();
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let table = report(&bench).await.table;
@@ -186,7 +186,7 @@ async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
         "policy `expert` always gets the canonical instruction: its language axis is an identity",
         "more than one program version are mixed",
         "0.1.0; 0.2.0",
-        "more than one policy checkpoint are mixed",
+        "policy `expert` names no checkpoint",
     ] {
         assert!(words.contains(warning), "{table}");
     }

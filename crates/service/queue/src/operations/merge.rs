@@ -169,12 +169,11 @@ fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeErr
 
 fn check_same_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeError> {
     let mut measured = BTreeMap::new();
-    let has_settings = |stored: &&Stored| !stored.origin().policy_settings.is_empty();
-    for stored in first.iter().filter(has_settings) {
+    for stored in first {
         let suite = stored.manifest_row.id.task().suite();
         measured.entry(suite).or_insert(stored.origin());
     }
-    for stored in second.iter().filter(has_settings) {
+    for stored in second {
         let suite = stored.manifest_row.id.task().suite();
         let first_origin = measured.get(&suite);
         let difference = first_origin.and_then(|first| stored.origin().policy_difference(first));
