@@ -103,12 +103,13 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     let robot = format!(
         r#"{{"rollout_id":"object/t0/robot/L1/c00","success":true,"steps":120,"axis":"robot","level":"L1","suite":"libero_object","task_id":0,"init_id":{init_id},"config":0,"policy":"expert","wall_s":1.5,"ik_res_mm":0.125"#
     );
-    let second_replicate = r#","replicate":1"#;
+    let replicate = |k: u32| format!(r#","replicate":{k}"#);
+    let [first_replicate, second_replicate] = [0, 1].map(replicate);
     let goal = r#","goal_predicates":2,"goal_at_end":2,"goal_at_most":2"#;
     let expected = [
-        format!("{clean}{goal}}}"),
+        format!("{clean}{first_replicate}{goal}}}"),
         format!("{clean}{second_replicate}{goal}}}"),
-        format!("{robot}{goal}}}"),
+        format!("{robot}{first_replicate}{goal}}}"),
         format!("{robot}{second_replicate}{goal}}}"),
     ];
     assert_eq!(lines, expected);

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 
 use libero_ctrl::{Condition, Level};
 
+use crate::count::Count;
 use crate::finding::{Finding, FindingKind};
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
 use crate::inference::loss::Loss;
 use crate::inference::multiplicity::holm;
+use crate::replication::Flips;
 use crate::report::{Cell, Report};
 use crate::text::{listed, percent, points};
 
@@ -22,11 +24,10 @@ pub const FINDING_ALPHA: f64 = 0.01;
 /// Significance level of claims of equivalence, whose p-values are not corrected.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
-/// Returns the findings about replicate 0: success, then for each level costs, simultaneity
+/// Returns the findings: success, then for each level costs, simultaneity
 /// and, if success depends on the direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
-    let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
-    let cells: Vec<&Cell> = cells.collect();
+    let cells: Vec<&Cell> = report.cells.iter().collect();
     let claims = Claims::new(&cells);
     let mut findings: Vec<Finding> = success(report, &cells).into_iter().collect();
     for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
@@ -91,10 +92,13 @@ impl Claims {
 
 /// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
-    let nominal = report.nominal.iter().find(|nominal| nominal.replicate == 0)?.count;
-    let mut sentence = match nominal.n {
+    let nominal = report.nominal.as_ref()?;
+    let seeds = seeds(&nominal.by_replicate);
+    let mut sentence = match nominal.count.n {
         0 => "No nominal rollout has an outcome yet".to_owned(),
-        n => format!("Nominally, {} % of {n} rollouts succeed", percent(nominal.rate())),
+        n => {
+            format!("Nominally, {} % of {n} rollouts{seeds} succeed", percent(nominal.count.rate()))
+        }
     };
     let at_levels = cells.iter().filter_map(|cell| {
         let rate = cell.simultaneous?.rate()?;
@@ -103,7 +107,8 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
         let interval = interval.map_or_else(String::new, |[low, high]| {
             format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
         });
-        Some(format!("{} %{interval} at {}", percent(Some(rate)), cell.level))
+        let seeds = self::seeds(&cell.by_replicate);
+        Some(format!("{} %{interval}{seeds} at {}", percent(Some(rate)), cell.level))
     });
     let at_levels: Vec<String> = at_levels.collect();
     if !at_levels.is_empty() {
@@ -112,6 +117,16 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     }
     sentence.push('.');
     Some(Finding { kind: FindingKind::Success, level: None, claims: false, holm_p: None, sentence })
+}
+
+/// Describes counts by policy seed: ` (mean of 3 seeds: 70.0, 35.0 and 40.0)`; empty without
+/// replicates.
+pub(crate) fn seeds(by_replicate: &BTreeMap<u32, Count>) -> String {
+    if by_replicate.is_empty() {
+        return String::new();
+    }
+    let rates: Vec<String> = by_replicate.values().map(|count| percent(count.rate())).collect();
+    format!(" (mean of {} seeds: {})", rates.len(), listed(&rates))
 }
 
 /// Writes the finding about the greatest loss under a single axis, or smaller losses if only they
@@ -260,8 +275,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
                     percent(Some(r_d)),
                 )
             });
-            let mut cells = report.cells.iter().filter(|cell| cell.replicate == 0);
-            let cause = match cells.any(|cell| cell.level == Level::L0) {
+            let cause = match report.cells.iter().any(|cell| cell.level == Level::L0) {
                 true => "because the placebo level L0 has no complete configuration of these axes"
                     .to_owned(),
                 false => format!("without a placebo (`--levels L0,{level}`)"),
@@ -287,10 +301,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
 /// language-perturbed rollouts. Language has an effect of its own, so that the share of
 /// language-perturbed rollouts is an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
-    let replicate = report.replication.first();
-    let replicate = replicate
-        .and_then(|replication| replication.flips_by_condition.get(&Condition::Clean)?.rate());
-    if let Some(rate) = replicate {
+    if let Some(rate) = report.flips.get(&Condition::Clean).and_then(Flips::rate) {
         return Some(("Nominal rollouts of two replicates end differently", rate));
     }
     let language = Condition::Single(libero_ctrl::Axis::Language);

@@ -70,7 +70,7 @@ pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
 pub use planning::{Against, Assumed, Detectable, Planned};
 pub use progress::{MeanDifference, Progress, ProgressDifference};
-pub use replication::{Change, Flips, Replication};
+pub use replication::Flips;
 pub use report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
 pub use sequential::{
     CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,

@@ -26,7 +26,6 @@ use libero_ctrl::{Level, RolloutId};
 use maud::{Markup, PreEscaped, html};
 use paired::Transition;
 
-use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::threshold_report::ThresholdReport;
 
@@ -38,7 +37,7 @@ pub use gate::gate;
 pub use heat_map::heat_map;
 pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
-pub use replication::{flips, replicates};
+pub use replication::flips;
 pub use survival::survival;
 pub use svg::WIDTH;
 pub use upset::upset;
@@ -128,7 +127,7 @@ impl Figure {
 
 /// Returns the levels of a document, in ascending order of radius.
 pub fn levels(document: &Document) -> Vec<Level> {
-    let cells = document.analyses.iter().flat_map(Analysis::cells);
+    let cells = document.analyses.iter().flat_map(|analysis| &analysis.report.cells);
     let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
     levels.into_iter().collect()
 }
@@ -160,7 +159,6 @@ pub fn all(document: &Document) -> Vec<Figure> {
         for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
             figures.extend([interaction_matrix(analysis, level), additive(analysis, level)]);
         }
-        figures.extend(replicates(analysis));
         figures.extend(flips(analysis));
     }
     for pair in document.comparisons() {

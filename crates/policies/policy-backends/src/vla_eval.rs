@@ -10,7 +10,7 @@
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant},
 };
 
 use proto::policy::{
@@ -33,7 +33,7 @@ use crate::{
     numpy::{Keys, array, map},
     observations::{self, FRAME_SIDE},
     sessions::SessionTable,
-    websocket::{Connection, Received, Server},
+    websocket::{Connection, Received, Server, now},
 };
 
 mod address;
@@ -178,7 +178,8 @@ impl Backend for VlaEvalBackend {
         // Opens a new connection each time, because the HELLO shows whether the server is still
         // the same.
         let link = self.connect().await?;
-        let described = link.terms.described.clone();
+        let mut described = link.terms.described.clone();
+        described.settings.push(self.server.connected_since());
         let mut idle = self.idle();
         idle.truncate(MAX_IDLE - 1);
         idle.push(link);
@@ -290,11 +291,4 @@ fn observation(
         ]);
     }
     Ok(Value::Map(entries))
-}
-
-/// Returns the seconds since 1970.
-#[allow(clippy::disallowed_methods, reason = "only a timestamp for the server's logs")]
-fn now() -> f64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.unwrap_or_default().as_secs_f64()
 }

@@ -122,7 +122,7 @@ pub async fn check(
     let probe = Probe::connect(target).await?;
     let reference = probe.episode("reference", SEED, QueryOrder::Forward).await;
     let reference = reference.map_err(|status| ConformanceError::Episode {
-        url: target.url.clone(),
+        url: target.shown.clone(),
         status: status.into(),
     })?;
     let mut conforms = true;

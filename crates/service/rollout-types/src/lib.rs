@@ -14,7 +14,8 @@ mod result;
 pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{
-    Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK,
+    CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER,
+    TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT,
 };
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};

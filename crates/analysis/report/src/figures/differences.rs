@@ -20,11 +20,10 @@ const LEVEL_GAP: f64 = 10.0;
 const TICK_STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
 const MAX_TICKS: f64 = 3.0;
 
-/// Draws the panel of two policies, replicate 0; `None` if no rollout has an outcome for both
+/// Draws the panel of two policies; `None` if no rollout has an outcome for both
 /// policies.
 pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let cells = comparison.statistics.cells.iter();
-    let cells = cells.filter(|cell| cell.replicate == 0);
     let rows: Vec<(&ComparedCell, &Difference)> =
         cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?))).collect();
     if rows.is_empty() {

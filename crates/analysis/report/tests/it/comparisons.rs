@@ -33,6 +33,7 @@ fn campaign(policy: &str) -> Subject {
                 asset_pack: "libero".to_owned(),
                 asset_pack_digest: "a".repeat(64),
             },
+            policy_checkpoint: "step 7".to_owned(),
             ..Provenance::default()
         }],
         published_nominal: None,

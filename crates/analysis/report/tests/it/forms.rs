@@ -108,7 +108,7 @@ fn figures_are_well_formed_files_with_counts() {
     for expected in ["single-axis-l1", "decomposition-l2", "directions-l3", "reproduction-gate"] {
         assert!(names.contains(&expected), "{names:?}");
     }
-    for kind in ["matrix-", "replicates-", "flips-"] {
+    for kind in ["matrix-", "flips-"] {
         assert!(names.iter().any(|name| name.starts_with(kind)), "{names:?}");
     }
     for figure in &figures {
