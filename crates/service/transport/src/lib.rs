@@ -26,6 +26,7 @@ mod private;
 mod probe;
 mod rate;
 mod refusals;
+mod repeat;
 mod server;
 mod token;
 mod users;
@@ -40,6 +41,7 @@ pub use incoming::{GREETING_TIMEOUT, IDLE_TIMEOUT, Incoming, Watched, raise_file
 pub use peer::Peer;
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
+pub use repeat::Repeating;
 pub use server::{
     GatedServer, HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security,
     SecurityError, ServerArguments,
