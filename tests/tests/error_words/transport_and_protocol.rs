@@ -103,7 +103,7 @@ fn protocol(messages: &mut Messages) {
         },
         SpecError::Empty { .. } => SpecError::Empty { field: "name", remedy: "write a name" },
         SpecError::Replicates { .. } => SpecError::Replicates { given: 0 },
-        SpecError::Endpoint { .. } => SpecError::Endpoint { given: text() },
+        SpecError::Endpoint => SpecError::Endpoint,
         SpecError::Assets { .. } => SpecError::Assets { given: text() },
         SpecError::Unmatched { .. } => SpecError::Unmatched { field: "explains" },
         SpecError::Radius { .. } => SpecError::Radius {
