@@ -89,8 +89,8 @@ def sources_folder() -> Path:
     ``rollout/sources`` in the user's cache folder."""
     if folder := os.environ.get("ROLLOUT_SOURCES"):
         return Path(folder)
-    cache = os.environ.get("XDG_CACHE_HOME")
-    return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
+    cache = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(cache) if os.path.isabs(cache) else Path.home() / ".cache") / "rollout" / "sources"
 
 
 def sources() -> Path:

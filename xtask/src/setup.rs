@@ -130,10 +130,7 @@ pub(crate) fn slurm() -> Result<&'static str> {
 }
 
 fn cache_dir() -> Result<PathBuf> {
-    let cache = std::env::var_os("XDG_CACHE_HOME")
-        .map(PathBuf::from)
-        .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
-    let cache = cache.context("find a cache folder: set HOME or XDG_CACHE_HOME")?.join("rollout");
+    let cache = terminal::cache_folder();
     std::fs::create_dir_all(&cache).with_context(|| format!("make {}", cache.display()))?;
     Ok(cache)
 }

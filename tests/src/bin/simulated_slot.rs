@@ -138,6 +138,7 @@ fn play(
         parts.physics_secs += script.step.as_secs_f64();
         send_event(RolloutEvent::Progress(row.settle_steps + step + 1));
     }
+    policy.end(session);
     let hash = hash.finalize();
     let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;

@@ -144,9 +144,8 @@ impl CampaignSpec {
         if self.policy.name.is_empty() {
             return empty("policy.name", "write the policy's name at its endpoint");
         }
-        if !self.policy.endpoint.contains("://") {
-            let given = self.policy.endpoint.clone();
-            return Err(SpecError::Endpoint { given });
+        if !is_endpoint(&self.policy.endpoint) {
+            return Err(SpecError::Endpoint);
         }
         if !(1..=MAX_REPLICATES).contains(&self.replicates) {
             let given = self.replicates;
@@ -479,6 +478,17 @@ fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {
 
 fn default_replicates() -> u32 {
     1
+}
+
+/// Returns true for the URL of a gRPC server, which is shown to everybody who may see the campaign.
+fn is_endpoint(url: &str) -> bool {
+    let is_of_host = |char: char| char.is_ascii_alphanumeric() || ".-_:[]".contains(char);
+    url.split_once("://").is_some_and(|(scheme, host)| {
+        let host = host.strip_suffix('/').unwrap_or(host);
+        ["http", "https", "grpc", "grpcs"].contains(&scheme)
+            && !host.is_empty()
+            && host.chars().all(is_of_host)
+    })
 }
 
 #[cfg(test)]

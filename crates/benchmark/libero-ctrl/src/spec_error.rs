@@ -38,15 +38,14 @@ pub enum SpecError {
         /// The number given.
         given: u32,
     },
-    /// The policy's endpoint is not a URL.
+    /// The policy's endpoint is not the URL of a server. The text is not quoted, since it may
+    /// contain a password.
     #[error(
-        "read campaign specification: `policy.endpoint` is `{given}`, \
-         write a URL such as http://127.0.0.1:50051"
+        "read campaign specification: `policy.endpoint` is no server's address, write \
+         http://HOST:PORT or grpc://HOST:PORT, or over TLS https:// or grpcs://, without a user, a \
+         password and a path"
     )]
-    Endpoint {
-        /// The text given.
-        given: String,
-    },
+    Endpoint,
     /// The asset pack is neither a known name nor a digest.
     #[error(
         "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or at \

@@ -190,7 +190,7 @@ fn from_setting(setting: Option<&OsStr>) -> Option<SceneFolder> {
     match setting.filter(|setting| !setting.is_empty()) {
         Some(setting) if setting == OFF => None,
         Some(folder) => Some(SceneFolder::new(Path::new(folder))),
-        None => Some(SceneFolder::new(&Sources::cache_folder().join("scenes"))),
+        None => Some(SceneFolder::new(&terminal::cache_folder().join("scenes"))),
     }
 }
 

@@ -3,8 +3,9 @@
 //! `ROLLOUT_MIN_FREE_MIB`.
 //! The command line takes precedence, and an empty variable counts as unset.
 
-use std::env::var_os;
+use std::env::{current_dir, home_dir, var_os, vars_os};
 use std::ffi::OsString;
+use std::path::PathBuf;
 
 use clap::builder::BoolishValueParser;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -12,6 +13,10 @@ use clap::{Arg, ArgAction, ArgMatches, Command};
 
 /// Prefix of the variables' names.
 const PREFIX: &str = "ROLLOUT_";
+/// Further variables that name folders.
+const FOLDERS: [&str; 3] = ["HOME", "TMPDIR", CACHE];
+/// The user's cache folder, in place of `~/.cache`.
+const CACHE: &str = "XDG_CACHE_HOME";
 /// Separator of values of an option that can be repeated.
 const SEPARATOR: char = ';';
 
@@ -50,10 +55,34 @@ pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::
 /// Parses a command line. An error about a value from the environment names its variable.
 ///
 /// # Errors
-/// If the arguments are invalid or help was requested.
-pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
+/// If the arguments are invalid or help was requested, or one of them, a variable that names a
+/// folder, or the current folder is not UTF-8: messages, results and databases could not hold it.
+pub fn parse(mut program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
+    let variables = vars_os().filter(|(name, _)| {
+        name.to_str().is_some_and(|name| name.starts_with(PREFIX) || FOLDERS.contains(&name))
+    });
+    let here = current_dir().map(PathBuf::into_os_string);
+    let mut texts = words.iter().cloned().chain(variables.map(|(_, value)| value)).chain(here);
+    if let Some(text) = texts.find(|text| text.to_str().is_none()) {
+        let message = format!("read {text:?}: it is not UTF-8; rename the file or folder");
+        return Err(program.error(ErrorKind::InvalidUtf8, message));
+    }
     let matches = program.try_get_matches_from(&words);
     matches.map_err(|error| name_variable(error, &words))
+}
+
+/// Returns `rollout` in the user's cache folder, by the XDG base directory specification: an empty
+/// or relative `XDG_CACHE_HOME` counts as unset.
+pub fn cache_folder() -> PathBuf {
+    cache_folder_of(var_os(CACHE), home_dir())
+}
+
+fn cache_folder_of(cache: Option<OsString>, home: Option<PathBuf>) -> PathBuf {
+    let absolute = |path: &PathBuf| path.is_absolute();
+    let cache = cache.map(PathBuf::from).filter(absolute);
+    let cache = cache.or_else(|| Some(home.filter(absolute)?.join(".cache")));
+    // A user without a home has no cache: no folder can be made in this one.
+    cache.unwrap_or_else(|| "/dev/null".into()).join("rollout")
 }
 
 /// Adds the variable's name to an error if the invalid value comes from the environment.
@@ -96,7 +125,32 @@ fn variable_name(long: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::ffi::OsStringExt;
+
     use super::*;
+
+    #[test]
+    fn the_cache_is_never_in_the_current_folder() {
+        for (cache, home, expected) in [
+            (Some("/c"), Some("/h"), "/c/rollout"),
+            (Some(""), Some("/h"), "/h/.cache/rollout"),
+            (Some("relative"), Some("/h"), "/h/.cache/rollout"),
+            (None, Some("/h"), "/h/.cache/rollout"),
+            (None, Some(""), "/dev/null/rollout"),
+            (None, None, "/dev/null/rollout"),
+        ] {
+            let folder = cache_folder_of(cache.map(OsString::from), home.map(PathBuf::from));
+            assert_eq!(folder, PathBuf::from(expected), "{cache:?} {home:?}");
+        }
+    }
+
+    /// Regression: a slot was never told its work, and results were lost after the last step.
+    #[test]
+    fn arguments_that_are_not_utf_8_are_refused() {
+        let word = OsString::from_vec(b"n\xe4me".to_vec());
+        let error = parse(program(), vec!["server".into(), word]).expect_err("Latin-1");
+        assert!(error.to_string().contains("is not UTF-8"), "{error}");
+    }
 
     fn program() -> Command {
         Command::new("server")

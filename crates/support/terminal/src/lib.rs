@@ -11,7 +11,7 @@ mod parent;
 mod printable;
 mod values;
 
-pub use environment::{parse, read, with_variables};
+pub use environment::{cache_folder, parse, read, with_variables};
 pub use manual::write_manual;
 pub use output::{clear_lines, complain, counted, log, print, print_line, reader_is_gone, wrapped};
 pub use parent::{PARENT_VARIABLE, end_with_parent};

@@ -350,3 +350,30 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
     assert!(error.to_string().contains("`worker variants --suite-file`"), "{error}");
 }
+
+#[test]
+fn an_endpoint_is_the_address_of_a_server_and_holds_no_password() {
+    let check = |endpoint: &str| {
+        let json = serde_json::json!({
+            "name": "a", "policy": {"name": "expert", "endpoint": endpoint},
+            "tasks": ["libero_object/0"], "axes": ["camera"], "levels": ["L1"], "configs": [0],
+        });
+        CampaignSpec::from_json(&json.to_string())
+    };
+    for valid in ["http://h:1", "grpc://h", "https://[::1]:7/", "grpcs://a-b.c_d:1"] {
+        check(valid).expect(valid);
+    }
+    for invalid in [
+        "h:1",
+        "://h",
+        "ftp://h",
+        "file:///etc/passwd",
+        "http://",
+        "http://h:1\r\nX: y",
+        "http://h/path",
+        "http://me:secret@h:1",
+    ] {
+        let error = check(invalid).expect_err(invalid).to_string();
+        assert!(error.contains("grpc://HOST:PORT") && !error.contains("secret"), "{error}");
+    }
+}
