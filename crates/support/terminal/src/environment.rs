@@ -34,9 +34,6 @@ pub fn with_variables(command: Command) -> Command {
 
 /// Parses the command line of a server program. If its first argument is a subcommand, variables
 /// are ignored: they are meant for the server.
-///
-/// # Errors
-/// If the arguments are invalid or help was requested.
 pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let first = words.get(1).and_then(|word| word.to_str());
     let is_command = |word| word == "help" || program.find_subcommand(word).is_some();
@@ -48,9 +45,6 @@ pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::
 }
 
 /// Parses a command line. An error about a value from the environment names its variable.
-///
-/// # Errors
-/// If the arguments are invalid or help was requested.
 pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let matches = program.try_get_matches_from(&words);
     matches.map_err(|error| name_variable(error, &words))
