@@ -4,7 +4,7 @@
 //! test compares them with the folder `generated`.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, clippy::all, reason = "generated code")]
+#![allow(clippy::all, reason = "generated code")]
 
 /// `rollout.policy.v1`.
 pub mod policy {

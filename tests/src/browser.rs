@@ -14,7 +14,6 @@ use serde_json::{Value, json};
 pub const CHROMIUM: &str = "chromium";
 /// Timeout of all waits, generous because the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Polling interval of the page.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 pub struct Browser {

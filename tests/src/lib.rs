@@ -1,7 +1,6 @@
 //! Helpers shared by the tests under `tests/` and the programs under `src/bin/`.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod browser;
 pub mod chaos;

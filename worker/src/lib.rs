@@ -7,7 +7,6 @@
 //! a machine runs best.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod actor;
 pub mod args;

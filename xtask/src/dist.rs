@@ -42,10 +42,6 @@ enum Profile {
 }
 
 /// Makes the archive, tests it in a bare root, and prints its path.
-///
-/// # Errors
-/// If a release has uncommitted changes, a part is unavailable, the archive would be incomplete, or
-/// its programs do not run.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     if options.profile == Profile::Release {

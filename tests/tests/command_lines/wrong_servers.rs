@@ -21,7 +21,6 @@ fn case(name: &'static str, scheme: &'static str, at: impl ToString) -> Case {
     Case { name, at: at.to_string(), scheme }
 }
 
-/// Returns cases that clients of any kind can meet.
 fn cases_for_any_client() -> Vec<Case> {
     let web = serve_text("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
     vec![

@@ -20,9 +20,6 @@ const CAMPAIGN: [&str; 8] =
     ["--tasks", "libero_object/1", "--axes", "camera", "--levels", "L1", "--configs", "1"];
 
 /// Packs the programs that were built for the tests, and tests the archive.
-///
-/// # Errors
-/// If the archive cannot be packed, or its programs do not run.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let output = tempfile::tempdir().context("make a folder")?;
     let packed = archive::make(root, cache, programs, output.path())?;

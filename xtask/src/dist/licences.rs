@@ -8,7 +8,6 @@ use crate::cargo::cargo;
 use crate::packages::WHEELS;
 use crate::process::capture;
 
-/// The compiler's runtime libraries.
 const COMPILER: &str = "of GCC, GPL-3.0-or-later WITH GCC-exception-3.1: by the Free Software \
     Foundation, copied unaltered from the system on which this archive was built. The GCC Runtime \
     Library Exception 3.1 lets programs of any licence be distributed with it. The texts: \
@@ -16,9 +15,6 @@ const COMPILER: &str = "of GCC, GPL-3.0-or-later WITH GCC-exception-3.1: by the 
     https://www.gnu.org/licenses/gcc-exception-3.1.txt. The source: https://gcc.gnu.org.";
 
 /// Checks that the collector is installed.
-///
-/// # Errors
-/// If it is not.
 pub(super) fn tool(root: &Path) -> Result<()> {
     capture(cargo(root).args(["about", "--version"]))
         .map(drop)

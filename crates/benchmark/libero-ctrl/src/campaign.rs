@@ -72,7 +72,6 @@ pub enum Rollouts {
     Thresholds(Thresholds),
     /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
     Variants(Variants),
-    /// Tasks of a suite file.
     SuiteFile(Box<SuiteFile>),
 }
 
@@ -122,9 +121,6 @@ impl Rollouts {
 
 impl CampaignSpec {
     /// Parses and validates a specification.
-    ///
-    /// # Errors
-    /// If the text is not a valid specification; the error names the problem and the remedy.
     pub fn from_json(text: &str) -> Result<Self, SpecError> {
         let spec: Self = serde_json::from_str(text)
             .map_err(|error| SpecError::Json { problem: JsonError::from(error).to_string() })?;
@@ -133,9 +129,6 @@ impl CampaignSpec {
     }
 
     /// Validates constraints that the types do not express.
-    ///
-    /// # Errors
-    /// If a constraint is violated; the error names the problem and the remedy.
     pub fn check(&self) -> Result<(), SpecError> {
         let empty = |field, remedy| Err(SpecError::Empty { field, remedy });
         if self.name.is_empty() {

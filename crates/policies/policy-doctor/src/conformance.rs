@@ -28,7 +28,6 @@ const CONCURRENCY: u32 = 8;
 
 /// Requirement of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the sentences of `Display` describe the points")]
 pub enum Point {
     Description,
     Version,

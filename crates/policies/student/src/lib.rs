@@ -62,7 +62,6 @@
 //!   and has one path for all sizes.
 
 #![deny(unsafe_op_in_unsafe_fn)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod block;
 mod columns;

@@ -10,7 +10,6 @@
 //! section `# Errors`.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod clock;
 pub mod expand;

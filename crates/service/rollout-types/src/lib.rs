@@ -3,7 +3,6 @@
 //! them at their own boundaries.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod backoff;
 mod id;

@@ -37,7 +37,6 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// Name of the renderer.
     pub renderer: String,
     pub look: Look,
 }
@@ -72,7 +71,6 @@ pub struct Provenance {
     /// all queries of a seed at one replica) or "up to N" queries, with the suffix ", unseeded" if
     /// the server takes no seed. "single" without a gateway.
     pub batch_mode: String,
-    /// Version of the worker's program.
     pub program_version: String,
 }
 

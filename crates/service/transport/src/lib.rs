@@ -11,7 +11,6 @@
 //! token; the id gives access to pages for some hours, and to no call.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod browser;
 mod browser_sessions;

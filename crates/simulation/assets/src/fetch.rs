@@ -55,10 +55,6 @@ pub struct Fetched {
 impl Fetch<'_> {
     /// Fetches those `wanted` files that are missing or altered. Waits for another process that
     /// fetches into the same folder.
-    ///
-    /// # Errors
-    /// If files cannot be read, downloaded or written, or `progress` ends the fetch. Completely
-    /// received files are kept.
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
         if self.files_to_fetch(wanted)?.0.is_empty() {
             let present = wanted.len();

@@ -70,9 +70,6 @@ pub(crate) struct Address {
 
 impl Address {
     /// Parses an HTTP URL.
-    ///
-    /// # Errors
-    /// A remedy, if the text is not a valid URL.
     pub(crate) fn parse(text: &str) -> Result<Self, &'static str> {
         const REMEDY: &str = "write https://HOST/PATH, or http://HOST:PORT/PATH for a local mirror";
         let mut url = Url::parse(text.trim()).map_err(|_| REMEDY)?;
@@ -228,7 +225,6 @@ impl Client {
 struct MinimumRateReader<R> {
     reader: R,
     period: Duration,
-    /// Start of the current period.
     period_start: Instant,
     /// Bytes that arrived in the current period.
     gained: u64,

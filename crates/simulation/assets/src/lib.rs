@@ -2,7 +2,6 @@
 //! index or a folder of wheels. The crate `scene` composes scenes from them.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod error;
 mod fetch;

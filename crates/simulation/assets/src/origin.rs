@@ -55,10 +55,6 @@ pub(crate) struct Stream {
 
 impl Origin {
     /// Creates a source from a package index. The URL may contain credentials.
-    ///
-    /// # Errors
-    /// If the URL is invalid, or the certificates that are set in the environment variables cannot
-    /// be read.
     pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
         let client = Client::new(deadlines)?;
         let index = address("package index", url)?;
@@ -71,9 +67,6 @@ impl Origin {
 
     /// Returns the source that is set in the environment variables: the folder `$ROLLOUT_WHEELS`,
     /// else the package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
-    ///
-    /// # Errors
-    /// As [`Origin::index`].
     pub fn of_environment() -> Result<Self, AssetsError> {
         match std::env::var_os(WHEELS_VARIABLE).filter(|folder| !folder.is_empty()) {
             Some(folder) => Ok(Self::wheels(folder.into())),

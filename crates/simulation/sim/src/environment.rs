@@ -71,9 +71,6 @@ impl Environment {
     /// Creates an environment that must be loaded or reset before use. Computes the home pose of
     /// the arm but no contacts: unplaced objects overlap, and solving their contacts would take
     /// most of the time and allocate megabytes that the environment keeps.
-    ///
-    /// # Errors
-    /// If the model lacks a joint of the arm, or memory is exhausted.
     pub fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
@@ -97,9 +94,6 @@ impl Environment {
     /// Changes the arm's posture at resets, for the robots of LIBERO-Plus. The controller keeps
     /// this posture even when a state is loaded afterwards. The environment must be loaded or reset
     /// before use.
-    ///
-    /// # Errors
-    /// If the model lacks a joint of the arm.
     pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
         if joints != self.reset_joints {
             self.data.reset(&self.model);
@@ -173,9 +167,6 @@ impl Environment {
 
     /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
     /// after the step.
-    ///
-    /// # Errors
-    /// If the simulation becomes unstable, or the controller has to invert a singular matrix.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }
@@ -265,9 +256,6 @@ impl Environment {
     }
 
     /// Renders a camera's frame at the observed instant of the last step.
-    ///
-    /// # Errors
-    /// If the scene has no such camera, or the renderer fails.
     pub fn draw(
         &mut self,
         drawer: &Drawer,
@@ -282,9 +270,6 @@ impl Environment {
     /// Renders a camera's depths at the observed instant of the last step, as in OpenGL: 0 at the
     /// near plane, 1 at the far plane, hyperbolic in between; rows from bottom to top. Translucent
     /// geoms are ignored.
-    ///
-    /// # Errors
-    /// As [`Environment::draw`].
     pub fn depth(
         &mut self,
         drawer: &Drawer,
@@ -296,9 +281,6 @@ impl Environment {
 
     /// Renders the object at the centre of each pixel at the observed instant of the last step;
     /// rows from bottom to top. Translucent geoms count as opaque.
-    ///
-    /// # Errors
-    /// As [`Environment::draw`].
     pub fn segmentation(
         &mut self,
         drawer: &Drawer,

@@ -91,9 +91,6 @@ impl SceneFolder {
 
     /// Maps the scene with this name, or compiles it and stores it for other processes. Only one
     /// process at a time compiles a scene; others wait for its file.
-    ///
-    /// # Errors
-    /// If the scene cannot be compiled. Failures of scene files are not errors.
     pub(crate) fn obtain(
         &self,
         name: &Name,

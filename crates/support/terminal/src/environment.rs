@@ -39,9 +39,6 @@ pub fn with_variables(command: Command) -> Command {
 
 /// Parses the command line of a server program. If its first argument is a subcommand, variables
 /// are ignored: they are meant for the server.
-///
-/// # Errors
-/// If the arguments are invalid or help was requested.
 pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let first = words.get(1).and_then(|word| word.to_str());
     let is_command = |word| word == "help" || program.find_subcommand(word).is_some();
@@ -53,10 +50,6 @@ pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::
 }
 
 /// Parses a command line. An error about a value from the environment names its variable.
-///
-/// # Errors
-/// If the arguments are invalid or help was requested, or one of them, a variable that names a
-/// folder, or the current folder is not UTF-8: messages, results and databases could not hold it.
 pub fn parse(mut program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let variables = vars_os().filter(|(name, _)| {
         name.to_str().is_some_and(|name| name.starts_with(PREFIX) || FOLDERS.contains(&name))

@@ -2,7 +2,6 @@
 //! and parsers of option values.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod environment;
 mod manual;

@@ -64,7 +64,6 @@ fn an_execution_model_other_than_wait_is_written_and_changes_the_version() {
     assert!(error.to_string().contains("overlap:N"), "{error}");
 }
 
-/// Returns the specification of a campaign that imports these rows.
 fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, SpecError> {
     let mut json = serde_json::json!({
         "name": "imported",
