@@ -293,6 +293,7 @@ impl Crowd {
                 asset_pack_digest: sha(PACK),
                 mujoco_version: MUJOCO.to_owned(),
                 look: libero_ctrl::Look::default().to_string(),
+                campaign: String::new(),
             };
             let film = match client.next_film(request).await {
                 Ok(answer) => answer.into_inner().film,

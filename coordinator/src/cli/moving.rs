@@ -46,7 +46,7 @@ pub(super) struct ImportArguments {
     /// The archive, on this machine or at s3://BUCKET/….
     file: PathBuf,
     /// New name of the campaign, if this coordinator already has a campaign of the archived name.
-    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
+    #[arg(long = "as", alias = "name", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
     #[command(flatten)]
     connection: Connection,
@@ -61,7 +61,7 @@ pub(super) struct MergeArguments {
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     /// Name of the merged campaign. [default: the name in the first archive]
-    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
+    #[arg(long = "as", alias = "name", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
 }
 
