@@ -184,7 +184,8 @@ mod tests {
     fn an_unknown_command_is_answered_with_where_it_is_or_which_there_are() {
         let program = || {
             let campaign = Command::new("campaign").subcommand(Command::new("status"));
-            program().subcommand(campaign.subcommand(Command::new("cancel")))
+            let campaign = campaign.subcommand(Command::new("cancel"));
+            Command::new("server").subcommands([Command::new("list"), campaign])
         };
         for (words, expected) in [
             (&["server", "status"][..], "did you mean `server campaign status`?"),
