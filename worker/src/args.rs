@@ -191,6 +191,9 @@ pub struct FilmArguments {
     /// URL of the coordinator
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
+    /// Only rollouts of this campaign
+    #[arg(long, value_name = "NAME")]
+    pub campaign: Option<String>,
     /// Rollouts that are filmed at a time, each on a core and with a scene in memory
     /// [default: as many as cores and memory allow]
     #[arg(long, value_name = "N", value_parser = number_from(NonZeroUsize::MIN, "rollouts"))]

@@ -45,7 +45,7 @@ pub(super) struct ImportArguments {
     /// The archive, on this machine or at s3://BUCKET/….
     file: PathBuf,
     /// New name of the campaign, if this coordinator already has a campaign of the archived name.
-    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
+    #[arg(long = "as", alias = "name", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
     #[command(flatten)]
     connection: Connection,

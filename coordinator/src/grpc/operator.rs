@@ -278,6 +278,6 @@ impl OperatorService for OperatorApi {
     }
 }
 
-fn campaign_name(name: &str) -> Result<CampaignName, Status> {
+pub(super) fn campaign_name(name: &str) -> Result<CampaignName, Status> {
     CampaignName::parse(name).map_err(invalid)
 }

@@ -14,6 +14,7 @@ use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::failure::{Answer, artifact_failed, check_room, failed, invalid};
+use super::operator::campaign_name;
 use super::read;
 use crate::gauges::Gauges;
 
@@ -148,8 +149,16 @@ impl WorkerService for WorkerApi {
     }
 
     async fn next_film(&self, request: Request<NextFilmRequest>) -> Answer<NextFilmResponse> {
-        let pin = read::pin(request.into_inner())?;
-        let next = self.queue.next_film(&pin).await.map_err(failed)?;
+        let request = request.into_inner();
+        let only = match request.campaign.as_str() {
+            "" => None,
+            name => {
+                let mut view = self.queue.view().await.map_err(failed)?;
+                Some(view.campaign(&campaign_name(name)?).await.map_err(failed)?.name)
+            }
+        };
+        let pin = read::pin(request)?;
+        let next = self.queue.next_film(&pin, only.as_ref()).await.map_err(failed)?;
         let (film, left) = next.unzip();
         Ok(Response::new(NextFilmResponse { film: film.map(write_film), left: left.unwrap_or(0) }))
     }

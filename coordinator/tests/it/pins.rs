@@ -116,7 +116,10 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         ("execute is `1` now and was `8`", replace_execute as Replace),
         ("image slots is `not given` now and was `image=agentview`", remove_image_slots),
         ("digest of the weights is `other` now and was ``", replace_weights),
-        ("checkpoint is `other` now and was `none`", replace_checkpoint_of_a_policy_without_settings),
+        (
+            "checkpoint is `other` now and was `none`",
+            replace_checkpoint_of_a_policy_without_settings,
+        ),
     ] {
         let bench = Bench::start().await;
         bench.create(&small_spec("pinned")).await.expect("created");

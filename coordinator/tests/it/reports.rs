@@ -334,10 +334,12 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         &["report", "--from", EXAMPLE, "--published", "oft=97.1"],
         &["--published oft", "valid are OpenVLA-OFT"],
     );
-    check(
-        &["report", "--from", EXAMPLE, "--published", "OpenVLA-OFT=971"],
-        &["`971` is no percentage"],
-    );
+    for (given, message) in [
+        ("OpenVLA-OFT=971", "`971` is no percentage"),
+        ("OpenVLA-OFT=0.971", "did you mean OpenVLA-OFT=97.1?"),
+    ] {
+        check(&["report", "--from", EXAMPLE, "--published", given], &[message]);
+    }
     let files = std::fs::read_dir(folder.path()).expect("a folder");
     assert_eq!(files.count(), 1, "only the rows are in the folder");
 }

@@ -3,6 +3,7 @@
 
 use libero_ctrl::Condition;
 
+use crate::by_task::SuiteRow;
 use crate::finding::{Finding, FindingKind};
 use crate::report::Report;
 use crate::table::gate_lines;
@@ -10,8 +11,8 @@ use crate::text::{ABSENT, listed, percent, push_columns, push_wrapped, separate}
 
 /// Writes the report for readers who do not know the protocol's symbols: notes, up to three
 /// findings, success by condition in percent, the gates, and sentences about directions and
-/// rollouts without an outcome. Of the findings about a level, the text has only those
-/// about the last level.
+/// rollouts without an outcome. Of the findings about a level, and of
+/// simultaneous success by suite, the text has only those at the last level.
 pub fn brief(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
@@ -27,6 +28,10 @@ pub fn brief(report: &Report) -> String {
         push_wrapped(&mut text, "", &finding.sentence);
     }
     push_success(&mut text, report);
+    push_suites(&mut text, report, |row| match row.condition {
+        Condition::Clean => true,
+        condition => condition == Condition::Combination && Some(row.level) == last,
+    });
     separate(&mut text);
     text.push_str(&gate_lines(report));
     for finding in directions {
@@ -71,6 +76,29 @@ fn push_success(text: &mut String, report: &Report) {
     }
     separate(text);
     text.push_str("success, %\n");
+    push_columns(text, &rows);
+}
+
+/// Appends success by suite, the rows that `is_shown`; nothing for a single suite.
+pub(crate) fn push_suites(
+    text: &mut String,
+    report: &Report,
+    is_shown: impl Fn(&SuiteRow) -> bool,
+) {
+    let suites = report.suites();
+    if suites.len() < 2 {
+        return;
+    }
+    let heads = suites.iter().map(|suite| suite.short_name().to_owned());
+    let heads = heads.chain(["mean".to_owned()]).collect();
+    let mut rows = vec![(String::new(), heads)];
+    for row in report.suite_rows().into_iter().filter(is_shown) {
+        let rates = row.suites.into_iter().chain([row.mean]);
+        let rates = rates.map(|rate| rate.map_or_else(|| ABSENT.to_owned(), |_| percent(rate)));
+        rows.push((row.name, rates.collect()));
+    }
+    separate(text);
+    text.push_str("success by suite, and the mean of the suites, %\n");
     push_columns(text, &rows);
 }
 

@@ -8,6 +8,7 @@ use libero_ctrl::{AxisSet, Condition, Level, Suite, TaskRef};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
+use crate::by_task;
 use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
 use crate::findings::findings;
@@ -66,6 +67,7 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
             .collect(),
         nominal,
         cells,
+        by_task: by_task::of_each(records),
         flips: flips(records),
         quarantined: quarantined(records),
         bootstrap: options.bootstrap,

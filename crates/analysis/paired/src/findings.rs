@@ -141,8 +141,13 @@ fn cost(cell: &Cell) -> Option<Finding> {
     let by_loss =
         |a: &&(&str, &Loss), b: &&(&str, &Loss)| a.1.loss.value.total_cmp(&b.1.loss.value);
     let (most, loss) = *singles.iter().max_by(by_loss)?;
-    let level = cell.level;
+    // Without nominal success nothing can be lost, and too few tasks show nothing.
     let is_costly = |loss: &Loss| loss.holm_p < FINDING_ALPHA && loss.loss.value > 0.0;
+    let has_enough_tasks = loss.nominal.new_tasks.or(loss.success.new_tasks).is_some();
+    if loss.nominal.value == 0.0 || !has_enough_tasks && !is_costly(loss) {
+        return None;
+    }
+    let level = cell.level;
     let is_equivalent = |loss: &Loss| loss.equivalence_p.is_some_and(|p| p < EQUIVALENCE_ALPHA);
     let names = |predicate: &dyn Fn(&Loss) -> bool| -> Vec<String> {
         let named = singles.iter().filter(|(_, loss)| predicate(loss));
@@ -192,6 +197,10 @@ fn cost(cell: &Cell) -> Option<Finding> {
 fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let level = cell.level;
+    // A policy that never succeeds has no outcome that simultaneity could change.
+    if inference.paired.s_conj.value == 0.0 && inference.paired.s_sim.value == 0.0 {
+        return None;
+    }
     let Some(excess) = &inference.excess else {
         return without_floor(cell, report, claims);
     };

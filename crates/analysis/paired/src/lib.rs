@@ -14,6 +14,7 @@
 mod bootstrap;
 mod bounds;
 mod brief;
+mod by_task;
 mod comparison;
 mod comparison_further;
 mod comparison_table;
@@ -42,6 +43,7 @@ mod text;
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
 pub use brief::brief;
+pub use by_task::{SuiteRow, TaskSuccess};
 pub use comparison::{Compared, ComparedCell, Comparison, Obstacle};
 pub use comparison_table::comparison_table;
 pub use count::Count;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
+use crate::by_task::TaskSuccess;
 use crate::count::Count;
 use crate::finding::Finding;
 use crate::gate::{Gate, SuiteGate};
@@ -59,6 +60,8 @@ pub struct Report {
     pub directions: Directions,
     /// Cells, by level.
     pub cells: Vec<Cell>,
+    /// Success of every task, by level (nominal first) and condition.
+    pub by_task: Vec<TaskSuccess>,
     /// Rollouts whose outcome differs between replicates, by condition; empty without replicates.
     pub flips: BTreeMap<Condition, Flips>,
     /// Variance components by level; empty without replicates.

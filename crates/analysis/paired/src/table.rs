@@ -7,6 +7,7 @@ use std::fmt::Write;
 use libero_ctrl::{AxisSet, Condition, Measure};
 
 use crate::bounds::Bounds;
+use crate::brief::push_suites;
 use crate::count::Count;
 use crate::findings::seeds;
 use crate::gate::{
@@ -48,6 +49,7 @@ pub fn table(report: &Report) -> String {
     text.push_str(&gate_lines(report));
     let cells: Vec<&Cell> = report.cells.iter().collect();
     push_rates(&mut text, report, &cells);
+    push_suites(&mut text, report, |_| true);
     push_subsets(&mut text, &cells);
     if cells.iter().any(|cell| cell.simultaneous.is_some()) {
         for cells in cells.chunks(MAX_CELLS) {

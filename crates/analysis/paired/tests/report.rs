@@ -232,7 +232,12 @@ fn a_bound_of_chance_is_stated_only_if_nearly_identical_rollouts_end_differently
         let rows = (0..3).flat_map(|task| {
             [
                 nominal(task, 0, S),
-                perturbed(task, Condition::Single(Axis::Language), 0, language),
+                perturbed(
+                    task,
+                    Condition::Single(Axis::Language),
+                    0,
+                    if task > 0 { language } else { S },
+                ),
                 perturbed(task, Condition::Single(Axis::Sensor), 0, S),
                 perturbed(task, Condition::Combination, 0, F),
             ]
@@ -429,6 +434,18 @@ fn every_headline_pools_the_replicates_and_lists_the_seeds() {
         twice.losses[&Condition::Combination].loss
     );
     assert_eq!(once.directions, twice.directions);
+}
+
+/// Neither a policy that solves nothing nor three tasks say anything about axes.
+#[test]
+fn no_finding_compares_nothing_with_nothing_or_generalises_from_few_tasks() {
+    for (outcomes, tasks) in [([F, F, F, F], 6), ([S, F, F, F], 3)] {
+        let records = campaign_of_tasks(&vec![outcomes; 2 * tasks], 2);
+        let report = report(&records, &Options::default()).expect("no duplicates");
+        let findings: Vec<&str> =
+            report.findings.iter().map(|finding| finding.sentence.as_str()).collect();
+        assert_eq!(findings.len(), 1, "only the rates: {findings:?}");
+    }
 }
 
 #[test]

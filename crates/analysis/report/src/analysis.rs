@@ -80,6 +80,7 @@ impl Analysis {
                 axes: Vec::new(),
                 nominal: None,
                 cells: Vec::new(),
+                by_task: Vec::new(),
                 flips: BTreeMap::new(),
                 components: Vec::new(),
                 findings: Vec::new(),

@@ -96,7 +96,7 @@ impl Figure {
         // The file draws its own background, because a viewer may show a dark background behind
         // the text of the light scheme, or the reverse.
         let style = html! {
-            style { (PreEscaped(STYLE)) }
+            style { (PreEscaped(literal_style())) }
             rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
                 width="100%" height="100%" {}
         };
@@ -123,6 +123,26 @@ impl Figure {
             }
         }
     }
+}
+
+/// Returns [`STYLE`] with the values of its variables, and always light: programs that convert SVG
+/// files to PDF know no variables, and a file does not follow the colours of its reader's desktop.
+fn literal_style() -> String {
+    let (_, light) = STYLE.split_once('{').unwrap_or_default();
+    let light = light.split_once('}').map_or("", |(light, _)| light);
+    let variables = light.split(';').filter(|declaration| declaration.starts_with("--"));
+    let mut style: String = STYLE
+        .lines()
+        .filter(|line| !line.starts_with('@'))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    for variable in variables {
+        style = style.replace(&format!("{variable};"), "");
+        if let Some((name, value)) = variable.split_once(':') {
+            style = style.replace(&format!("var({name})"), value);
+        }
+    }
+    style
 }
 
 /// Returns the levels of a document, in ascending order of radius.

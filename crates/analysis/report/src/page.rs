@@ -111,6 +111,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
                     success within 5 points is not set up as its authors had it, and its robustness \
                     is not to be interpreted.", figures::gate(document).into_iter().collect()))
                 (tables::single_axes(document))
+                @for analysis in &document.analyses { (tables::suites(analysis)) }
                 (tables::subsets(document))
             }
         }

@@ -60,8 +60,34 @@ pub fn parse(mut program: Command, words: Vec<OsString>) -> Result<ArgMatches, c
         let message = format!("read {text:?}: it is not UTF-8; rename the file or folder");
         return Err(program.error(ErrorKind::InvalidUtf8, message));
     }
+    let commands = program.clone();
     let matches = program.try_get_matches_from(&words);
-    matches.map_err(|error| name_variable(error, &words))
+    matches.map_err(|error| name_commands(name_variable(error, &words), commands, &words))
+}
+
+/// Adds to an error about an unknown command where that command is, or which ones there are.
+fn name_commands(mut error: clap::Error, program: Command, words: &[OsString]) -> clap::Error {
+    let Some(ContextValue::String(given)) = error.get(ContextKind::InvalidSubcommand).cloned()
+    else {
+        return error;
+    };
+    let of_group = |group: &Command| group.find_subcommand(&given).is_some();
+    let elsewhere = program.get_subcommands().find(|group| of_group(group));
+    // The group in which the command was looked for.
+    let mut group = &program;
+    for word in words.iter().skip(1).filter_map(|word| word.to_str()) {
+        group = group.find_subcommand(word).unwrap_or(group);
+    }
+    let shown = group.get_subcommands().filter(|command| !command.is_hide_set());
+    let names: Vec<&str> = shown.map(Command::get_name).collect();
+    let hint = match elsewhere {
+        Some(other) => {
+            format!("did you mean `{} {} {given}`?", program.get_name(), other.get_name())
+        }
+        None => format!("valid are {}", names.join(", ")),
+    };
+    error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![hint.into()]));
+    error
 }
 
 /// Returns `rollout` in the user's cache folder, by the XDG base directory specification: an empty
@@ -199,5 +225,23 @@ mod tests {
     fn a_subcommand_ignores_the_variables_of_the_server() {
         let matches = read(program(), words("server list --all x")).expect("valid arguments");
         assert_eq!(matches.subcommand_name(), Some("list"));
+    }
+
+    #[test]
+    fn an_unknown_command_is_answered_with_where_it_is_or_which_there_are() {
+        let program = || {
+            let campaign = Command::new("campaign").subcommand(Command::new("status"));
+            let campaign = campaign.subcommand(Command::new("cancel"));
+            Command::new("server").subcommands([Command::new("list"), campaign])
+        };
+        for (words, expected) in [
+            (&["server", "status"][..], "did you mean `server campaign status`?"),
+            (&["server", "campaign", "stop"], "valid are status, cancel"),
+            (&["server", "show"], "valid are list, campaign"),
+        ] {
+            let words = words.iter().map(OsString::from).collect();
+            let error = parse(program(), words).expect_err("no such command").to_string();
+            assert!(error.contains(expected), "{error}");
+        }
     }
 }

@@ -37,7 +37,7 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let fits = |step: &&f64| largest / **step <= MAX_TICKS;
     let step = *TICK_STEPS.iter().find(fits).unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
     let end = (largest / step - 1e-9).ceil() * step;
-    let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 14.0]);
+    let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 20.0]);
     let mut y = HEAD + 22.0;
     let mut previous = None;
     let mut body = Vec::new();

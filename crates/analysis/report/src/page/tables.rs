@@ -7,6 +7,7 @@ use libero_ctrl::{Axis, Condition, Measure};
 use maud::{Markup, Render, html};
 use paired::{
     Bounds, Cell, Count, Gap, GateVerdict, Interval, Measures, NoInterval, Nominal, NominalSource,
+    SuiteRow, TaskSuccess,
 };
 
 use crate::analysis::Analysis;
@@ -239,6 +240,42 @@ fn with_seeds(value: Option<impl Render>, by_replicate: &BTreeMap<u32, Count>) -
     html! {
         (or_dash(value))
         @if !rates.is_empty() { small { (rates.len()) " seeds: " (rates.join(", ")) } }
+    }
+}
+
+/// Renders success by suite, and by task in a folded table.
+pub(super) fn suites(analysis: &Analysis) -> Markup {
+    let (report, suites) = (&analysis.report, analysis.report.suites());
+    let mut heads = vec!["condition"];
+    heads.extend(suites.iter().map(|suite| suite.name()));
+    heads.push("mean of suites");
+    let row = |row: SuiteRow| {
+        let rates = row.suites.into_iter().chain([row.mean]);
+        let rates = rates.map(|rate| or_dash(rate.map(percent)));
+        [plain(row.name)].into_iter().chain(rates).collect()
+    };
+    let by_task: Vec<Vec<Markup>> = report
+        .by_task
+        .iter()
+        .map(|row| {
+            let TaskSuccess { level, condition, task, count } = row;
+            let rate = or_dash(count.rate().map(percent));
+            let counts = format!("{}/{}", count.successes, count.n);
+            vec![plain(task), plain(level), plain(condition.label()), rate, plain(counts)]
+        })
+        .collect();
+    html! {
+        @if suites.len() > 1 {
+            (table(&format!("{}: success by suite, %", analysis.label), &heads,
+                report.suite_rows().into_iter().map(row).collect()))
+        }
+        @if !by_task.is_empty() {
+            details {
+                summary { (analysis.label) ": success by task" }
+                (table("Success by task", &["task", "level.", "condition.", "success %", "counts"],
+                    by_task))
+            }
+        }
     }
 }
 
