@@ -11,6 +11,7 @@ use crate::controller::{ARM_JOINTS, ActionFrame, Controller, RESET_JOINTS, SUBST
 use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
+use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
 
 /// Index of the fingers' first position in qpos.
