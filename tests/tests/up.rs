@@ -1,5 +1,4 @@
-//! `coordinator up`: three programs in one terminal, and `coordinator why` for a campaign
-//! that scores nothing.
+//! `coordinator up`: three programs in one terminal.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -196,22 +195,4 @@ fn a_program_that_is_killed_is_started_again_at_its_address() {
     let (code, output) = bad.end();
     assert_eq!(code, Some(1), "{output}");
     assert!(output.contains("failed to keep `worker` running"), "{output}");
-}
-
-#[test]
-fn why_examines_the_policy_of_a_campaign_that_scores_nothing() {
-    let data = tempfile::tempdir().unwrap();
-    let routes = ["--slots", "1", "--route", "still=builtin:noop"];
-    let up = Up::start(&data.path().join("data"), &routes).ready();
-    up.create("nothing", "still");
-    let why = up.call(&["why", "nothing"]);
-    let explanation = String::from_utf8(why.stdout).expect("UTF-8");
-    assert!(
-        explanation
-            .contains("campaign nothing: 0 of 1 nominal and 0 of 0 perturbed rollouts succeed"),
-        "{explanation}"
-    );
-    let expected = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
-    assert!(explanation.contains(&expected), "{explanation}");
-    assert_eq!(why.status.code(), Some(1), "a policy that never moves: {explanation}");
 }
