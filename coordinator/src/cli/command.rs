@@ -1,6 +1,5 @@
 //! Helpers shared by all commands: coordinator client, error classes and output.
 
-use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
