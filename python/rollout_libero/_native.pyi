@@ -239,6 +239,9 @@ class Simulation:
         robosuite's `use_delta = False`. Returns True if the goal holds after the step."""
     def success(self) -> bool:
         """Returns True if the goal holds."""
+    def predicate(self, state: Sequence[str]) -> bool:
+        """Returns True if a predicate holds, given by its name and arguments. Raises ValueError if
+        there is no such predicate or object."""
 
     # The last observation.
     def readings(self) -> dict[str, F64]:

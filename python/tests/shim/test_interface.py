@@ -47,6 +47,16 @@ def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return file
 
 
+def test_a_problem_evaluates_any_predicate(env: Any) -> None:
+    problem = env.env
+    goals = problem.parsed_problem["goal_state"]
+    assert all(problem._eval_predicate(goal) for goal in goals) == env.check_success()
+    for start in problem.parsed_problem["initial_state"]:
+        assert problem._eval_predicate(start), start
+    with pytest.raises(ValueError, match="grasp"):
+        problem._eval_predicate(["grasp", "plate_1"])
+
+
 # Folders.
 
 

@@ -74,7 +74,7 @@ impl CompiledScene {
         }
         hide_marker_sites(&scene, &mut model);
         Ok(Self {
-            goal: Goal::resolve(&scene, &model)?,
+            goal: Goal::resolve(&scene.goal, &scene, &model)?,
             burners: find_burners(&scene, &model)?,
             resets,
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use libero_ctrl::Predicate;
 use scene::{AssetPack, Scene, Sources};
 
 use crate::compiled_scene::{Burner, CompiledScene, DISABLE_CONSTRAINT};
@@ -10,6 +11,7 @@ use crate::controller::{ARM_JOINTS, ActionFrame, Controller, RESET_JOINTS, SUBST
 use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
+use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
 
 /// Index of the fingers' first position in qpos.
@@ -215,6 +217,15 @@ impl Environment {
 
     pub fn succeeded(&self) -> bool {
         self.compiled.goal.holds(&self.model, &self.data)
+    }
+
+    /// Returns true if a predicate holds, which need not be in the goal.
+    ///
+    /// # Errors
+    /// If there is no such predicate, or the scene has no such object.
+    pub fn holds(&self, predicate: Predicate) -> Result<bool, SimError> {
+        let predicate = Goal::resolve(&[predicate], self.scene(), &self.model)?;
+        Ok(predicate.holds(&self.model, &self.data))
     }
 
     pub fn goal_truths(&self) -> Vec<bool> {
