@@ -59,7 +59,7 @@ class _Array:
         if not isinstance(content, (bytes, bytearray)):
             raise ValueError("it is not a table of numbers")
         _check_shape(shape)
-        order = "F" if is_fortran else "C"
+        order: Any = "F" if is_fortran else "C"
         return np.frombuffer(content, "<" + dtype.name).reshape(shape, order=order).copy(order)
 
 
