@@ -34,11 +34,11 @@ pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     build(root, &["--bins"])
 }
 
-/// Builds the named programs and returns their folder.
+/// Builds the named programs without optional features, and returns their folder.
 pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building {}", names.join(", "));
     let bins: Vec<&str> = names.iter().flat_map(|name| ["--bin", name]).collect();
-    build(root, &bins)
+    build(root, &[&["--no-default-features"], &bins[..]].concat())
 }
 
 /// Builds one program and returns its path. Cargo selects the whole workspace's features, so that
