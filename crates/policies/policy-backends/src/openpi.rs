@@ -77,9 +77,13 @@ impl OpenpiBackend {
 
     /// Connects, and reads the metadata that the server sends first.
     async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
-        // Notices that the server has closed a connection, that is, restarted.
+        // A server that has closed all connections has restarted.
         let mut idle = std::mem::take(&mut *self.idle());
+        let had_open = !idle.is_empty();
         idle.retain_mut(Connection::is_idle);
+        if had_open && idle.is_empty() {
+            self.server.lost();
+        }
         self.idle().append(&mut idle);
         let (connection, metadata) = self.server.connect(None).await?;
         Ok((connection, answer_bytes(metadata)?))

@@ -126,14 +126,19 @@ impl VlaEvalBackend {
 
     /// Returns a connection without an episode.
     async fn unused_link(&self) -> Result<Link, BackendError> {
+        let mut was_closed = false;
         loop {
             let Some(mut link) = self.idle().pop() else {
+                if was_closed {
+                    self.server.lost();
+                }
                 return self.connect().await;
             };
             // A closed connection means that the server restarted.
             if link.connection.is_idle() {
                 return Ok(link);
             }
+            was_closed = true;
         }
     }
 

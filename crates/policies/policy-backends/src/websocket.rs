@@ -128,6 +128,11 @@ impl Server {
         &self.host_port.authority
     }
 
+    /// Records that every connection has been lost.
+    pub(super) fn lost(&self) {
+        *self.connected.lock() = None;
+    }
+
     /// Returns the setting that tells results before a lost connection from those after it.
     pub(super) fn connected_since(&self) -> Setting {
         let since = *self.connected.lock();
@@ -287,13 +292,16 @@ impl Connection {
         }
     }
 
-    /// Returns true if the server has neither closed the connection nor sent a message.
+    /// Returns true if the server has neither closed the connection nor sent a message. Pings,
+    /// which Python's servers send every 20 s, are answered.
     pub(super) fn is_idle(&mut self) -> bool {
-        let is_idle = self.socket.next().now_or_never().is_none();
-        if !is_idle {
-            *self.connected.lock() = None;
+        loop {
+            match self.socket.next().now_or_never() {
+                None => return true,
+                Some(Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_)))) => {}
+                Some(_) => return false,
+            }
         }
-        is_idle
     }
 
     /// Closes the connection; ignores errors.
