@@ -216,13 +216,12 @@ impl OperatorService for OperatorApi {
         request: Request<ExportRequest>,
     ) -> Result<Response<Self::ExportStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
-        let turn = self.turns.wait().await?;
         let lines = export::lines(self.queue.clone(), &name).await;
         let lines = lines.map_err(failed)?.map(|line| {
             let json = line.map_err(failed)?;
             Ok(wire::ExportLine { json })
         });
-        Ok(Response::new(turn.send(Box::pin(lines))))
+        Ok(Response::new(Box::pin(lines)))
     }
 
     async fn archive_campaign(

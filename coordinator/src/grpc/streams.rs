@@ -1,6 +1,6 @@
-//! Streams of large answers: reports, exports, archives and backups. Each keeps a reader of the
-//! database or the whole answer in memory, so only a few are made at a time, and a client that does
-//! not read its stream loses it.
+//! Streams of large answers: reports, archives and backups. Each keeps a reader of the database, the
+//! whole answer in memory or a copy on the disk, so only a few are made at a time, and a client that
+//! does not read its stream loses it. Exports keep nothing between their pages and may be paused.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use futures_util::stream::unfold;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::task::JoinSet;
 use tokio::time::timeout;
 use tokio_stream::{Stream, StreamExt};
 use tonic::Status;
@@ -58,7 +59,8 @@ impl Turn {
     ) -> Large<T> {
         let Self { permit, patience } = self;
         let (sender, receiver) = mpsc::channel(1);
-        let sending = tokio::spawn(async move {
+        let mut sending = JoinSet::new();
+        sending.spawn(async move {
             let _permit = permit;
             while let Some(message) = messages.next().await {
                 // A client that has disconnected needs no further messages.
@@ -68,17 +70,18 @@ impl Turn {
             }
             true
         });
-        let state = (receiver, Some(sending));
-        Box::pin(unfold(state, move |(mut receiver, sending)| async move {
+        let state = (receiver, sending);
+        Box::pin(unfold(state, move |(mut receiver, mut sending)| async move {
             if let Some(message) = receiver.recv().await {
                 return Some((message, (receiver, sending)));
             }
-            let was_sent = sending?.await.unwrap_or(false);
+            // The task has ended; there is none after its failure was reported.
+            let was_sent = sending.join_next().await.is_none_or(|sent| sent.unwrap_or(false));
             let cut_off = Status::aborted(format!(
                 "send the rest: it was not read for {} s; try again",
                 patience.as_secs_f64()
             ));
-            (!was_sent).then_some((Err(cut_off), (receiver, None)))
+            (!was_sent).then_some((Err(cut_off), (receiver, sending)))
         }))
     }
 }

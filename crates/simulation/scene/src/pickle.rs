@@ -264,7 +264,7 @@ impl Machine<'_> {
                     self.append([item])?;
                 }
                 b'e' => {
-                    let items = self.to_mark()?;
+                    let items = self.since_mark()?;
                     self.append(items)?;
                 }
                 b'Q' => self.storage()?,
@@ -273,7 +273,7 @@ impl Machine<'_> {
                 0x89 => self.stack.push(Value::Bool(false)),
                 b'(' => self.stack.push(Value::Mark),
                 b't' => {
-                    let items = self.to_mark()?;
+                    let items = self.since_mark()?;
                     self.tuple(items)?;
                 }
                 b')' => self.stack.push(Value::Tuple(Rc::new([]))),
@@ -339,7 +339,7 @@ impl Machine<'_> {
         Ok(line)
     }
 
-    fn to_mark(&mut self) -> Result<Vec<Value>, String> {
+    fn since_mark(&mut self) -> Result<Vec<Value>, String> {
         let mark = self.stack.iter().rposition(|value| matches!(value, Value::Mark));
         let items = self.stack.split_off(mark.ok_or("values have no start mark")? + 1);
         self.stack.pop();
