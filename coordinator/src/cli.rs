@@ -248,7 +248,6 @@ mod tests {
             "thresholds",
             "export",
             "up",
-            "why",
             "launch slurm",
         ] {
             let subcommand = |command: &clap::Command, word| command.find_subcommand(word).cloned();

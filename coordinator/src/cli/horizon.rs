@@ -120,15 +120,7 @@ fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
 /// Returns the largest number of actions of an answer, from the policy's description. The error is
 /// a clause for a message.
 async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<usize, Problem> {
-    let address = spec.policy.endpoint.as_str();
-    if ["ws", "vla-eval"].iter().any(|scheme| address.starts_with(scheme)) {
-        let route = format!("{}={address}", spec.policy.name);
-        return Err(Problem::Refused(format!(
-            "workers reach such a server through a gateway: start `policy-gateway --route {route}` \
-             and give the gateway's address"
-        )));
-    }
-    let endpoint = parse_endpoint(address);
+    let endpoint = parse_endpoint(&spec.policy.endpoint);
     let endpoint = endpoint.map_err(|error| Problem::NoAnswer(error.to_string()))?;
     let peer = Peer::new(endpoint.clone(), access, ServerKind::Policy, SETTINGS);
     let connection = access.connect_lazy(endpoint);

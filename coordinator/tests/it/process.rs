@@ -287,7 +287,8 @@ async fn invalid_commands_exit_with_2_and_write_nothing() {
     check("--levels", "r0", &["r0", "r0.001 to r100"]);
     check("--configs", "x", &["`x`", "up to 999"]);
     check("--name", "a/b", &["a/b"]);
-    check("--endpoint", "localhost", &["localhost", "http://"]);
+    check("--endpoint", "localhost", &["`policy.endpoint`", "http://"]);
+    check("--endpoint", "ws://127.0.0.1:8000", &["policy-gateway --route NAME=ws://"]);
     check("--replicates", "0", &["replicates"]);
     check("--realisation", "other", &["matched, reference"]);
     check("--execution", "dawdle:3", &["no model `dawdle`", "hold:N"]);

@@ -14,6 +14,9 @@ use crate::simulation::{Simulation, action_frame};
 use crate::start::Start;
 use crate::state::{Snapshot, State, picture_size, shaped};
 
+/// The expert's next actions in each environment, and whether it makes progress in them.
+type Foreseen<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<bool>>);
+
 /// Total width of all [`READINGS`].
 const READING_WIDTH: usize = 28;
 /// Names and widths of the readings, in order.
@@ -137,11 +140,7 @@ impl Batch {
     /// Returns the actions that the scripted expert takes in each environment's next `steps` steps
     /// if it drives, [environments, steps, 7], NaN after the step that reaches the goal, and
     /// whether the expert makes progress in them, [environments]. Environments remain unchanged.
-    fn foresee<'py>(
-        &self,
-        py: Python<'py>,
-        steps: usize,
-    ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<bool>>)> {
+    fn foresee<'py>(&self, py: Python<'py>, steps: usize) -> PyResult<Foreseen<'py>> {
         let count = self.states.len();
         let mut actions = vec![[f64::NAN; WIDTH]; count * steps];
         let mut progress = vec![false; count];

@@ -33,7 +33,6 @@ const INTERRUPT_WAIT: Duration = Duration::from_secs(2);
 #[pyo3(signature = (
     sources, bddl_files, *, everything = false, into = None, index = None, wheels = None
 ))]
-#[expect(clippy::too_many_arguments, reason = "keyword arguments in Python")]
 pub(crate) fn fetch_assets(
     py: Python<'_>,
     sources: PathBuf,

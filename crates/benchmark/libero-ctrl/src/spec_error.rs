@@ -36,7 +36,8 @@ pub enum SpecError {
     #[error(
         "read campaign specification: `policy.endpoint` is no server's address, write \
          http://HOST:PORT or grpc://HOST:PORT, or over TLS https:// or grpcs://, without a user, a \
-         password and a path"
+         password and a path; a server of openpi or vla-eval is reached through a gateway, as \
+         `policy-gateway --route NAME=ws://HOST:PORT`"
     )]
     Endpoint,
     #[error(

@@ -391,11 +391,8 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
 /// Restricts a database to its owner, creating the file if needed, since SQLite would create it
 /// readable by everybody. Files that SQLite creates beside the database inherit its permissions.
 fn make_private(database: &Path) -> io::Result<()> {
-    if !database.exists() {
-        let mut new = File::options();
-        new.create_new(true).write(true).mode(PRIVATE_MODE);
-        new.open(database)?;
-    }
+    // Fails without write access, which SQLite reports only at the first write.
+    File::options().create(true).append(true).mode(PRIVATE_MODE).open(database)?;
     for suffix in ["", "-wal", "-shm"] {
         let mut path = database.as_os_str().to_owned();
         path.push(suffix);

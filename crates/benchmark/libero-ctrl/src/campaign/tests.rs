@@ -300,7 +300,7 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
     check("nominal", json(r#""some""#), "`some` is not valid; write");
     check("replicates", json("0"), "`replicates` has 0, valid are 1 to 100");
     check("colour", json("1"), "there is no field `colour`");
-    check("policy", json(r#"{"name": "p", "endpoint": "here"}"#), "is `here`");
+    check("policy", json(r#"{"name": "p", "endpoint": "here"}"#), "http://HOST:PORT");
     check("realisation", json(r#""matchd""#), "valid are matched, reference");
 }
 
