@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from simulated_smolvla import BATCHES, CAMERAS, STATE, SimulatedSmolvla
+from random_policy import BATCHES, CAMERAS, SIZES, STATE, RandomPolicy
 
 from rollout_policies import Episode, Observation
 
@@ -28,7 +28,7 @@ HERE = Path(__file__).parent
 END_SECS = 300
 
 
-def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
+def observations(policy: RandomPolicy, count: int) -> list[Observation]:
     """Returns synthetic observations, each of a separate episode."""
     result = []
     for seed in range(count):
@@ -41,7 +41,7 @@ def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
     return result
 
 
-def measure_network(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
+def measure_network(policy: RandomPolicy, batch: int, secs: float) -> dict:
     """Measures the network alone, in this process, batch after batch."""
     batch_observations = observations(policy, batch)
     for _ in range(3):
@@ -89,10 +89,10 @@ def measure_slots(programs: dict, address: str, count: int, secs: int) -> dict:
 def measure_served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dict:
     """Measures the simulated policy behind the Python server, queried directly and through the
     gateway."""
-    command = [sys.executable, str(HERE / "simulated_smolvla.py"), "--device", arguments.device]
-    command += ["--max-batch", str(max_batch)] + ["--tiny"] * arguments.tiny
+    command = [sys.executable, str(HERE / "random_policy.py"), "--device", arguments.device]
+    command += ["--max-batch", str(max_batch), "--size", arguments.size]
     with running(command) as server:
-        route = f"simulated_smolvla=grpc://{server}"
+        route = f"random-{arguments.size}-size=grpc://{server}"
         gateway = [programs["gateway"], "--listen", "127.0.0.1:0", "--route", route]
         with running(gateway) as gateway_address:
             return {
@@ -115,14 +115,14 @@ def main() -> None:
         default=10,
         help="seconds of each measurement of a server; the network alone is measured half as long",
     )
-    parser.add_argument("--tiny", action="store_true", help="a small network, for a CPU")
+    parser.add_argument("--size", choices=SIZES, default="smolvla", help="tiny on a CPU")
     arguments = parser.parse_args()
     candidates = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]
     programs = {
         "gateway": str(arguments.bin / "policy-gateway"),
         "bench": str(next((path for path in candidates if path.exists()), candidates[0])),
     }
-    policy = SimulatedSmolvla(arguments.device, max(BATCHES), arguments.tiny)
+    policy = RandomPolicy(arguments.device, arguments.size, BATCHES)
     model_alone = [measure_network(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]
     on_gpu = policy.device.type == "cuda"
     report = {

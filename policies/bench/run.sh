@@ -2,7 +2,7 @@
 # Times the gateway and a GPU policy of SmolVLA's size behind it:
 #
 #   cargo build --release -p policy-gateway --bin policy-gateway --example bench_gateway
-#   BIN=target/release bash policies/bench/run.sh OUT_DIR [--tiny] [--secs N]
+#   BIN=target/release bash policies/bench/run.sh OUT_DIR [--size tiny] [--secs N]
 #
 # Needs python3 with torch, numpy, grpcio and protobuf, and no network. Writes
 # OUT_DIR/gateway.json (simulated server, no GPU) and OUT_DIR/gpu.json.
