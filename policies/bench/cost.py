@@ -15,6 +15,7 @@ which last the whole budget. LeRobot's ten rollouts of a task last as long as th
 from __future__ import annotations
 
 import argparse
+import atexit
 import contextlib
 import json
 import os
@@ -46,6 +47,7 @@ class Card:
             query = "--query-gpu=utilization.gpu,memory.used"
             command = [program, query, "--format=csv,noheader,nounits", "-lms", "500", "-i", "0"]
             self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            atexit.register(self.process.kill)
             threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
@@ -105,21 +107,21 @@ def arm(name: str, size: str, arguments: argparse.Namespace, folder: Path):
             last = [*loop, "lerobot", "--size", size, *loop_flags]
             last += ["--envs", str(arguments.envs)] + ["--sync"] * (name == "lerobot-sync")
         else:
-            program = {kind: str(arguments.bin / kind) for kind in ("coordinator", "worker")}
+            programs = ("coordinator", "policy-gateway", "worker")
+            coordinator, gateway, worker = (str(arguments.bin / each) for each in programs)
             batches = ["--max-batch", str(arguments.max_batch)]
             server = [*python, str(HERE / "random_policy.py"), *server_flags, *batches]
             policy = f"random-{size}-size"
             route = f"{policy}=grpc://{stack.enter_context(running(server))}"
-            gateway = [str(arguments.bin / "policy-gateway"), "--listen", "127.0.0.1:0"]
-            gateway_address = stack.enter_context(running([*gateway, "--route", route]))
-            serving = [program["coordinator"], "serve", "--listen", "127.0.0.1:0"]
-            data = ["--data", str(folder / "data")]
-            coordinator = f"http://{stack.enter_context(running([*serving, *data])).strip(',')}"
-            create = [program["coordinator"], "campaign", "create", "--connect", coordinator]
-            create += ["--name", "cost", "--policy", policy, "--tasks", ",".join(SUITES)]
-            create += ["--endpoint", f"http://{gateway_address}", "--axes", "none"]
-            subprocess.run([*create, "--configs", "0-9", "--assets", "libero"], check=True)
-            last = [program["worker"], "--connect", coordinator, "--slots", str(arguments.slots)]
+            listen = ["--listen", "127.0.0.1:0"]
+            endpoint = stack.enter_context(running([gateway, *listen, "--route", route]))
+            serving = [coordinator, "serve", *listen, "--data", str(folder / "data")]
+            connect = ["--connect", f"http://{stack.enter_context(running(serving)).strip(',')}"]
+            create = [coordinator, "campaign", "create", *connect, "--name", "cost"]
+            create += ["--policy", policy, "--endpoint", f"http://{endpoint}", "--axes", "none"]
+            create += ["--tasks", ",".join(SUITES), "--configs", "0-9", "--assets", "libero"]
+            subprocess.run(create, check=True)
+            last = [worker, *connect, "--slots", str(arguments.slots)]
         process = subprocess.Popen(last)
         try:
             yield process, execute
@@ -155,7 +157,7 @@ def measure(name: str, size: str, arguments: argparse.Namespace, card: Card) -> 
             time.sleep(0.5)
     if set(windows) != (set(SUITES) if name != "rollout" else {"both"}):
         code = process.returncode
-        raise SystemExit(f"error: {name} has windows {list(windows)} and ended with code {code}")
+        raise RuntimeError(f"{name} has windows {list(windows)} and ended with code {code}")
     inside = sum(windows.values(), [])
     return {
         "arm": name,
@@ -255,8 +257,13 @@ def main() -> None:
         for name in arguments.arms.split(","):
             path = arguments.output / f"{name}-{size}.json"
             began = time.monotonic()
-            if not path.exists():
-                path.write_text(json.dumps(measure(name, size, arguments, card)))
+            try:
+                if not path.exists():
+                    path.write_text(json.dumps(measure(name, size, arguments, card)))
+            except (RuntimeError, SystemExit, subprocess.SubprocessError) as error:
+                # The others still run; the same command repeats only this one.
+                print(f"error: {error}", file=sys.stderr, flush=True)
+                continue
             lines.append(summary(json.loads(path.read_text()), arguments))
             took = time.monotonic() - began
             print(f"{lines[-1]} took {took:.0f} s", file=sys.stderr, flush=True)
