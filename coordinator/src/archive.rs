@@ -49,21 +49,8 @@ pub struct Contents {
     /// Outcomes of the source campaign; `None` if this campaign is not derived from another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
-    /// Archives that were merged into this one; empty if `coordinator merge` did not write it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub merged_from: Vec<MergedArchive>,
     /// Members after the table of contents, in order.
     pub members: Vec<Member>,
-}
-
-/// Archive that was merged into another one.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MergedArchive {
-    pub campaign: String,
-    /// Name and version of the program that wrote the archive.
-    pub program: String,
-    /// SHA-256 of the archive's database, hex.
-    pub database: String,
 }
 
 /// File in an archive.

@@ -32,7 +32,6 @@ mod thresholds;
 mod up;
 mod variant_flags;
 mod watch;
-mod why;
 mod workers;
 
 use std::ffi::OsString;
@@ -97,8 +96,6 @@ enum Command {
     /// Compare two policies, given as campaigns or result files, over the rollouts that both have
     /// run.
     Compare(compare::CompareArguments),
-    /// Diagnose the policy of a campaign without successes, with `policy-gateway doctor`.
-    Why(why::WhyArguments),
     /// Find the minimal subsets of the axes that cause emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
     /// Measure the radius at which each configuration's success turns to failure, and the radius at
@@ -107,9 +104,6 @@ enum Command {
     /// Report the effects of the axes alone and together in a campaign that ran every subset of
     /// them: success by subset, interactions, and each axis's share.
     Interactions(interactions::InteractionsArguments),
-    /// Merge archives of one design, parts of which were run by several coordinators, into one
-    /// archive.
-    Merge(moving::MergeArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Show, write or submit the scripts that run workers and policies on a cluster.
@@ -169,7 +163,6 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
         Ok(()) => return ExitCode::SUCCESS,
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),
-        Err(CommandError::FaultsPrinted) => return ExitCode::FAILURE,
     };
     if terminal::reader_is_gone(&*error) {
         return ExitCode::SUCCESS;
@@ -190,11 +183,9 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Manifest(command) => manifest::manifest(command),
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
-        Command::Why(arguments) => why::why(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Interactions(arguments) => interactions::interactions(arguments).await,
-        Command::Merge(arguments) => moving::merge(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {

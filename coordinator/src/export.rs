@@ -15,8 +15,8 @@ use crate::reading::ReadError;
 /// Rows per database query.
 const PAGE_ROWS: u32 = 1_000;
 
-/// Exported row: the reference's columns in its order, then optional columns: the replicate unless
-/// it is the first, the radius of a placebo, the execution model unless it is `wait`, the protocol
+/// Exported row: the reference's columns in its order, then the replicate and optional columns: the
+/// radius of a placebo, the execution model unless it is `wait`, the protocol
 /// of LIBERO's family or of a suite file, the goal's progress if the worker reported it, and the
 /// prompt of a rollout with a protocol.
 #[derive(Serialize)]
@@ -34,8 +34,7 @@ struct ExportRow<'a> {
     wall_s: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     ik_res_mm: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    replicate: Option<u32>,
+    replicate: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
     placebo_radius: Option<f64>,
     #[serde(skip_serializing_if = "Execution::is_wait")]
@@ -99,7 +98,7 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         policy,
         wall_s: result.wall_secs,
         ik_res_mm: result.ik_residual_mm,
-        replicate: (result.replicate > 0).then_some(result.replicate),
+        replicate: result.replicate,
         placebo_radius: row.placebo_radius.map(Level::radius),
         execution: row.execution,
         protocol: row.protocol,

@@ -8,6 +8,7 @@ mod listing;
 mod moving;
 mod operator;
 mod read;
+mod streams;
 mod worker;
 
 use std::sync::Arc;
@@ -22,6 +23,7 @@ use crate::storage::Storage;
 
 use detached::Detached;
 use operator::OperatorApi;
+use streams::Turns;
 use worker::WorkerApi;
 
 /// Largest accepted message of a worker, bytes. A video chunk takes a quarter of a megabyte, all
@@ -33,14 +35,17 @@ pub(crate) fn services(
     queue: &Arc<Queue>,
     gauges: &Arc<Gauges>,
     storage: Option<&Arc<Storage>>,
+    min_free_bytes: u64,
 ) -> axum::Router {
     let (queue, gauges) = (queue.clone(), gauges.clone());
     let operator = OperatorApi {
         queue: queue.clone(),
         changes: Detached::default(),
         storage: storage.cloned(),
+        turns: Turns::default(),
+        min_free_bytes,
     };
-    let worker = WorkerServiceServer::new(WorkerApi { queue, gauges })
+    let worker = WorkerServiceServer::new(WorkerApi { queue, gauges, min_free_bytes })
         .max_decoding_message_size(MAX_WORKER_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
     let operator = OperatorServiceServer::new(operator)

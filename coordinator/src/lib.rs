@@ -4,7 +4,6 @@
 //! policy.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod access;
 pub mod archive;

@@ -106,7 +106,8 @@ impl Coordinator {
 
     /// Returns the gRPC services, to be called without a socket.
     pub fn services(&self) -> Routes {
-        Routes::from(grpc::services(&self.queue, &Arc::default(), self.storage.as_ref()))
+        let storage = self.storage.as_ref();
+        Routes::from(grpc::services(&self.queue, &Arc::default(), storage, self.min_free_bytes))
     }
 
     /// Serves workers, operators and browsers on `listener` until `shutdown` is ready; then stops
@@ -149,7 +150,7 @@ impl Coordinator {
         background.spawn("the polling of changes for pages", async move {
             notifier.poll_changes().await
         });
-        let calls = grpc::services(&queue, &gauges, storage.as_ref());
+        let calls = grpc::services(&queue, &gauges, storage.as_ref(), self.min_free_bytes);
         if let Some(storage) = storage {
             background.spawn("the task that moves films", mirror::run(queue.clone(), storage));
         }

@@ -9,22 +9,21 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::Duration;
 
 use futures_util::stream::BoxStream;
 use futures_util::{StreamExt, TryStreamExt};
+#[cfg(feature = "s3")]
+use object_store::RetryConfig;
+#[cfg(feature = "s3")]
 use object_store::aws::AmazonS3Builder;
 use object_store::buffered::BufWriter;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
-use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig};
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt};
 use queue::ids::shortened;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 const S3: &str = "s3://";
-/// Retries of one request, and the time limit for all of them.
-const RETRIES: usize = 3;
-const RETRY_FOR: Duration = Duration::from_secs(20);
 /// Size of the parts in which a file is read and passed on, bytes.
 const COPIED_BYTES: usize = 64 * 1024;
 /// Longest quotation of the storage's error message, bytes; responses may have any length.
@@ -65,6 +64,9 @@ pub enum StorageError {
         "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server other than AWS"
     )]
     Location { location: String },
+    #[cfg(not(feature = "s3"))]
+    #[error("use storage {location}: this program was built without the feature `s3`")]
+    NoS3 { location: String },
     #[error("make folder {}: may this user write there?", path.display())]
     Folder { path: PathBuf, source: io::Error },
     #[error("{verb} {key} at storage {location}: {problem}")]
@@ -110,21 +112,8 @@ impl Storage {
         if bucket.is_empty() {
             return Err(unusable());
         }
-        // Installs the crypto provider that tonic uses, too; an error means that it is installed
-        // already.
-        let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
-        let retry = RetryConfig {
-            max_retries: RETRIES,
-            retry_timeout: RETRY_FOR,
-            ..RetryConfig::default()
-        };
-        let store = AmazonS3Builder::from_env()
-            .with_bucket_name(bucket)
-            .with_retry(retry)
-            .build()
-            .map_err(|_| unusable())?;
         Ok(Storage {
-            store: Arc::new(store),
+            store: bucket_store(bucket, location)?,
             prefix: Key::parse(prefix.trim_matches('/')).map_err(|_| unusable())?,
             location: location.to_owned(),
         })
@@ -297,6 +286,28 @@ impl Storage {
             problem: shortened(&transport::innermost(error), QUOTED_BYTES).to_owned(),
         }
     }
+}
+
+/// Opens a bucket.
+#[cfg(feature = "s3")]
+fn bucket_store(bucket: &str, location: &str) -> Result<Arc<dyn ObjectStore>, StorageError> {
+    // Installs the crypto provider that tonic uses, too; an error means that it is installed
+    // already.
+    let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
+    let retry = RetryConfig {
+        max_retries: 3,
+        // For all retries together.
+        retry_timeout: std::time::Duration::from_secs(20),
+        ..RetryConfig::default()
+    };
+    let store = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(retry).build();
+    let store = store.map_err(|_| StorageError::Location { location: location.to_owned() })?;
+    Ok(Arc::new(store))
+}
+
+#[cfg(not(feature = "s3"))]
+fn bucket_store(_: &str, location: &str) -> Result<Arc<dyn ObjectStore>, StorageError> {
+    Err(StorageError::NoS3 { location: location.to_owned() })
 }
 
 impl queue::RemoteStorage for Storage {

@@ -7,9 +7,9 @@ use crate::words::duration_text;
 /// Video size per control step, bytes. Measured: 1.2 to 2.3 thousand in four rollouts of 78 to 111
 /// steps (two tasks, the real assets and the built-in ones).
 const VIDEO_BYTES_PER_STEP: f64 = 2_300.0;
-/// Time to simulate, draw and encode a control step of a video on one core, s: that of a busy core
-/// with sensor corruption. docs/PERFORMANCE.md, "What a film costs", has shorter times.
-const FILMING_SECS_PER_STEP: f64 = 0.12;
+/// Time to simulate, draw and encode a control step of a video on one core, s: the longest in
+/// docs/PERFORMANCE.md, "What a film costs", which is that of sensor corruption.
+const FILMING_SECS_PER_STEP: f64 = 0.045;
 /// Size of a stored action, bytes: seven 32-bit numbers.
 const ACTION_BYTES_PER_STEP: f64 = 28.0;
 /// Fraction of configurations whose outcome simultaneous perturbation changed in the paper: 1,417
@@ -83,7 +83,7 @@ mod tests {
         check(
             "all",
             Some(
-                "videos of all rollouts: up to 8 MB and 6m43s of one core,\n\
+                "videos of all rollouts: up to 8 MB and 2m31s of one core,\n\
                  less for rollouts that reach their goal",
             ),
         );
@@ -91,8 +91,8 @@ mod tests {
             "transitions",
             Some(
                 "videos of configurations whose outcome changes: up to\n  \
-                 1 MB and 1m09s of one core if 17 % change, as in the paper;\n  \
-                 3 MB and 2m17s of one core if 34 % do, the largest share there;\n\
+                 1 MB and 26s of one core if 17 % change, as in the paper;\n  \
+                 3 MB and 51s of one core if 34 % do, the largest share there;\n\
                  until they are filmed, up to 1 MB of actions",
             ),
         );

@@ -267,13 +267,13 @@ async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BT
     let skip = queue.skip_jobs(&name("done"), &skipped).await;
     assert_eq!(skip.expect("skipped"), skipped.len() as u64);
     wait_for_queue_tasks(queue).await;
-    assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
+    assert_eq!(queue.next_film(&pin(), None).await.expect("an answer"), None);
 
     captured.lock().clear();
     let skip = queue.skip_jobs(&job_of_other_campaign.0, &[job_of_other_campaign.1]).await;
     assert_eq!(skip.expect("skipped"), 1);
     wait_for_queue_tasks(queue).await;
-    assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
+    assert_eq!(queue.next_film(&pin(), None).await.expect("an answer"), None);
     let mut view = queue.view().await.expect("a view");
     view.statuses().await.expect("statuses");
     view.workers().await.expect("workers");

@@ -23,22 +23,23 @@ from websockets.asyncio.server import serve
 class SimulatedPolicy:
     """Answers ten actions of noise, drawn from one generator across queries."""
 
-    def __init__(self, received, width):
+    def __init__(self, received, width, keys):
         self.noise = np.random.default_rng()
         self.received = received
         self.width = width
+        self.image_key, self.wrist_key, self.state_key, self.prompt_key = keys.split(",")
 
     def infer(self, observation):
-        if observation["prompt"] == "raise":
+        if observation[self.prompt_key] == "raise":
             raise ValueError("the policy does not like this prompt")
-        images = [observation["observation/image"], observation["observation/wrist_image"]]
-        state = observation["observation/state"]
+        images = [observation[self.image_key], observation[self.wrist_key]]
+        state = observation[self.state_key]
         line = {
             "keys": sorted(observation),
             "images": [[str(image.dtype), *image.shape] for image in images],
             "digests": [hashlib.sha256(image.tobytes()).hexdigest() for image in images],
             "state": [str(state.dtype), *state.tolist()],
-            "prompt": observation["prompt"],
+            "prompt": observation[self.prompt_key],
         }
         print(json.dumps(line), file=self.received, flush=True)
         actions = self.noise.uniform(-1, 1, (10, self.width))
@@ -67,6 +68,12 @@ async def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--received", required=True, help="file of received inputs")
     parser.add_argument("--width", type=int, default=7, help="numbers of an action")
+    parser.add_argument("--port", type=int, default=0, help="0 selects a free port")
+    parser.add_argument(
+        "--keys",
+        default="observation/image,observation/wrist_image,observation/state,prompt",
+        help="keys of scene frame, wrist frame, state and instruction",
+    )
     parser.add_argument("--api-key", help="key that clients must send")
     arguments = parser.parse_args()
 
@@ -77,11 +84,11 @@ async def main():
         return None
 
     with open(arguments.received, "w", encoding="utf-8") as received:
-        policy = SimulatedPolicy(received, arguments.width)
+        policy = SimulatedPolicy(received, arguments.width, arguments.keys)
         served = serve(
             lambda socket: handle(socket, policy, {"simulated": True}),
             "127.0.0.1",
-            0,
+            arguments.port,
             compression=None,
             max_size=None,
             process_request=admit,

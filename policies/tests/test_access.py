@@ -15,7 +15,6 @@ from conftest import (
 )
 
 from rollout_policies import AccessError, UnguardedAddress, serve, start
-from rollout_policies.__main__ import main
 from rollout_policies.access import Tokens, is_loopback, require_guarded
 from rollout_policies.proto import policy_pb2_grpc as pb_grpc
 
@@ -118,14 +117,12 @@ def test_a_configured_gateway_queries_a_server_with_tls_and_tokens(files, guarde
         client.channel.close()
 
 
-def test_the_check_command_works_with_tls_and_tokens(files, guarded, capsys):
-    arguments = ["check", f"https://{guarded}", "--ca", str(files / "ca.pem")]
-    assert main([*arguments, "--token-file", str(files / "operator")]) == 0
-    assert capsys.readouterr().out.endswith("conforms\n")
-    assert main([*arguments, "--token-file", str(files / "viewer")]) == 1
-    assert "a token of role worker or operator" in capsys.readouterr().err
-    assert main(arguments) == 1
-    assert "name a --token-file" in capsys.readouterr().err
+def test_the_gateways_check_works_with_tls_and_tokens(files, guarded):
+    arguments = [f"https://{guarded}", "--ca", str(files / "ca.pem")]
+    assert_gateway_check_passes(*arguments, "--token-file", str(files / "operator"))
+    for refused in ([], ["--token-file", str(files / "viewer")]):
+        with pytest.raises(AssertionError, match="token"):
+            assert_gateway_check_passes(*arguments, *refused)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from conftest import Client, running
 
 from rollout_policies import Description, fake_observation
-from rollout_policies.conformance.probe import to_message
+from rollout_policies.fake import to_message
 
 torch = pytest.importorskip("torch")
 

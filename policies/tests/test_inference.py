@@ -14,7 +14,7 @@ from test_conformance import adapters_with_computed_networks
 
 from rollout_policies import Description, Policy, UnusableActions, fake_observation
 from rollout_policies.adapters import openvla_oft
-from rollout_policies.conformance.probe import to_message
+from rollout_policies.fake import to_message
 from rollout_policies.inference import InferenceThread
 from rollout_policies.proto import policy_pb2 as pb
 

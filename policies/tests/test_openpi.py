@@ -4,6 +4,7 @@ own LIBERO client would send.
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
 
+import contextlib
 import hashlib
 import json
 import subprocess
@@ -102,6 +103,45 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, recei
     assert "pass  a retry gets the same actions" in check.stdout
     prompts = {json.loads(line)["prompt"] for line in received.read_text().splitlines()}
     assert prompts == {"open the middle drawer of the cabinet"}
+
+
+def test_the_check_finds_the_keys_that_a_server_misses_and_names_its_address(program, received):
+    keys = "image,wrist_image_left,proprio,task_instruction"
+    with simulated(received, "--keys", keys) as server:
+        command = [program, "check", f"ws://{server}?execute=10&state=joints&size=128&rotate=0"]
+        check = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert check.returncode == 0, check.stdout + check.stderr
+    found = "image_key=image&wrist_key=wrist_image_left&state_key=proprio"
+    found += "&prompt_key=task_instruction&rotate=0&size=128&state=joints"
+    assert f"write ws://{server}?execute=10&{found} as its route" in check.stdout
+    line = json.loads(received.read_text().splitlines()[0])
+    assert line["keys"] == sorted(keys.split(","))
+    assert line["images"] == [["uint8", 128, 128, 3]] * 2 and len(line["state"]) == 1 + 9
+
+
+def test_the_check_of_a_server_that_is_not_there_names_the_address_as_given(program):
+    command = [program, "check", "ws://127.0.0.1:1?execute=10"]
+    check = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert check.returncode == 1 and "grpc://127" not in check.stderr, check.stderr
+    assert "ws://127.0.0.1:1?execute=10" in check.stderr
+
+
+def test_a_replaced_server_is_recorded_as_another_connection(program, received):
+    def described(client):
+        described = client.describe()
+        settings = {setting.name: setting.value for setting in described.settings}
+        return described.checkpoint, settings.pop("connected since"), settings
+
+    with contextlib.ExitStack() as stack:
+        with simulated(received) as server:
+            route = f"x=ws://{server}?checkpoint=step-7"
+            client = stack.enter_context(client_behind(program, "--route", route))
+            first = described(client)
+            assert first == described(client) and first[0] == "step-7, as its route names it"
+        with simulated(received, "--port", server.rsplit(":", 1)[1]):
+            second = described(client)
+    assert first[1] != second[1]
+    assert (first[0], first[2]) == (second[0], second[2])
 
 
 def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered(program, received):

@@ -5,10 +5,11 @@ import re
 
 import numpy as np
 import pytest
+from conftest import assert_conforms
 
 import rollout_policies
-from rollout_policies import Description, check, fake_observation
-from rollout_policies.conformance.probe import to_message
+from rollout_policies import Description, fake_observation
+from rollout_policies.fake import to_message
 
 PACKAGE = pathlib.Path(__file__).parent.parent
 PAGE = PACKAGE / "README.md"
@@ -34,7 +35,7 @@ def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     actions = client.infer(observation=observation)
     assert actions.shape == (described.horizon, 7)
     assert np.abs(actions).max() <= 1.0
-    check(policy)
+    assert_conforms(policy)
 
 
 def test_public_functions_named_in_the_readme_are_in_all():

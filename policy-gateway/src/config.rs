@@ -196,7 +196,7 @@ mod tests {
         check("expert", "NAME=BACKEND");
         check("=builtin:noop", "letters, digits");
         check("a b=builtin:noop", "letters, digits");
-        check("x=builtin:nope", "noop, expert, expert-with-frames, student, student-randomised");
+        check("x=builtin:nope", "noop, expert, expert-with-frames, student, student-boxes");
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");
         check("x=vla-eval://host", "vla-eval://HOST:PORT");

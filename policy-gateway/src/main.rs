@@ -16,11 +16,12 @@ use anyhow::Context;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use policy_backends::{
     BackendSpec,
+    openpi::OpenpiAddress,
     recorder::{DEFAULT_MAX_BYTES, RecordInto},
 };
 use policy_doctor::{
     command::{CommandError, Compare, Doctor},
-    conformance::{self, Target, scene},
+    conformance::{self, ConformanceError, Target, scene},
 };
 use policy_gateway::{
     config::{self, AccessFiles, Config, RouteName, RouteSpec},
@@ -40,6 +41,9 @@ const SUITES: [&str; 4] = {
     let [a, b, c, d] = scene::TASKS;
     [a.0, b.0, c.0, d.0]
 };
+
+/// Inputs of an openpi server, each of which may have another key.
+const INPUTS: usize = 4;
 
 /// Serves policies to workers: each route maps a policy's name to its back-end.
 #[derive(Debug, Parser)]
@@ -70,10 +74,10 @@ struct Listen {
 #[derive(Debug, Args)]
 struct Serve {
     /// A policy's name and its back-end: grpc://HOST:PORT[/POLICY],
-    /// ws://HOST:PORT (an openpi server), vla-eval://HOST:PORT (a model server
-    /// of vla-eval), builtin:noop, builtin:expert, builtin:student,
-    /// builtin:student-randomised, builtin:student-boxes, student:FILE (weights
-    /// that training exported), or several replicas separated by commas (repeatable)
+    /// ws://HOST:PORT[?NAME=VALUE&…] (an openpi server), vla-eval://HOST:PORT
+    /// (a model server of vla-eval), builtin:noop, builtin:expert, builtin:student,
+    /// builtin:student-boxes, student:FILE (weights that training exported), or
+    /// several replicas separated by commas (repeatable)
     #[arg(
         long = "route",
         value_name = "NAME=BACKEND",
@@ -182,7 +186,7 @@ fn main() -> ExitCode {
     terminal::log("info");
     let done = match arguments.command {
         Some(Command::Check { url, policy, suite, latency, access }) => {
-            let target = |access| Target { url, policy, suite, access };
+            let target = |access| Target { shown: url.clone(), url, policy, suite, access };
             check(target, access, latency.as_deref())
         }
         Some(Command::Compare(compare)) => exit_code_of(compare.run(&|line| print_line(&line))),
@@ -268,18 +272,39 @@ async fn check(
     latency: Option<&Path>,
 ) -> anyhow::Result<ExitCode> {
     let mut target = target(access.access(&[Role::Operator, Role::Worker])?);
-    // Keeps the gateway running until the check ends.
-    let mut front = None;
-    if target.url.starts_with("ws") || target.url.starts_with("vla-eval") {
-        let ClientArguments { ca, token_file } = access;
-        let started = Front::start(&target.url, AccessFiles { ca, token_file }).await?;
+    let is_foreign = target.url.starts_with("ws") || target.url.starts_with("vla-eval");
+    if is_foreign {
         print_line(
             &"checked through a gateway: the server's own protocol does not cover every point",
         );
-        target.url = format!("grpc://{}", started.address);
-        front = Some(started);
     }
-    let conforms = conformance::check(&target, &mut |finding| print_line(finding)).await?;
+    let ClientArguments { ca, token_file } = access;
+    let given = target.shown.clone();
+    let mut keys_left = INPUTS;
+    // The gateway runs until the check ends.
+    let (conforms, front) = loop {
+        let mut front = None;
+        if is_foreign {
+            let access = AccessFiles { ca: ca.clone(), token_file: token_file.clone() };
+            let started = Front::start(&target.shown, access).await?;
+            target.url = format!("grpc://{}", started.address);
+            front = Some(started);
+        }
+        let checked = conformance::check(&target, &mut |finding| print_line(finding)).await;
+        match (checked, target.shown.parse::<OpenpiAddress>()) {
+            // The server's error names the key that it misses.
+            (Err(ConformanceError::Episode { status, .. }), Ok(address))
+                if keys_left > 0 && address.with_key_of(status.message()).is_some() =>
+            {
+                keys_left -= 1;
+                target.shown = address.with_key_of(status.message()).unwrap_or(address).to_string();
+            }
+            (checked, _) => break (checked?, front),
+        }
+    };
+    if target.shown != given {
+        print_line(&format!("its inputs have other keys: write {} as its route", target.shown));
+    }
     print_line(&if conforms { "conforms" } else { "does not conform" });
     if let Some(file) = latency {
         let measured = conformance::latency::measure(&target).await?;

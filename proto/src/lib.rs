@@ -1,13 +1,14 @@
 //! The wire protocols: [`policy`] between workers, gateways and policy servers,
 //! [`coordinator`] between workers, operators and the coordinator. Generated
-//! from the `.proto` files in this crate's folder `rollout`, whose comments are the reference.
+//! from the `.proto` files in this crate's folder `rollout`, whose comments are the reference; a
+//! test compares them with the folder `generated`.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, clippy::all, reason = "generated code")]
+#![allow(clippy::all, reason = "generated code")]
 
 /// `rollout.policy.v1`.
 pub mod policy {
-    tonic::include_proto!("rollout.policy.v1");
+    include!("../generated/rollout.policy.v1.in");
 }
 
 impl policy::DescribeResponse {
@@ -41,7 +42,7 @@ impl policy::DescribeResponse {
 
 /// `rollout.coordinator.v1`.
 pub mod coordinator {
-    tonic::include_proto!("rollout.coordinator.v1");
+    include!("../generated/rollout.coordinator.v1.in");
 }
 
 /// Version of [`policy`], exchanged on `Describe`.

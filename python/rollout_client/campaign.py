@@ -77,7 +77,7 @@ class Campaign:
         and `goal_at_most` the largest number that held at one time."""
         request = wire.ExportRequest(campaign=self._name)
         lines = self._connection.collect(self._connection.operator.Export, request)
-        rows = ({"replicate": 0, "execution": "wait", **json.loads(line.json)} for line in lines)
+        rows = ({"execution": "wait", **json.loads(line.json)} for line in lines)
         return frames.frame(rows, frames.RESULTS)
 
     def jobs(

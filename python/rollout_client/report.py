@@ -25,7 +25,6 @@ CLEAN, COMBINATION = "clean", "combination"
 
 SUCCESS = {
     "policy": TEXT,
-    "replicate": COUNT,
     "level": TEXT,
     "condition": TEXT,
     "successes": COUNT,
@@ -37,7 +36,6 @@ SUCCESS = {
 
 PAIRED = {
     "policy": TEXT,
-    "replicate": COUNT,
     "level": TEXT,
     "n": COUNT,
     "tasks": COUNT,
@@ -82,7 +80,6 @@ CONFIGURATIONS = {
 }
 
 CELLS = {
-    "replicate": COUNT,
     "level": TEXT,
     "condition": TEXT,
     "shared": COUNT,
@@ -120,10 +117,10 @@ class Report:
     warnings: tuple[str, ...]
     #: Warnings about the figures of one policy, each after its label.
     notes: tuple[str, ...]
-    #: A row per policy, replicate, level and condition (`clean` at L0, each axis alone,
+    #: A row per policy, level and condition (`clean` at L0, each axis alone,
     #: `combination`): successes of n rollouts, and rollouts without an outcome.
     success: pd.DataFrame = field(repr=False)
-    #: A row per policy, replicate and level: the protocol's paired measures with the ends of
+    #: A row per policy and level: the protocol's paired measures with the ends of
     #: their 95 % intervals.
     paired: pd.DataFrame = field(repr=False)
     #: A row per policy, replicate, level and configuration, with all its outcomes.
@@ -158,7 +155,7 @@ class Comparison:
     warnings: tuple[str, ...]
     #: Warnings about one policy, each after its label.
     notes: tuple[str, ...]
-    #: A row per replicate, level and condition (`clean` at L0, each axis, `combination`).
+    #: A row per level and condition (`clean` at L0, each axis, `combination`).
     #: `difference_worst` and `difference_best` bound the difference for all possible outcomes of
     #: quarantined rollouts.
     cells: pd.DataFrame = field(repr=False)
@@ -224,19 +221,18 @@ def _source(source: str | Path) -> tuple[str | Path, ...]:
 
 def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for subject in document["reports"]:
-        for nominal in subject["nominal"]:
-            keys = {"replicate": nominal["replicate"], "level": "L0"}
+        policy = subject["label"]
+        if nominal := subject["nominal"]:
             counts = _counts(nominal["count"], nominal["gap"])
-            yield {"policy": subject["label"], **keys, "condition": CLEAN, **counts}
+            yield {"policy": policy, "level": "L0", "condition": CLEAN, **counts}
         for cell in subject["cells"]:
-            keys = {"replicate": cell["replicate"], "level": cell["level"]}
             gaps = cell["completeness"]["gaps"]
             conditions = {axis: alone["count"] for axis, alone in cell["alone"].items()}
             if cell["simultaneous"] is not None:
                 conditions[COMBINATION] = cell["simultaneous"]
             for condition, count in conditions.items():
                 counts = _counts(count, gaps.get(condition))
-                yield {"policy": subject["label"], **keys, "condition": condition, **counts}
+                yield {"policy": policy, "level": cell["level"], "condition": condition, **counts}
 
 
 def _counts(count: Mapping[str, int], gap: Mapping[str, int] | None) -> dict[str, Any]:
@@ -258,7 +254,6 @@ def _paired(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 continue
             yield {
                 "policy": subject["label"],
-                "replicate": cell["replicate"],
                 "level": cell["level"],
                 **measures,
                 **{f"s_{axis}": rate for axis, rate in measures["s_axis"].items()},

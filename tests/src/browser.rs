@@ -8,15 +8,12 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 /// Debian's name of the program.
 pub const CHROMIUM: &str = "chromium";
 /// Timeout of all waits, generous because the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Polling interval of the page.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 pub struct Browser {
@@ -183,16 +180,6 @@ impl Browser {
         let scheme = if screen.is_dark { "dark" } else { "light" };
         let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
         self.command("Emulation.setEmulatedMedia", &json!({ "features": features }));
-    }
-
-    /// Takes a screenshot, PNG.
-    ///
-    /// # Panics
-    /// If the browser returns no picture.
-    pub fn screenshot(&mut self) -> Vec<u8> {
-        let answer = self.command("Page.captureScreenshot", &json!({ "format": "png" }));
-        let data = answer["data"].as_str().expect("a picture");
-        BASE64_STANDARD.decode(data).expect("base64")
     }
 
     /// Returns the errors logged to the console since the last call.

@@ -25,9 +25,6 @@ pub fn primitives(sources: &Sources) -> AssetPack {
 }
 
 /// Opens the pack given by a program's `--assets`, with the files that tasks need.
-///
-/// # Errors
-/// If there is no such pack or its files cannot be fetched.
 pub fn open_pack(
     name_or_path: &str,
     sources: &Sources,

@@ -1,7 +1,6 @@
 //! Helpers shared by the tests under `tests/` and the programs under `src/bin/`.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod browser;
 pub mod chaos;
@@ -9,8 +8,6 @@ pub mod documents;
 pub mod family;
 pub mod fidelity;
 pub mod files;
-pub mod import_cycles;
 pub mod measure;
-pub mod phrases;
 pub mod programs;
 pub mod slurm;

@@ -59,21 +59,9 @@ impl Process {
     /// # Panics
     /// If it cannot be started.
     pub fn worker(coordinator: &str, slots: u32, assets: &str) -> Self {
-        Self::worker_with(coordinator, slots, &["--assets", assets])
-    }
-
-    /// Starts a worker with LIBERO's assets in the look that the built-in students learned.
-    ///
-    /// # Panics
-    /// If it cannot be started.
-    pub fn students_worker(coordinator: &str, slots: u32) -> Self {
-        Self::worker_with(coordinator, slots, &["--assets", "libero", "--look", "mujoco-3.3.3"])
-    }
-
-    fn worker_with(coordinator: &str, slots: u32, scenes: &[&str]) -> Self {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", coordinator, "--slots", &slots.to_string()]);
-        Self::start(command.args(scenes))
+        Self::start(command.args(["--assets", assets]))
     }
 
     /// Starts a program and discards its standard output.

@@ -41,9 +41,6 @@ pub struct Job {
 impl Cluster {
     /// Starts a cluster.
     ///
-    /// # Errors
-    /// If a required program is not installed, or this machine's name has no address.
-    ///
     /// # Panics
     /// If the installed programs do not work.
     pub fn start() -> Result<Self, String> {

@@ -4,13 +4,11 @@
 
 The file is a list of two kinds of entries. A campaign has a "name", its "report" (JSON), and:
 
-- "levels": per level, a row per configuration,
+- "levels": per level, a row per configuration and replicate,
   [suite, task, config, nominal or null, [each axis alone], simultaneous];
 - "nominal": a row per nominal rollout, [suite, task, success];
 - "published": the success rate that the gates compare with;
-- "suites": each suite's name and number;
-- "replicated": per level, a row per configuration and replicate,
-  [suite, task, config, simultaneous].
+- "suites": each suite's name and number.
 
 A comparison of two policies has a "name" and "compared": per row, its "name", "own_directions",
 "difference", "progress" and "pairs": [suite, task, number, A, B, [goal of A, of B],
@@ -47,13 +45,20 @@ def grouped(labels):
     return order
 
 
+def summed(keys, values):
+    """Returns the distinct keys, and the sum of each one's rows."""
+    rows = grouped(keys)
+    return list(rows), np.array([values[indices].sum(axis=0) for indices in rows.values()])
+
+
 class Sample:
     """Rows of numbers, with the groups that a jackknife leaves out. `own_directions`: True if each
-    task has its own directions of perturbation, False if all tasks share each configuration's."""
+    task has its own directions of perturbation, False if all tasks share each configuration's.
+    Rows with the same key, the replicates of a configuration, are added up."""
 
     def __init__(self, keys, values, own_directions=False):
         self.own_directions = own_directions
-        self.x = np.array(values, dtype=float)
+        keys, self.x = summed(keys, np.array(values, dtype=float))
         suites = [suite for suite, _, _ in keys]
         tasks = [(suite, task) for suite, task, _ in keys]
         if any(len({t for t, s in zip(tasks, suites) if s == suite}) < 2 for suite in set(suites)):
@@ -238,15 +243,16 @@ def excess(keys, y, placebo):
     rows = {}
     for key, outcomes in zip(keys, y):
         alone = outcomes[:-1].all()
-        rows[key] = [1, alone and not outcomes[-1], not alone and outcomes[-1], 0, 0, 0]
+        row = [1, alone and not outcomes[-1], not alone and outcomes[-1], 0, 0, 0]
+        rows[key] = np.add(rows.get(key, 0), np.array(row, dtype=float))
     for key, outcomes in zip(*placebo):
         m, chosen = len(outcomes), []
         # Every rollout takes the role of the simultaneous rollout in turn.
         for at in range(m):
             alone = np.delete(outcomes, at).all()
             chosen.append([alone and not outcomes[at], not alone and outcomes[at]])
-        row = rows.setdefault(key, [0] * 6)
-        row[3:] = [1, *np.mean(np.array(chosen, dtype=float), axis=0)]
+        row = [0, 0, 0, 1, *np.mean(np.array(chosen, dtype=float), axis=0)]
+        rows[key] = np.add(rows.get(key, 0), row)
     sample = Sample(list(rows), list(rows.values()))
 
     def estimates(statistic, is_share):
@@ -268,11 +274,13 @@ def excess(keys, y, placebo):
 def directions(keys, simultaneous):
     """Rates by direction, and the p-value from this script's own random permutations."""
     rng = np.random.default_rng(1)
+    replicates = len(keys) / len(set(keys))
+    keys, simultaneous = summed(keys, simultaneous)
     configs = np.array([config for _, _, config in keys])
     tasks = np.unique([suite * 100 + task for suite, task, _ in keys], return_inverse=True)[1]
     names = np.unique(configs)
     weights = (configs[:, None] == names).astype(float)
-    sizes = weights.sum(axis=0)
+    sizes = weights.sum(axis=0) * replicates
 
     def spread(y):
         return ((y @ weights) ** 2 / sizes).sum(axis=-1)
@@ -581,8 +589,9 @@ def components(rows):
 
 def compare_components(campaign, comparison):
     theirs = {row["level"]: row for row in campaign["report"]["components"]}
-    for level, rows in campaign["replicated"].items():
+    for level, rows in campaign["levels"].items():
         where = f"{campaign['name']} {level} components"
+        rows = [[*row[:3], row[5]] for row in rows]
         comparison.check(where, components(rows), theirs.get(level))
 
 
@@ -591,7 +600,7 @@ def compare(campaign, comparison):
     compare_gates(campaign, comparison)
     compare_components(campaign, comparison)
     cells = campaign["report"]["cells"]
-    cells = {cell["level"]: cell for cell in cells if cell["replicate"] == 0}
+    cells = {cell["level"]: cell for cell in cells}
     for level, rows in levels.items():
         placebo = levels.get("L0") if level != "L0" else None
         ours, keys, sim = inference(rows, placebo)

@@ -1,5 +1,4 @@
-//! Allowed dependencies between crates, read from the diagram in docs/ARCHITECTURE.md, and
-//! between the files of each crate.
+//! Allowed dependencies between crates, read from the diagram in docs/ARCHITECTURE.md.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -268,19 +267,4 @@ fn pages_name_only_files_and_tests_that_exist() {
         }
     }
     assert!(missing.is_empty(), "not in the repository: {missing:#?}");
-}
-
-#[test]
-fn no_crate_has_import_cycles_between_its_files() {
-    let metadata = metadata(&["--no-deps"]);
-    let packages = metadata["packages"].as_array().unwrap();
-    let mut found = String::new();
-    for package in packages {
-        let name = package["name"].as_str().unwrap();
-        let manifest = PathBuf::from(package["manifest_path"].as_str().unwrap());
-        for cycle in tests::import_cycles::import_cycles(&manifest.with_file_name("src")).unwrap() {
-            found.push_str(&format!("in {name}:\n{cycle}"));
-        }
-    }
-    assert!(found.is_empty(), "import cycles:\n{found}");
 }

@@ -101,7 +101,8 @@ fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
             let name = &task.name;
             let model = environment.model();
             assert_eq!(task.states.width(), 1 + model.nq() + model.nv(), "{name}");
-            let goal = Goal::resolve(scene, model).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let goal =
+                Goal::resolve(&scene.goal, scene, model).unwrap_or_else(|e| panic!("{name}: {e}"));
             // Each task of a scene gets another of the 50 states.
             environment.load(task.states.get(index * 7 % STATES).unwrap());
             for _ in 0..10 {

@@ -6,6 +6,16 @@ use tests::browser::{self, Browser, Screen};
 use tests::programs::{Campaigns, Process};
 
 const DESK: Screen = Screen { width: 1440, height: 1000, is_dark: false };
+/// JavaScript for the displayed size of the smallest visible letters, pixels.
+const SMALLEST: &str = "(() => { let least = 99;
+    for (const e of document.querySelectorAll('main *')) {
+        const own = [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim());
+        if (!own || e.closest('.unseen') || !e.getClientRects().length) continue;
+        const svg = e.closest('svg');
+        const scale = svg ? svg.clientWidth / svg.viewBox.baseVal.width : 1;
+        least = Math.min(least, parseFloat(getComputedStyle(e).fontSize) * scale);
+    }
+    return least; })()";
 /// JavaScript for the number of finished rollouts on the start page or a campaign's page.
 const DONE: &str = "Number(document.querySelector('.pace')?.innerText.match(/(\\d+) of/)?.[1])";
 
@@ -28,8 +38,17 @@ impl Bench {
         format!("{}{path}", self.campaigns.coordinator.url)
     }
 
-    /// Asserts that the page requested nothing from other origins and logged no errors.
+    /// Asserts that on a phone, a tablet and a desk nothing is cut off or too small to read, and
+    /// that the page requested nothing from other origins and logged no errors.
     fn check(&mut self) {
+        for width in [390, 768, DESK.width] {
+            self.browser.set_screen(Screen { width, ..DESK });
+            self.browser.wait_for(&format!("innerWidth === {width}"));
+            let needed = self.browser.value("document.documentElement.scrollWidth");
+            assert!(needed.as_u64() <= Some(width.into()), "{needed} px wide on {width}");
+            let letters = self.browser.value(SMALLEST);
+            assert!(letters.as_f64() >= Some(11.0), "letters of {letters} px on {width}");
+        }
         let console_errors = self.browser.console_errors();
         assert!(console_errors.is_empty(), "{console_errors:#?}");
         let origin = self.url("/");

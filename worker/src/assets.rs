@@ -355,13 +355,10 @@ fn tasks(arguments: &FetchArguments, sources: &Sources) -> Vec<TaskFiles> {
 }
 
 fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
-    let deadlines = Deadlines::default();
     Ok(if let Some(folder) = &arguments.wheels {
         Origin::wheels(folder.clone())
-    } else if let Some(url) = &arguments.hub {
-        Origin::hub(url, deadlines)?
     } else if let Some(url) = &arguments.index {
-        Origin::index(url, deadlines)?
+        Origin::index(url, Deadlines::default())?
     } else {
         Origin::of_environment()?
     })

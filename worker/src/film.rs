@@ -30,6 +30,8 @@ pub struct Config {
     pub access: Access,
     pub asset_pack_digest: String,
     pub look: Look,
+    /// Campaign whose rollouts are filmed; all campaigns if `None`.
+    pub campaign: Option<String>,
     /// Number of rollouts that are filmed in parallel.
     pub at_a_time: NonZeroUsize,
     /// Seed of the jitter in waits.
@@ -125,6 +127,7 @@ impl Filming<'_> {
                 asset_pack_digest: self.config.asset_pack_digest.clone(),
                 mujoco_version: Simulator::mujoco_version(),
                 look: self.config.look.to_string(),
+                campaign: self.config.campaign.clone().unwrap_or_default(),
             };
             let answer = self.handle.block_on(self.link.next_film(request));
             let answer = answer.map_err(|status| FilmError::Refused {

@@ -7,7 +7,6 @@
 //! a machine runs best.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod actor;
 pub mod args;
@@ -23,6 +22,7 @@ mod memory;
 pub mod message;
 mod observation;
 pub mod parent;
+mod picture;
 pub mod policy;
 pub mod preview;
 pub mod rescue;

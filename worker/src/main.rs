@@ -186,6 +186,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     tracing::info!("filming {} at a time", counted(at_a_time.get() as u64, "rollout"));
     let config = film::Config {
         coordinator: arguments.connect,
+        campaign: arguments.campaign,
         at_a_time,
         access: arguments.access.access(&[Role::Worker])?,
         asset_pack_digest: simulator.pack.digest().to_owned(),

@@ -16,11 +16,12 @@ use tokio::runtime::Runtime;
 use tonic::transport::Endpoint;
 use tonic::{Code, Response, Status};
 use transport::{
-    Access, Connection, Peer, ServerKind, Settings, is_outage, parse_endpoint, status_text,
+    Access, Connection, Peer, ServerKind, Settings, chain, is_outage, parse_endpoint, status_text,
 };
 
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::grpc::with_deadline;
+use crate::message::Assignment;
 
 /// Longest wait for one answer. A policy that compiles its network must do so before it serves.
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
@@ -72,13 +73,10 @@ impl PolicyClient {
             .enable_all()
             .build()
             .map_err(PolicyError::Runtime)?;
-        let connection = {
+        let grpc = {
             let _runtime_context = runtime.enter();
-            access.connect_lazy(address)
+            connect(address, access)?
         };
-        let grpc = GrpcClient::new(connection.map_err(PolicyError::Access)?)
-            .max_decoding_message_size(MAX_MESSAGE_BYTES)
-            .max_encoding_message_size(MAX_MESSAGE_BYTES);
         Ok(Self { endpoint: endpoint.to_owned(), runtime, grpc, peer, answered: None })
     }
 
@@ -163,12 +161,8 @@ impl Actor for PolicyClient {
     }
 
     fn end(&mut self, session: PolicySession<'_>) {
-        let request =
-            EndRequest { policy: session.policy.to_owned(), session: session.session.to_owned() };
-        let mut grpc = self.grpc.clone();
-        if let Err(status) = self.call(END_DEADLINE.min(session.deadline), grpc.end(request)) {
-            tracing::debug!("end of session {:?}: {status}", session.session);
-        }
+        let grpc = self.grpc.clone();
+        self.runtime.block_on(end(grpc, session));
     }
 
     fn infer(
@@ -201,6 +195,30 @@ impl Actor for PolicyClient {
             fault,
         })?;
         Ok(actions.iter().map(|action| action.map(f64::from)).collect())
+    }
+}
+
+/// Ends the session of a rollout whose slot died, so that the policy's capacity is free at once.
+pub(crate) async fn end_session(rollout: &Assignment, access: &Access) {
+    let address = parse_endpoint(&rollout.policy_endpoint).map_err(PolicyError::Endpoint);
+    match address.and_then(|address| connect(with_settings(address), access)) {
+        Ok(grpc) => end(grpc, rollout.policy_session()).await,
+        Err(error) => tracing::debug!("end of session {}: {}", rollout.session, chain(&error)),
+    }
+}
+
+fn connect(address: Endpoint, access: &Access) -> Result<GrpcClient<Connection>, PolicyError> {
+    Ok(GrpcClient::new(access.connect_lazy(address).map_err(PolicyError::Access)?)
+        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(MAX_MESSAGE_BYTES))
+}
+
+async fn end(mut grpc: GrpcClient<Connection>, session: PolicySession<'_>) {
+    let request =
+        EndRequest { policy: session.policy.to_owned(), session: session.session.to_owned() };
+    let deadline = END_DEADLINE.min(session.deadline);
+    if let Err(status) = with_deadline(deadline, grpc.end(request)).await {
+        tracing::debug!("end of session {:?}: {status}", session.session);
     }
 }
 

@@ -8,13 +8,14 @@ mod sheet;
 
 use std::path::{Path, PathBuf};
 
-use image::RgbImage;
 use libero_ctrl::{Axis, Condition, ManifestRow, paraphrase};
 use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
 
 pub use request::Request;
 use request::{LEVELS, MOTION_STEPS, motion, row};
 use sheet::Sheet;
+
+use crate::picture::Picture;
 
 const PRESETS: u16 = 10;
 /// Cells per row of a sheet of presets.
@@ -39,7 +40,7 @@ pub fn write(
 ) -> Result<Vec<PathBuf>, PreviewError> {
     std::fs::create_dir_all(folder).map_err(|error| write_error(folder, &error))?;
     let mut written = Vec::new();
-    let mut save = |name: String, picture: &RgbImage| {
+    let mut save = |name: String, picture: &Picture| {
         let path = folder.join(name);
         picture.save(&path).map_err(|error| write_error(&path, &error))?;
         written.push(path);
@@ -62,9 +63,9 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
 
 /// Renders the grid: one row for each axis alone and one for the combination, with a column for
 /// the nominal scene and for each severity. The language axis is shown as text.
-fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, PreviewError> {
+fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, PreviewError> {
     let rows = Axis::ALL.map(Condition::Single).into_iter().chain([Condition::Combination]);
-    let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME);
+    let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME as usize);
     for condition in rows {
         if condition == Condition::Single(Axis::Language) {
             sheet.add_text("language: nominal", &request.task.instruction());
@@ -92,8 +93,8 @@ fn presets_sheet(
     simulator: &mut Simulator,
     request: &Request,
     axis: Axis,
-) -> Result<RgbImage, PreviewError> {
-    let mut sheet = Sheet::new(PRESETS_PER_ROW, FRAME);
+) -> Result<Picture, PreviewError> {
+    let mut sheet = Sheet::new(PRESETS_PER_ROW, FRAME as usize);
     for config in 0..PRESETS {
         let row = row(request.task, Condition::Single(axis), Some(request.level), config);
         let label = format!("{axis} {} c{config:02}", request.level);
@@ -109,7 +110,7 @@ fn picture(
     simulator: &mut Simulator,
     request: &Request,
     row: &ManifestRow,
-) -> Result<RgbImage, PreviewError> {
+) -> Result<Picture, PreviewError> {
     let mut episode = simulator.begin(row, request.realisation)?;
     episode.settle()?;
     let has_motion =
@@ -122,12 +123,9 @@ fn picture(
     Ok(upright_view(&mut episode)?)
 }
 
-fn upright_view(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
+fn upright_view(episode: &mut Episode<'_>) -> Result<Picture, SimError> {
     let camera = CameraRequest { name: "agentview".to_owned(), width: FRAME, height: FRAME };
     let request = ObservationRequest { cameras: vec![camera], privileged: false };
     let frame = episode.observe(&request)?.frames.remove(0);
-    let mut picture =
-        RgbImage::from_raw(FRAME, FRAME, frame.rgb).expect("a frame of the requested size");
-    image::imageops::flip_vertical_in_place(&mut picture);
-    Ok(picture)
+    Ok(Picture::upright(&frame))
 }

@@ -5,6 +5,7 @@
 
 mod capture;
 mod error;
+mod npy;
 mod own_task;
 mod recorded;
 mod trace;
@@ -91,6 +92,9 @@ pub fn run(
 ) -> Result<Finished, SingleError> {
     let (assignment, output) = (request.assignment, request.output);
     fs::create_dir_all(output).map_err(|source| write_error(output, source))?;
+    if output.join("result.json").exists() {
+        terminal::complain(&format!("replacing the rollout in {}", output.display()));
+    }
     let mut capture = Capture::new(request.renders_ends);
     let stage = match &request.files {
         None => Stage::of_the_protocol(simulator),

@@ -34,11 +34,11 @@ pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     build(root, &["--bins"])
 }
 
-/// Builds the named programs and returns their folder.
+/// Builds the named programs without optional features, and returns their folder.
 pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building {}", names.join(", "));
     let bins: Vec<&str> = names.iter().flat_map(|name| ["--bin", name]).collect();
-    build(root, &bins)
+    build(root, &[&["--no-default-features"], &bins[..]].concat())
 }
 
 /// Builds one program and returns its path. Cargo selects the whole workspace's features, so that
@@ -46,12 +46,6 @@ pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     let programs = build(root, &["--quiet", "--bin", name])?;
     Ok(programs.join(name))
-}
-
-/// Builds one program with the release profile and returns its path.
-pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf> {
-    let programs = build(root, &["--quiet", "--release", "--bin", name])?;
-    Ok(programs.with_file_name("release").join(name))
 }
 
 /// Builds the named programs with the release profile, and returns their folder.

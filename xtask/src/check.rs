@@ -12,9 +12,6 @@ use crate::setup;
 use crate::step::step;
 
 /// Runs every part, and stops at the first failure.
-///
-/// # Errors
-/// If a part fails; the error includes its output.
 pub(crate) fn run(root: &Path) -> Result<()> {
     let cache = setup::run(root)?;
     println!("Checking");
@@ -37,9 +34,6 @@ pub(crate) fn run(root: &Path) -> Result<()> {
 }
 
 /// Builds rustdoc of all crates; a broken link or a malformed example is an error.
-///
-/// # Errors
-/// If rustdoc warns.
 pub(crate) fn documentation(root: &Path) -> Result<&'static str> {
     let mut doc = cargo(root);
     doc.args(["doc", "--workspace", "--no-deps", "--quiet", "--document-private-items"]);

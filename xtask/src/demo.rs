@@ -11,8 +11,6 @@ use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use libero_ctrl::{Condition, RolloutId};
-use paired::{Outcome, Record, Records, Transition};
 
 use crate::cargo::build_only;
 use crate::process::{capture, run as run_command};
@@ -22,16 +20,14 @@ use crate::step::step;
 
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 const CAMPAIGN: &str = "demo";
-/// Look that the demo's policy learned.
-const LOOK: &str = "mujoco-3.3.3";
 /// Name of the demo's policy.
 const POLICY: &str = "student";
 /// Tasks whose first configurations have an emergent failure and a compensated success, in the
 /// fewest control steps that `examples/student` has for such a pair.
-const TASKS: &str = "libero_spatial/0,libero_goal/6";
+const TASKS: &str = "libero_object/3,libero_goal/1";
 const CONFIGURATIONS: &str = "0";
 /// Task with an emergent failure, for the demo's own test.
-const EMERGENT: &str = "libero_spatial/0";
+const EMERGENT: &str = "libero_object/3";
 /// Address of the live page when the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 
@@ -55,8 +51,13 @@ pub(crate) struct Options {
 /// Runs the demo and prints the locations of its results.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let start = Instant::now();
-    setup::run(root)?;
-    let programs = build_only(root, &PROGRAMS)?;
+    let cache = setup::linker(root)?;
+    // The build needs only the linker's library; the rest is downloaded meanwhile.
+    let programs = std::thread::scope(|threads| {
+        let downloads = threads.spawn(|| setup::sources(&cache));
+        let programs = build_only(root, &PROGRAMS)?;
+        downloads.join().expect("the thread does not panic").map(|()| programs)
+    })?;
     let running = Instant::now();
     let dir = fresh_folder(&root.join("demo-data"))?;
     campaign(&programs, &dir, options)?;
@@ -108,16 +109,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     let slots = options.slots.to_string();
     let mut worker = start_one(
         "worker",
-        &[
-            "--connect",
-            &coordinator.url,
-            "--slots",
-            &slots,
-            "--assets",
-            &options.assets,
-            "--look",
-            LOOK,
-        ],
+        &["--connect", &coordinator.url, "--slots", &slots, "--assets", &options.assets],
     )?;
     #[rustfmt::skip]
     run_command(&mut call(&[
@@ -136,19 +128,14 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     let results_arg = results.to_string_lossy();
     println!();
     run_command(&mut call(&["export", CAMPAIGN, "--format", "jsonl", "--output", &results_arg]))?;
-    let transitions = transitions(&results)?;
     step("videos of transitions", || film(programs, &coordinator, options).map(|()| "made"))?;
     println!();
     println!("report    {}", page.display());
-    println!("page      http://{PAGE_ADDRESS}/ while this command runs:");
+    println!("page      http://{PAGE_ADDRESS}/campaigns/{CAMPAIGN} while this command runs:");
     println!("          {}", serve_again(programs, &data));
     println!("results   {}", results.display());
     println!("database  {}", data.display());
     println!("logs      {}", dir.display());
-    for (transition, id) in transitions {
-        let address = format!("http://{PAGE_ADDRESS}/campaigns/{CAMPAIGN}/configurations/{id}");
-        println!("{:<12} {address}", transition.name());
-    }
     Ok(())
 }
 
@@ -176,47 +163,8 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
 fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
     let mut worker = Command::new(programs.join("worker"));
     worker
-        .args(["film", "--assets", &options.assets, "--look", LOOK])
+        .args(["film", "--assets", &options.assets])
         .args(["--connect", &coordinator.url])
         .args(["--at-a-time", &options.slots.to_string()]);
     capture(&mut worker).map(drop)
-}
-
-/// Returns the configurations with a transition, each by the id of its rollout under simultaneous
-/// perturbations.
-fn transitions(results: &Path) -> Result<Vec<(Transition, RolloutId)>> {
-    let text =
-        std::fs::read_to_string(results).with_context(|| format!("read {}", results.display()))?;
-    let record = |line: &str| {
-        let row: ResultRow = serde_json::from_str(line)?;
-        Ok(Record {
-            id: row.rollout_id,
-            replicate: 0,
-            init_id: row.init_id,
-            outcome: match row.success {
-                true => Outcome::Success,
-                false => Outcome::Failure,
-            },
-        })
-    };
-    let records: Result<Vec<_>, serde_json::Error> = text.lines().map(record).collect();
-    let records = Records::new(&records.context("read the results")?)?;
-    let mut changed = Vec::new();
-    for unit in records.configurations() {
-        let Some(transition @ (Transition::Emergent | Transition::Compensated)) = unit.transition()
-        else {
-            continue;
-        };
-        let id = RolloutId::perturbed(unit.task, Condition::Combination, unit.level, unit.config);
-        changed.push((transition, id.context("name a configuration")?));
-    }
-    Ok(changed)
-}
-
-/// Line of the exported results.
-#[derive(serde::Deserialize)]
-struct ResultRow {
-    rollout_id: RolloutId,
-    init_id: u16,
-    success: bool,
 }

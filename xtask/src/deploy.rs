@@ -1,12 +1,11 @@
-//! Schemas of Kubernetes and CycloneDX, for the tests of `deploy` and of releases.
+//! Schemas of Kubernetes, for the tests of `deploy`.
 
 use std::path::{Path, PathBuf};
 
 use crate::step::step;
 use crate::venv::environment;
 
-const PACKAGES: [&str; 2] =
-    ["kubernetes-validate==1.37.0", "cyclonedx-python-lib[json-validation]==11.12.0"];
+const PACKAGES: [&str; 1] = ["kubernetes-validate==1.37.0"];
 
 /// Returns an interpreter with the schemas; `None` if they cannot be installed, in which case the
 /// tests report that they are skipped.

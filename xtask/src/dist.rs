@@ -1,13 +1,8 @@
-//! `cargo xtask dist`: an archive of the programs with everything that they need except glibc, and
-//! a container image made from it.
+//! `cargo xtask dist`: an archive of the programs with everything that they need except glibc.
 
 mod archive;
 mod bare_root;
-mod bill;
 mod check;
-mod components;
-mod crates;
-mod image;
 mod licences;
 mod native;
 mod release;
@@ -19,10 +14,10 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use crate::cargo::{build_programs, build_released_programs};
-use crate::deploy;
-use crate::process::capture;
+use crate::process::{capture, run as run_command};
 use crate::setup;
 
+pub(crate) use archive::digest;
 pub(crate) use check::test;
 use release::PROGRAMS;
 
@@ -32,10 +27,10 @@ pub(crate) struct Options {
     /// `dev` packs programs of the development profile, to try the packing itself.
     #[arg(long, default_value = "release")]
     profile: Profile,
-    /// Also makes a container image; needs Debian's `buildah`.
-    #[arg(long)]
-    image: bool,
-    /// Folder of the archive and the image. [default: target/dist]
+    /// Also builds a container image, with this program: `podman`, `docker` or `buildah`.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, default_missing_value = "podman")]
+    image: Option<String>,
+    /// Folder of the archive. [default: target/dist]
     #[arg(long)]
     output: Option<PathBuf>,
 }
@@ -47,14 +42,11 @@ enum Profile {
 }
 
 /// Makes the archive, tests it in a bare root, and prints its path.
-///
-/// # Errors
-/// If a release has uncommitted changes, a part is unavailable, the archive would be incomplete, or
-/// its programs do not run.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     if options.profile == Profile::Release {
         refuse_uncommitted_changes(root)?;
+        licences::tool(root)?;
     }
     let programs = match options.profile {
         Profile::Release => build_released_programs(root, &PROGRAMS)?,
@@ -63,11 +55,13 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let output = options.output.clone();
     let output = output.unwrap_or_else(|| root.join("target/dist"));
     let archive = archive::make(root, &cache, &programs, &output)?;
-    check::check_archive(root, &archive, deploy::schemas(&cache).as_deref())?;
+    check::check_archive(root, &archive)?;
     archive::describe(&archive.file)?;
-    if options.image {
-        let image = image::make(root, &archive)?;
-        archive::describe(&image)?;
+    if let Some(program) = &options.image {
+        let mut build = Command::new(program);
+        build.args(["build", "--tag", &format!("rollout:{}", release::VERSION), "--file"]);
+        build.arg(root.join("deploy/container/Containerfile"));
+        run_command(build.arg(output.join(&archive.name)))?;
     }
     Ok(())
 }

@@ -14,9 +14,6 @@ const PACKAGES: [&str; 4] = ["gymnasium==1.4.0", "mypy==2.4.1", "numpy==2.4.6", 
 
 /// Lints the Python sources and checks their types; prints a message if the tools cannot be
 /// installed.
-///
-/// # Errors
-/// If a tool reports a fault; the error includes its output.
 pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     let dir = cache.join("lint-venv");
     let outcome = environment(&dir, &PACKAGES);

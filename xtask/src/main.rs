@@ -4,8 +4,6 @@
 #![forbid(unsafe_code)]
 
 mod bench;
-mod bench_build;
-mod bench_python;
 mod bench_training;
 mod cargo;
 mod check;
@@ -74,9 +72,8 @@ enum Command {
     },
     /// Make the release archive, and test it in a root folder with glibc only.
     Dist(dist::Options),
-    /// Take the pictures of the live page in docs/screenshots.
-    Screenshots,
-    /// Run a benchmark; docs/PERFORMANCE.md and docs/PYTHON.md describe most of them.
+    /// Run a benchmark; docs/PERFORMANCE.md, docs/RELIABILITY.md and docs/PYTHON.md describe
+    /// them.
     #[command(subcommand)]
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
@@ -91,21 +88,6 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// Waiting times for the demo's report, for `.ci/run`, and for the queue's tests after a changed
-    /// line.
-    Build(bench_build::Options),
-    /// The paired report of 62,400 rollouts, six policies with all intervals.
-    Report {
-        /// Use the release profile instead of the development profile.
-        #[arg(long)]
-        release: bool,
-    },
-    /// The simulator on one task, compared with MuJoCo alone.
-    Sim {
-        /// Passed on: --task SUITE/N [--assets PACK_OR_PATH] [--steps N].
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
     /// Our renderer and OpenGL's, in turn on the same scenes: time and agreement.
     Draw {
         /// Passed on: [--tasks SUITE/N,…|all] [--conditions [ID,…]] [--assets
@@ -122,41 +104,11 @@ enum Bench {
     },
     /// The same rollout in this simulator and in the original LIBERO, in turn.
     Compare(bench::Compare),
-    /// This project's environments in Python and the original LIBERO's, in turn.
-    Python(bench_python::Options),
     /// Rollouts for reinforcement learning, in our and the original LIBERO's environments.
     Training(bench_training::Options),
-    /// A whole machine: runs `worker bench`.
-    Machine {
-        /// Passed on: [--assets PACK_OR_PATH] [--task SUITE/N] [--execute K]
-        /// [--slots LIST] [--secs S] [--renderer software|gl].
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
-    /// Memory and start time of slots whose compiled scenes are files.
-    Scenes {
-        /// Passed on: [--slots N] [--tasks SUITE/N,…] [--assets PACK_OR_PATH]
-        /// [--scenes DIR|off] [--python FILE].
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
     /// The coordinator's queue under simulated slots, as a release build.
     Queue {
         /// Passed on: [--jobs N] [--slots N] [--rollout-millis N] [--data DIR].
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
-    /// A million jobs of four campaigns under 2,000 slots over TLS, with a coordinator that is
-    /// killed and restored; a figure shows memory, disk use and times. A release build.
-    Soak {
-        /// Passed on: [--jobs N] [--slots N] [--workers N] [--minutes N] [--figure FILE].
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
-    /// The gateway in front of a simulated policy server, as a release build.
-    Gateway {
-        /// Passed on: [--slots N] [--batch-millis N] [--max-batch N] [--rate N]
-        /// [--secs N] [--rounds N], or `slots --address HOST:PORT`.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
@@ -170,26 +122,15 @@ fn main() -> ExitCode {
         Command::Test { suite, filters } => test::run(&root(), &suite, &filters),
         Command::Wheel { output } => wheels(output.as_deref()),
         Command::Dist(options) => dist::run(&root(), &options),
-        Command::Screenshots => test::screenshots(&root()),
-        Command::Bench(Bench::Build(options)) => bench_build::run(&root(), &options),
-        Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
-        Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
         Command::Bench(Bench::Draw { arguments }) => {
             test::program(&root(), "bench_draw", &arguments)
         }
         Command::Bench(Bench::Rollout { arguments }) => {
             test::program(&root(), "bench_rollout", &arguments)
         }
-        Command::Bench(Bench::Scenes { arguments }) => {
-            test::program(&root(), "bench_scenes", &arguments)
-        }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
-        Command::Bench(Bench::Python(options)) => bench_python::run(&root(), &options),
         Command::Bench(Bench::Training(options)) => bench_training::run(&root(), &options),
-        Command::Bench(Bench::Machine { arguments }) => test::worker_bench(&root(), &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
-        Command::Bench(Bench::Soak { arguments }) => bench_soak(&arguments),
-        Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
     };
     match outcome {
@@ -222,31 +163,6 @@ fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     let mut program = cargo::cargo(&root());
     program.args(["run", "--quiet", "--release", "--package", "coordinator"]);
     program.args(["--example", "bench_queue", "--"]);
-    process::run(program.args(arguments))
-}
-
-/// Runs the coordinator's soak test: the real program under the load of an example.
-fn bench_soak(arguments: &[String]) -> anyhow::Result<()> {
-    let package = ["--release", "--package", "coordinator"];
-    let mut coordinator = cargo::cargo(&root());
-    coordinator.args(["build", "--quiet"]).args(package);
-    process::run(coordinator.args(["--bin", "coordinator"]))?;
-    let mut program = cargo::cargo(&root());
-    program.args(["run", "--quiet"]).args(package);
-    program.args(["--example", "soak", "--"]);
-    process::run(program.args(arguments))
-}
-
-/// Runs the gateway's benchmark, which needs no simulator: the real program under the load of an
-/// example.
-fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
-    let package = ["--release", "--package", "policy-gateway"];
-    let mut gateway = cargo::cargo(&root());
-    gateway.args(["build", "--quiet"]).args(package);
-    process::run(gateway.args(["--bin", "policy-gateway"]))?;
-    let mut program = cargo::cargo(&root());
-    program.args(["run", "--quiet"]).args(package);
-    program.args(["--example", "bench_gateway", "--"]);
     process::run(program.args(arguments))
 }
 

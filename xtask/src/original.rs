@@ -80,12 +80,10 @@ impl Original {
         &self.packages
     }
 
-    /// Returns the command for one of the reference's scripts.
     pub(crate) fn command(&self, script: &str) -> Command {
         self.script(&self.tools.join(script))
     }
 
-    /// Returns the command for any script.
     pub(crate) fn script(&self, script: &Path) -> Command {
         let mut command = Command::new(&self.python);
         command
@@ -136,7 +134,6 @@ fn write_settings(package: &Path, settings: &Path) -> Result<()> {
         .with_context(|| format!("write {}", file.display()))
 }
 
-/// Links the assets into the package.
 fn link(link: &Path, assets: &Path) -> Result<()> {
     if std::fs::read_link(link).is_ok_and(|target| target == assets) {
         return Ok(());

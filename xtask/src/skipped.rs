@@ -20,10 +20,6 @@ const REFERENCE: &str = "/shared/";
 
 /// Prints, from nextest's JUnit report, the documented commands that no test runs, and the skipped
 /// tests with their reasons and number.
-///
-/// # Errors
-/// If a test found no reference data although the folder `shared` exists: a part of the data is
-/// missing or unreadable, or the test searched another folder.
 pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;

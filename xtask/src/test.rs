@@ -153,7 +153,7 @@ impl Tests<'_> {
             Suite::Policies => policies(root, cache, programs)?,
             Suite::Archive => {
                 println!("Testing the release archive, with the programs just built");
-                dist::test(root, cache, programs, deploy::schemas(cache).as_deref())?;
+                dist::test(root, cache, programs)?;
             }
             Suite::Wheels => {
                 println!("Testing the Python packages as wheels");
@@ -307,11 +307,6 @@ fn deny(root: &Path) -> Result<String> {
     }
 }
 
-/// Builds and runs `worker bench`.
-pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
-    program(root, "worker", &[&["bench".to_owned()], arguments].concat())
-}
-
 /// Builds and runs a program. Installs the OpenGL libraries only if the program draws through
 /// OpenGL with these arguments.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
@@ -336,28 +331,6 @@ fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
     }
 }
 
-/// Takes the screenshots of the live page for the documentation.
-pub(crate) fn screenshots(root: &Path) -> Result<()> {
-    setup::run(root)?;
-    step("browser", setup::browser)?;
-    let programs = build_programs(root)?;
-    println!("Taking pictures");
-    let mut program = Command::new(programs.join("screenshots"));
-    program
-        .env("ROLLOUT_PROGRAMS", &programs)
-        .arg("--outcomes")
-        .arg(root.join("examples/openvla_oft/rollouts.jsonl"));
-    program.arg("--output").arg(root.join("docs/screenshots"));
-    run_command(&mut program)
-}
-
-/// Runs the benchmark of the statistics, which needs no simulator.
-pub(crate) fn bench_report(root: &Path, release: bool) -> Result<()> {
-    let mut program = cargo(root);
-    program.args(["run", "--quiet", "--package", "paired", "--example", "bench"]);
-    run_command(program.args(release.then_some("--release")))
-}
-
 #[cfg(test)]
 mod tests {
     use super::draws_through_opengl;
@@ -373,8 +346,6 @@ mod tests {
         assert!(installs_opengl("parity", "--renderer gl"));
         assert!(installs_opengl("parity", "--renderer=gl:1 --reference DIR"));
         assert!(!installs_opengl("parity", "--renderer"));
-        assert!(installs_opengl("worker", "bench --renderer gl"));
-        assert!(!installs_opengl("worker", "bench"));
         assert!(installs_opengl("bench_draw", "--tasks all"));
         assert!(!installs_opengl("bench_draw", "--alone"));
     }

@@ -11,9 +11,6 @@ use crate::process::capture;
 const STAMP: &str = "installed.txt";
 
 /// Creates a virtual environment with these packages, unless a complete environment exists.
-///
-/// # Errors
-/// If the packages cannot be installed.
 pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
     let requirements = packages.join("\n");
     let stamp = dir.join(STAMP);
@@ -28,9 +25,6 @@ pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str>
 }
 
 /// Creates an empty virtual environment, replacing an existing environment.
-///
-/// # Errors
-/// If the environment cannot be created.
 pub(crate) fn new_environment(dir: &Path) -> Result<()> {
     let mut venv = Command::new("python3");
     capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
@@ -47,9 +41,6 @@ pub(crate) fn pip(dir: &Path) -> Command {
 }
 
 /// Returns the folder of an interpreter's installed packages.
-///
-/// # Errors
-/// If the interpreter does not run.
 pub(crate) fn packages(python: &Path) -> Result<PathBuf> {
     let print = "import site; print(site.getsitepackages()[0])";
     capture(Command::new(python).args(["-c", print])).map(PathBuf::from)

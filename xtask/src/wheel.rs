@@ -43,9 +43,6 @@ pub(crate) enum Profile {
 }
 
 /// Installs the build tools of the wheels, and returns the folder of their programs.
-///
-/// # Errors
-/// If the tools cannot be installed.
 pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     let dir = cache.join("wheel-tools");
     step("build tools of the wheels", || environment(&dir, &BUILT_WITH))?;
@@ -107,9 +104,6 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
 }
 
 /// Builds the release wheels, and prints their paths.
-///
-/// # Errors
-/// If a wheel cannot be built, or is too large.
 pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()> {
     for mut wheel in build(root, cache, Profile::Release)? {
         if let (Some(folder), Some(name)) = (output, wheel.file_name()) {
@@ -127,9 +121,6 @@ pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()
 
 /// Creates an environment with this checkout's wheels and the requirements of their tests; returns
 /// its interpreter.
-///
-/// # Errors
-/// If the environment cannot be created.
 pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<PathBuf> {
     let wheels = build(root, cache, profile)?;
     let dir = cache.join("wheel-venv");
@@ -149,9 +140,6 @@ pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<P
 }
 
 /// Tests the installed packages, and with them the training of the student.
-///
-/// # Errors
-/// If the packages cannot be built, or a test fails.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let python = installed(root, cache, Profile::Dev)?;
     let mut pytest = Command::new(&python);

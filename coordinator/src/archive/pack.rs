@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use tar::{Builder, EntryType, Header};
 
 use super::derived::{self, Derived};
-use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member, MergedArchive};
+use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
 
 /// Archive ready to be written: its table of contents and the files of its members.
 #[derive(Debug)]
@@ -30,7 +30,6 @@ pub async fn package(
     campaign: Portable,
     film_path: impl Fn(&str) -> PathBuf,
     source: Option<SourceOutcomes>,
-    merged_from: Vec<MergedArchive>,
 ) -> Result<Package, ArchiveError> {
     let mut members: Vec<(String, PathBuf)> = Vec::new();
     let mut missing = Vec::new();
@@ -57,7 +56,6 @@ pub async fn package(
         campaign: campaign.campaign.name.to_string(),
         spec_digest: campaign.campaign.spec_digest.clone(),
         source,
-        merged_from,
         members: Vec::new(),
     };
     let folder = campaign.folder().to_owned();
@@ -231,7 +229,6 @@ mod tests {
             campaign: "first".to_owned(),
             spec_digest: String::new(),
             source: None,
-            merged_from: Vec::new(),
             members: vec![member],
         };
         let files = vec![path.to_owned()];

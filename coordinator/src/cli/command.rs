@@ -1,6 +1,5 @@
 //! Helpers shared by all commands: coordinator client, error classes and output.
 
-use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -35,9 +34,6 @@ pub(super) enum CommandError {
     Usage(anyhow::Error),
     /// The command failed; exit code 1.
     Failure(anyhow::Error),
-    /// The command found faults and has printed them already; exit code 1 without a further
-    /// message.
-    FaultsPrinted,
 }
 
 /// Prints a line to standard output.
@@ -70,12 +66,6 @@ impl Connection {
     /// An operator's token is never sent to policies.
     pub(super) fn policy_access(&self) -> Result<Access, AccessError> {
         self.access.access(&[Role::Worker])
-    }
-
-    /// Returns the access flags that were given, with their files, to pass to a child process.
-    pub(super) fn access_files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
-        let files = [("--token-file", &self.access.token_file), ("--ca", &self.access.ca)];
-        files.into_iter().filter_map(|(flag, file)| Some((flag, file.as_deref()?)))
     }
 
     /// Returns a client that retries an unreachable coordinator for `retry_for`.

@@ -2,8 +2,12 @@
 
 use clap::{Args, Command};
 use clap_complete::Shell;
+use libero_ctrl::{Axis, Suite};
 
 use super::command::{CommandError, print};
+
+/// Completion of names that the command line does not define.
+const NAMES: &str = include_str!("completions.bash");
 
 #[derive(Args, Debug)]
 pub(super) struct CompletionsArguments {
@@ -18,5 +22,16 @@ pub(super) fn completions(
 ) -> Result<(), CommandError> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut command, "coordinator", &mut script);
-    Ok(print(&String::from_utf8_lossy(&script))?)
+    let mut script = String::from_utf8_lossy(&script).into_owned();
+    if arguments.shell == Shell::Bash {
+        let axes = Axis::ALL.map(Axis::name).join(" ") + " latency metric all none";
+        let suites = Suite::ALL.map(Suite::name).join(" ") + " all";
+        let names = [("AXES", axes.as_str()), ("LEVELS", "L0 L1 L2 L3"), ("SUITES", &suites)];
+        let mut of_names = NAMES.to_owned();
+        for (place, names) in names {
+            of_names = of_names.replace(&format!("\"{place}\""), &format!("\"{names}\""));
+        }
+        script.push_str(&of_names);
+    }
+    Ok(print(&script)?)
 }

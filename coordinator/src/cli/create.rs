@@ -24,9 +24,10 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
+use super::horizon::{self, Asks};
 use super::planning::{self, Planning};
 use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
-use super::{forecast, horizon, stopping};
+use super::{forecast, stopping};
 
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
@@ -103,6 +104,9 @@ pub(super) struct CreateArguments {
     /// smallest detectable differences, and create nothing.
     #[arg(long)]
     dry_run: bool,
+    /// Create the campaign without asking its endpoint for the policy.
+    #[arg(long, conflicts_with_all = ["dry_run", "print_spec"], hide_short_help = true)]
+    no_probe: bool,
     /// Print the specification in JSON, as --spec reads it, and create nothing.
     #[arg(long, conflicts_with = "dry_run")]
     print_spec: bool,
@@ -282,7 +286,12 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     }
     let tasks = campaign.tasks();
     let suites: BTreeSet<&str> = tasks.iter().filter_map(|task| task.split('/').next()).collect();
-    let unknown_length = horizon::check(&spec, suites, &arguments.connection).await?;
+    let asks = match (arguments.no_probe, arguments.dry_run) {
+        (true, _) => Asks::Nothing,
+        (false, true) => Asks::Length,
+        (false, false) => Asks::Policy,
+    };
+    let unknown = horizon::check(&spec, suites, &arguments.connection, asks).await?;
     if arguments.dry_run {
         let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
         let planning_from = arguments.planning_from.as_deref();
@@ -296,7 +305,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_left_out(&spec)?;
         print_placebo(&campaign)?;
         print_stop(&spec, &campaign)?;
-        print_execution(&spec, unknown_length.as_deref())?;
+        print_execution(&spec, unknown.as_deref())?;
         print_line(&forecast::describe(&answer, &campaign.policy))?;
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
@@ -315,7 +324,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     print_line(&format!("campaign {name} {verb}: {total}"))?;
     print_left_out(&spec)?;
     print_stop(&spec, &campaign)?;
-    print_execution(&spec, unknown_length.as_deref())?;
+    print_execution(&spec, unknown.as_deref())?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -325,11 +334,11 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     print_video_estimate(&campaign)
 }
 
-/// Prints `unknown_length`, the warning that the length of the policy's answers is unknown, and
+/// Prints `unknown`, the warning that the policy or the length of its answers is unknown, and
 /// then the execution model of the rollouts unless it is `wait`.
-fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
-    if let Some(unknown_length) = unknown_length {
-        print_line(&wrapped("", 2, unknown_length))?;
+fn print_execution(spec: &CampaignSpec, unknown: Option<&str>) -> Result<(), CommandError> {
+    if let Some(unknown) = unknown {
+        print_line(&wrapped("", 2, unknown))?;
     }
     let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
         return Ok(());

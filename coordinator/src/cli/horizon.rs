@@ -1,24 +1,46 @@
-//! Length of a policy's answers, as its endpoint describes it. A campaign whose execution model
-//! drops every action of an answer is refused at its creation, provided that the policy can be
-//! reached at that time.
+//! A policy as its endpoint describes it. A campaign of a policy that its endpoint does not serve,
+//! or whose execution model drops every action of an answer, is refused at its creation, provided
+//! that the endpoint can be reached at that time.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use libero_ctrl::{CampaignSpec, Condition, Delays, Execution, Level, Rollouts, delay_at};
 use proto::PROTOCOL_VERSION;
 use proto::policy::DescribeRequest;
 use proto::policy::policy_client::PolicyClient;
-use transport::{Access, parse_endpoint};
+use tonic::Code;
+use transport::{Access, Peer, ServerKind, Settings, parse_endpoint};
 
 use super::command::{CommandError, Connection, usage};
 
+/// Names of the flags for a policy server, for messages about failed connections.
+const SETTINGS: Settings =
+    Settings { address: "--endpoint", authority: "--ca", clear: "http://", encrypted: "https://" };
 /// Longest wait for the policy's description. It is short, since a campaign may be created before
 /// its policy is served.
 const DEADLINE: Duration = Duration::from_secs(3);
 
-/// Refuses a campaign if every delay of one of its [`overlap_models`] is at least as long as the
+/// What the endpoint of a campaign's policy is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Asks {
+    /// The policy and, if an execution model depends on it, the length of its answers.
+    Policy,
+    /// The length of the policy's answers, if an execution model depends on it.
+    Length,
+    Nothing,
+}
+
+/// Reason why an endpoint does not describe a policy.
+enum Problem {
+    /// It cannot serve the policy.
+    Refused(String),
+    /// It may serve the policy later.
+    NoAnswer(String),
+}
+
+/// Refuses a campaign if its endpoint serves no such policy, or if every delay of one of its [`overlap_models`] is at least as long as the
 /// policy's answers in one of the suites. Returns a warning if the policy cannot be reached: if its
 /// answers then turn out too short, the first rollout under the campaign's own `overlap` fails,
 /// while rollouts of the latency axis run with an arm that holds still.
@@ -26,25 +48,40 @@ pub(super) async fn check(
     spec: &CampaignSpec,
     suites: impl IntoIterator<Item = &str>,
     connection: &Connection,
+    asks: Asks,
 ) -> Result<Option<String>, CommandError> {
     let models = overlap_models(spec);
-    let Some(longest) = models.last() else {
+    let longest = models.last();
+    if asks == Asks::Nothing || asks == Asks::Length && longest.is_none() {
         return Ok(None);
+    }
+    let policy = &spec.policy;
+    let unknown = |problem: &str| match longest {
+        Some(longest) => Some(unknown_length(spec, longest, problem)),
+        None => {
+            let (name, endpoint) = (&policy.name, &policy.endpoint);
+            terminal::complain(&format!(
+                "policy {name} at {endpoint} does not answer yet ({problem}): its rollouts wait \
+                 until it does; `--no-probe` does not ask"
+            ));
+            None
+        }
     };
     let access = match connection.policy_access() {
         Ok(access) => access,
-        Err(error) => {
-            return Ok(Some(unknown_length(spec, longest, &transport::chain(&error))));
-        }
+        Err(error) => return Ok(unknown(&transport::chain(&error))),
     };
-    let policy = &spec.policy;
     for suite in suites {
         let horizon = match tokio::time::timeout(DEADLINE, horizon(spec, suite, &access)).await {
             Ok(Ok(horizon)) => horizon,
-            Ok(Err(problem)) => return Ok(Some(unknown_length(spec, longest, &problem))),
+            Ok(Err(Problem::NoAnswer(problem))) => return Ok(unknown(&problem)),
+            Ok(Err(Problem::Refused(problem))) => {
+                let (name, endpoint) = (&policy.name, &policy.endpoint);
+                let refused = anyhow!("{problem}; `--no-probe` creates the campaign nevertheless");
+                return Err(usage(refused.context(format!("find policy `{name}` at {endpoint}"))));
+            }
             Err(_) => {
-                let problem = format!("no answer within {} s", DEADLINE.as_secs());
-                return Ok(Some(unknown_length(spec, longest, &problem)));
+                return Ok(unknown(&format!("no answer within {} s", DEADLINE.as_secs())));
             }
         };
         for model in &models {
@@ -82,18 +119,36 @@ fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
 
 /// Returns the largest number of actions of an answer, from the policy's description. The error is
 /// a clause for a message.
-async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<usize, String> {
-    let endpoint = parse_endpoint(&spec.policy.endpoint).map_err(|error| error.to_string())?;
+async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<usize, Problem> {
+    let address = spec.policy.endpoint.as_str();
+    if ["ws", "vla-eval"].iter().any(|scheme| address.starts_with(scheme)) {
+        let route = format!("{}={address}", spec.policy.name);
+        return Err(Problem::Refused(format!(
+            "workers reach such a server through a gateway: start `policy-gateway --route {route}` \
+             and give the gateway's address"
+        )));
+    }
+    let endpoint = parse_endpoint(address);
+    let endpoint = endpoint.map_err(|error| Problem::NoAnswer(error.to_string()))?;
+    let peer = Peer::new(endpoint.clone(), access, ServerKind::Policy, SETTINGS);
     let connection = access.connect_lazy(endpoint);
-    let connection = connection.map_err(|error| transport::chain(&error))?;
+    let connection = connection.map_err(|error| Problem::NoAnswer(transport::chain(&error)))?;
     let request = DescribeRequest {
         protocol_version: PROTOCOL_VERSION,
         policy: spec.policy.name.clone(),
         suite: suite.to_owned(),
     };
     let described = PolicyClient::new(connection).describe(request).await;
-    let described = described.map_err(|status| transport::status_text(&status))?;
-    Ok(described.into_inner().horizon as usize)
+    match described {
+        Ok(described) => Ok(described.into_inner().horizon as usize),
+        Err(status) if status.code() == Code::NotFound => {
+            Err(Problem::Refused(transport::status_text(&status)))
+        }
+        Err(status) => Err(Problem::NoAnswer(match peer.diagnose(&status).await {
+            Some(trouble) => trouble.to_string(),
+            None => transport::status_text(&status),
+        })),
+    }
 }
 
 /// Describes why the length of the answers is unknown, and the consequence.

@@ -79,6 +79,7 @@ forms! {
         endpoint: String = status.policy_endpoint.clone(),
         priority: i32 = status.priority,
         state: &'static str = match status.state() {
+            State::Running | State::Unspecified if is_finished(status) => "finished",
             State::Running | State::Unspecified => "running",
             State::Paused => "paused",
             State::Cancelled => "cancelled",

@@ -1,16 +1,15 @@
-//! `coordinator campaign archive|import` and `coordinator merge`: campaigns as archive files.
+//! `coordinator campaign archive|import`: campaigns as archive files.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use coordinator::archive::{ArchiveError, MOVING_PREFIX, MergedArchive, Unpacked, package, unpack};
+use coordinator::archive::ArchiveError;
 use coordinator::client::Service;
 use coordinator::storage::Storage;
 use proto::coordinator::{ArchiveCampaignRequest, ImportCampaignResponse, ImportChunk};
 use queue::ids::CampaignName;
-use queue::{DATABASE_FILE, MergeError, Merged, merge as merge_campaigns};
 use tempfile::TempDir;
 use terminal::counted;
 use tokio::fs::File;
@@ -46,23 +45,10 @@ pub(super) struct ImportArguments {
     /// The archive, on this machine or at s3://BUCKET/….
     file: PathBuf,
     /// New name of the campaign, if this coordinator already has a campaign of the archived name.
-    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
+    #[arg(long = "as", alias = "name", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
     #[command(flatten)]
     connection: Connection,
-}
-
-#[derive(Args, Debug)]
-pub(super) struct MergeArguments {
-    /// Archives of parts of one design, two or more.
-    #[arg(required = true, num_args = 2.., value_name = "ARCHIVE")]
-    archives: Vec<PathBuf>,
-    /// Archive to write.
-    #[arg(long, value_name = "FILE")]
-    output: PathBuf,
-    /// Name of the merged campaign. [default: the name in the first archive]
-    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
-    name: Option<CampaignName>,
 }
 
 fn campaign_name(name: &str) -> Result<CampaignName, String> {
@@ -123,58 +109,6 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
     ))?)
 }
 
-pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError> {
-    let output = &arguments.output;
-    // The archives are unpacked beside the output file, since its disk needs free space for the
-    // merged archive anyway.
-    let parent_folder = match output.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    let folder = tempfile::Builder::new()
-        .prefix(MOVING_PREFIX)
-        .tempdir_in(parent_folder)
-        .with_context(|| format!("make a folder in {}", parent_folder.display()))?;
-    let mut archives = arguments.archives.iter().enumerate();
-    let Some((_, first)) = archives.next() else {
-        return Ok(());
-    };
-    let mut combined = read_archive(first, &folder, 0).await?;
-    let mut inputs = vec![describe_input(&combined)];
-    let mut merged = Merged::default();
-    let mut repeated = 0;
-    for (number, path) in archives {
-        let next = read_archive(path, &folder, number).await?;
-        inputs.push(describe_input(&next));
-        let into = folder.path().join(format!("merged-{number}"));
-        let name = arguments.name.as_ref();
-        let result = merge_campaigns(&combined.campaign, &next.campaign, &into, name).await;
-        let (campaign, counts) = result.map_err(|error| merge_error(error, first, path))?;
-        repeated += counts.both;
-        merged = counts;
-        move_films(&into, &campaign, [&combined, &next]).await?;
-        combined = Unpacked { campaign, contents: combined.contents };
-    }
-    let folder_of_films = combined.campaign.folder().to_owned();
-    let artifacts = folder_of_films.join(queue::ARTIFACTS_FOLDER);
-    let films = artifacts.join(combined.campaign.campaign.name.as_str());
-    let name = combined.campaign.campaign.name.clone();
-    let package = package(combined.campaign, |film| films.join(film), None, inputs).await;
-    let package = package.map_err(failure)?;
-    let mut file = AtomicFile::create(output)?;
-    package.write(file.writer(), output).map_err(failure)?;
-    file.finish()?;
-    let Merged { quarantined, open, .. } = merged;
-    Ok(print_line(&format!(
-        "merged {} archives into campaign {name}: {} with an outcome, {repeated} outcomes \
-         repeated by later archives; {quarantined} in quarantine, {open} still to run; \
-         wrote {}",
-        arguments.archives.len(),
-        counted(merged.first + merged.second + merged.both, "rollout"),
-        output.display()
-    ))?)
-}
-
 /// Uploads an archive after `first_chunk`, which holds the campaign's new name and the archive's
 /// name, but no data. Every retry of the call starts from the beginning of the file.
 async fn send(
@@ -217,58 +151,4 @@ impl RemoteObject {
             _folder: folder,
         }))
     }
-}
-
-async fn read_archive(
-    path: &Path,
-    folder: &TempDir,
-    number: usize,
-) -> Result<Unpacked, CommandError> {
-    let into = folder.path().join(format!("archive-{number}"));
-    let unpacked = unpack(path, &path.display().to_string(), &into).await;
-    unpacked.map_err(|error| match error {
-        ArchiveError::Read { .. } => usage(error),
-        error => failure(error),
-    })
-}
-
-/// Describes an input archive for the table of contents of the merged archive.
-fn describe_input(archive: &Unpacked) -> MergedArchive {
-    let members = &archive.contents.members;
-    let database = members.iter().find(|member| member.name == DATABASE_FILE);
-    MergedArchive {
-        campaign: archive.contents.campaign.clone(),
-        program: archive.contents.program.clone(),
-        database: database.map_or_else(String::new, |member| member.sha256.clone()),
-    }
-}
-
-/// Moves the films of two archives to their paths in the merged campaign.
-async fn move_films(
-    into: &Path,
-    campaign: &queue::Portable,
-    inputs: [&Unpacked; 2],
-) -> anyhow::Result<()> {
-    for film in campaign.films().await? {
-        let path = into.join(&film.path);
-        let name = path.file_name().unwrap_or_default();
-        let folder = path.parent().unwrap_or(into);
-        std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
-        for input in inputs {
-            let artifacts = input.campaign.folder().join(queue::ARTIFACTS_FOLDER);
-            let from = artifacts.join(input.campaign.campaign.name.as_str()).join(name);
-            if from.is_file() {
-                let moved = std::fs::rename(&from, &path);
-                moved.with_context(|| format!("move film {}", from.display()))?;
-                break;
-            }
-        }
-    }
-    Ok(())
-}
-
-fn merge_error(error: MergeError, first: &Path, second: &Path) -> CommandError {
-    let error = anyhow::Error::from(error);
-    let (first, second) = (first.display(), second.display());
-    failure(error.context(format!("merge {second} with the archives from {first} on")))
 }

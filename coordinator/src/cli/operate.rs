@@ -7,7 +7,7 @@ use clap::Args;
 use coordinator::client::Service;
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::change_campaign_request::Change;
-use proto::coordinator::{ChangeCampaignRequest, DeleteCampaignRequest};
+use proto::coordinator::{CampaignStatus, ChangeCampaignRequest, DeleteCampaignRequest};
 use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -56,12 +56,23 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
         return Err(usage(error.context(format!("delete campaign `{name}`"))));
     }
     let client = arguments.connection.client()?;
+    let before = client.campaign_status(name).await?;
     let request = DeleteCampaignRequest { campaign: name.clone(), confirm: confirmed };
-    let deleted = client.call(request, Service::delete_campaign).await?;
+    let (jobs, results) = match client.call(request, Service::delete_campaign).await {
+        Ok(deleted) => (deleted.jobs, deleted.results),
+        Err(error) => {
+            let exists = |status: &CampaignStatus| status.campaign == *name;
+            if client.list_campaigns().await?.iter().any(exists) {
+                return Err(error.into());
+            }
+            // An earlier try deleted the campaign, and its answer was lost.
+            (before.total, before.committed)
+        }
+    };
     Ok(print_line(&format!(
         "campaign {name} deleted: {}, {} and their files",
-        counted(deleted.jobs, "rollout"),
-        counted(deleted.results, "result")
+        counted(jobs, "rollout"),
+        counted(results, "result")
     ))?)
 }
 

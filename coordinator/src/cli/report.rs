@@ -121,6 +121,11 @@ fn parse_published(text: &str) -> Result<Published, String> {
         .rsplit_once('=')
         .ok_or("write for example openvla=97.1, or libero_goal:openvla=97.1")?;
     let rate = match percent.parse::<f64>() {
+        // No published policy succeeds in less than 1 %.
+        Ok(share) if share > 0.0 && share < 1.0 => {
+            let percent = format!("{:.1}", 100.0 * share);
+            return Err(format!("write a percentage: did you mean {policy}={percent}?"));
+        }
         Ok(percent) if (0.0..=100.0).contains(&percent) => percent / 100.0,
         _ => return Err(format!("`{percent}` is no percentage from 0 to 100")),
     };

@@ -2,8 +2,10 @@
 //! line of at most 79 columns each, and details. `--watch` is implemented in `watch`.
 
 use clap::Args;
+use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
-use proto::coordinator::CampaignStatus;
+use proto::coordinator::{CampaignStatus, ListJobsRequest};
+use terminal::{counted, wrapped};
 
 use super::command::{CommandError, Connection, print_line};
 use super::json;
@@ -69,8 +71,40 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
     let mut text: Vec<String> = campaigns.iter().map(details).collect();
+    if let Some(name) = name {
+        text.extend(failing(&client, name).await?);
+    }
     text.extend(describe_filming(filming(&client).await?));
     Ok(print_line(&text.join("\n"))?)
+}
+
+/// Describes the failed attempts that are charged to rollouts which are not yet in quarantine;
+/// `None` without any. Looks at as many rollouts of each state as one call returns.
+async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, CommandError> {
+    let mut failing = Vec::new();
+    for state in ["queued", "leased"] {
+        let request = ListJobsRequest {
+            campaign: campaign.to_owned(),
+            state: state.to_owned(),
+            limit: u32::MAX,
+            ..ListJobsRequest::default()
+        };
+        let jobs = client.call(request, Service::list_jobs).await?.jobs;
+        failing.extend(jobs.into_iter().filter(|job| job.charged_attempts > 0));
+    }
+    let Some(worst) = failing.iter().max_by_key(|job| job.charged_attempts) else {
+        return Ok(None);
+    };
+    let rollouts = counted(failing.len() as u64, "rollout");
+    let attempts = counted(worst.charged_attempts.into(), "attempt");
+    Ok(Some(wrapped(
+        "  failing      ",
+        15,
+        &format!(
+            "{rollouts} not in quarantine yet; `{}` failed in {attempts}: {}",
+            worst.rollout_id, worst.last_error
+        ),
+    )))
 }
 
 /// Formats the full status of a campaign, one line per quantity.

@@ -3,7 +3,8 @@
 //! Each child is the ordinary program from this program's folder, in a process group of its own, so
 //! that Ctrl-C reaches this process alone. Children are stopped so that none loses its server: the
 //! worker first, which finishes its rollouts or, at a second signal, gives them back; then the
-//! gateway; then the coordinator. If this process is killed, the kernel kills its children.
+//! gateway; then the coordinator. A child that ends unrequested once all are running is started again
+//! with a back-off. If this process is killed, the kernel kills its children.
 //!
 //! `up` belongs to `coordinator` because operators already have it: completions, manual pages and
 //! the release archive include it.
@@ -11,11 +12,12 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
 use libero_ctrl::Look;
+use rollout_types::Waits;
 use rustix::process::{Pid, kill_process};
 use terminal::PARENT_VARIABLE;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
@@ -29,6 +31,8 @@ use super::siblings::sibling;
 
 /// Interval between two polls for an exited child process.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
+/// Time after which an ended program counts as one that worked, and its back-off starts anew.
+const WORKED_FOR: Duration = Duration::from_secs(60);
 /// Width of the program name that prefixes each output line, columns.
 const NAME_COLUMNS: usize = 11;
 /// Default routes: two of the policies that are built into the gateway.
@@ -48,7 +52,7 @@ pub(super) struct UpArguments {
     #[arg(long, value_name = "DIR", default_value = "campaigns")]
     data: PathBuf,
     /// Route of the gateway: a policy's name and its server, as for `policy-gateway --route`;
-    /// repeatable.
+    /// repeatable. It replaces the built-in policies: repeat theirs to keep them.
     #[arg(long = "route", value_name = "NAME=BACKEND", default_values = BUILT_IN)]
     routes: Vec<String>,
     /// Models of objects and rooms: `libero`, fetched as tasks need it, `primitives`, or the
@@ -95,7 +99,7 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
 /// Starts the programs in order and waits for SIGINT or SIGTERM.
 ///
 /// # Errors
-/// If a program cannot be started or exits unrequested.
+/// If a program cannot be started or exits before all are running.
 async fn run(
     arguments: &UpArguments,
     programs: &mut Programs,
@@ -125,7 +129,7 @@ async fn run(
     print_line(&startup_message(arguments, &coordinator, &gateway))?;
     tokio::select! {
         () = requests.next() => Ok(()),
-        error = programs.next_exit() => Err(error),
+        () = programs.keep_running() => Ok(()),
     }
 }
 
@@ -176,8 +180,14 @@ impl Requests {
 /// Running child process and the lines of its standard output.
 struct Program {
     name: &'static str,
+    arguments: Vec<String>,
     child: Child,
     lines: mpsc::UnboundedReceiver<String>,
+    started: Instant,
+    /// Exits in a row soon after a start.
+    failures: u32,
+    /// Time to start an exited program again.
+    restart: Option<Instant>,
 }
 
 /// Child processes in the order in which they were started.
@@ -199,10 +209,29 @@ impl Programs {
         self.start(name, arguments)?;
         let line = self.first_line("listening on ", requests).await?;
         let address = |line: String| line.split([',', ' ']).next().unwrap_or_default().to_owned();
-        Ok(line.map(address))
+        let address = line.map(address);
+        // Started again, the server listens at the same address, even if the port was free to choose.
+        let arguments = self.started.last_mut().map(|program| program.arguments.iter_mut());
+        let listen =
+            arguments.and_then(|mut all| all.by_ref().find(|a| *a == "--listen").and(all.next()));
+        if let (Some(listen), Some(address)) = (listen, &address) {
+            listen.clone_from(address);
+        }
+        Ok(address)
     }
 
     fn start(&mut self, name: &'static str, arguments: Vec<String>) -> anyhow::Result<()> {
+        let (child, lines) = self.spawn(name, &arguments)?;
+        let (started, failures, restart) = (Instant::now(), 0, None);
+        self.started.push(Program { name, arguments, child, lines, started, failures, restart });
+        Ok(())
+    }
+
+    fn spawn(
+        &mut self,
+        name: &'static str,
+        arguments: &[String],
+    ) -> anyhow::Result<(Child, mpsc::UnboundedReceiver<String>)> {
         let program = sibling(name)?;
         let mut child = Command::new(&program)
             .args(arguments)
@@ -217,8 +246,51 @@ impl Programs {
         let (sender, lines) = mpsc::unbounded_channel();
         self.relays.spawn(relay(child.stdout.take(), name, Some(sender)));
         self.relays.spawn(relay(child.stderr.take(), name, None));
-        self.started.push(Program { name, child, lines });
-        Ok(())
+        Ok((child, lines))
+    }
+
+    /// Starts programs that exit again; never returns.
+    async fn keep_running(&mut self) {
+        loop {
+            for index in 0..self.started.len() {
+                self.keep_one_running(index);
+            }
+            tokio::time::sleep(POLL_INTERVAL).await;
+        }
+    }
+
+    fn keep_one_running(&mut self, index: usize) {
+        let program = &mut self.started[index];
+        let exit_text = match (program.restart, program.child.try_wait()) {
+            (None, Ok(None)) => return,
+            (None, Ok(Some(status))) => describe_exit(status),
+            (None, Err(error)) => format!("could not be waited for ({error})"),
+            (Some(at), _) if Instant::now() < at => return,
+            (Some(_), _) => {
+                let (name, arguments) = (program.name, program.arguments.clone());
+                match self.spawn(name, &arguments) {
+                    Ok((child, lines)) => {
+                        let program = &mut self.started[index];
+                        let (started, restart) = (Instant::now(), None);
+                        (program.child, program.lines) = (child, lines);
+                        (program.started, program.restart) = (started, restart);
+                        return;
+                    }
+                    Err(error) => format!("did not start ({})", transport::chain(&*error)),
+                }
+            }
+        };
+        let program = &mut self.started[index];
+        if program.started.elapsed() > WORKED_FOR {
+            program.failures = 0;
+        }
+        program.failures = program.failures.saturating_add(1);
+        let wait = Waits::USUAL.after(program.failures, 0);
+        program.restart = Some(Instant::now() + wait);
+        let (name, secs) = (program.name, wait.as_secs());
+        self.print(&format!(
+            "`{name}` {exit_text}; its last lines, above, say why; starting it again in {secs} s"
+        ));
     }
 
     /// Waits until the program that was started last prints a line that begins with `prefix`, and

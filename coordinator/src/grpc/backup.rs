@@ -1,22 +1,20 @@
 //! Streams a database backup in chunks.
 
-use std::pin::Pin;
-
 use proto::coordinator as wire;
 use queue::Backup;
 use tokio::fs::File;
-use tokio_stream::{Stream, StreamExt};
+use tokio_stream::StreamExt;
 use tokio_util::io::ReaderStream;
 use tonic::Status;
+
+use super::streams::Large;
 
 /// Size of a chunk, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// Chunks of a backup. The backup file is deleted when the stream is dropped: after the last chunk
 /// or when the client disconnects.
-pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::BackupChunk, Status>> + Send>>;
-
-pub(super) async fn chunks(backup: Backup) -> Result<Chunks, Status> {
+pub(super) async fn chunks(backup: Backup) -> Result<Large<wire::BackupChunk>, Status> {
     let file = File::open(backup.path()).await.map_err(unreadable)?;
     let chunks = ReaderStream::with_capacity(file, CHUNK_BYTES);
     Ok(Box::pin(chunks.map(move |chunk| {

@@ -1,9 +1,12 @@
 //! Conversion of errors to gRPC statuses; the code tells the client whether to retry.
 
+use std::path::Path;
+
 use queue::{ArtifactError, QueueError, StoreError};
 use tonic::{Code, Response, Status};
 use transport::chain;
 
+use crate::disk::Room;
 use crate::reading::ReadError;
 
 /// Result of a gRPC handler.
@@ -69,4 +72,18 @@ pub(super) fn artifact_failed(error: ArtifactError) -> Status {
 
 pub(super) fn invalid(error: impl std::fmt::Display) -> Status {
     Status::invalid_argument(error.to_string())
+}
+
+/// Checks that films and archives leave room on the data folder's disk for the results of running
+/// rollouts.
+pub(super) fn check_room(folder: &Path, min_free_bytes: u64, doing: &str) -> Result<(), Status> {
+    let room = Room::measure(folder, min_free_bytes);
+    if room.free_bytes >= room.needed_bytes {
+        return Ok(());
+    }
+    Err(Status::resource_exhausted(format!(
+        "{doing}: the disk of the coordinator's data folder has {} MiB left, which results need; \
+         make room",
+        room.free_bytes >> 20
+    )))
 }

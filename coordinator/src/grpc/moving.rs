@@ -2,7 +2,6 @@
 
 use std::io::{self, Write};
 use std::path::Path;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,14 +11,14 @@ use queue::{AdoptError, CopyError, MOVING_PREFIX, Portable, PortableError, Queue
 use tempfile::TempDir;
 use tokio::io::AsyncWriteExt;
 use tokio::sync::mpsc;
-use tokio_stream::{Stream, StreamExt};
+use tokio_stream::StreamExt;
 use tonic::{Code, Status, Streaming};
 use transport::chain;
 
 use super::detached::Detached;
-use super::failure::{failed, invalid};
+use super::failure::{check_room, failed, invalid};
+use super::streams::Large;
 use crate::archive::{ArchiveError, Package, package, unpack};
-use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 use crate::storage::Storage;
 
 /// Size of a chunk, bytes.
@@ -31,14 +30,12 @@ const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest file name quoted in a message, bytes.
 const MAX_FILE_NAME_BYTES: usize = 200;
 
-pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::ArchiveChunk, Status>> + Send>>;
-
 /// Packs a campaign and returns the archive as a stream.
 pub(super) async fn archive(
     queue: &Arc<Queue>,
     storage: Option<&Storage>,
     name: &CampaignName,
-) -> Result<Chunks, Status> {
+) -> Result<Large<wire::ArchiveChunk>, Status> {
     let data = queue.store().folder();
     let folder = moving_folder(data)?;
     let (copy, films) = queue.copy_campaign(name, folder.path()).await.map_err(copy_failed)?;
@@ -52,7 +49,7 @@ pub(super) async fn archive(
         path if path.exists() => path,
         _ => local_films.join(name),
     };
-    let package = package(copy, film_path, source, Vec::new()).await;
+    let package = package(copy, film_path, source).await;
     let package = package.map_err(archive_failed)?;
     Ok(chunks(package, folder, name))
 }
@@ -80,7 +77,7 @@ async fn fetch_films(
 }
 
 /// Streams an archive, which a blocking thread writes as fast as the client reads.
-fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
+fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Large<wire::ArchiveChunk> {
     let (sender, receiver) = mpsc::channel(MAX_BUFFERED_CHUNKS);
     let archive = format!("of campaign {name}");
     let writing = tokio::task::spawn_blocking(move || {
@@ -138,6 +135,7 @@ pub(super) async fn import(
     queue: &Arc<Queue>,
     changes: &Detached,
     mut chunks: Streaming<wire::ImportChunk>,
+    min_free_bytes: u64,
 ) -> Result<wire::ImportCampaignResponse, Status> {
     let first = next_chunk(&mut chunks).await?;
     let first = first.ok_or_else(|| invalid("import the archive: the upload is empty"))?;
@@ -151,7 +149,7 @@ pub(super) async fn import(
     };
     let folder = moving_folder(queue.store().folder())?;
     let file = folder.path().join("archive");
-    receive(&file, &first.data, &mut chunks).await?;
+    receive(&file, &first.data, &mut chunks, min_free_bytes).await?;
     let unpack_folder = folder.path().join("unpacked");
     let unpacked = unpack(&file, archive, &unpack_folder).await;
     let unpacked = unpacked.map_err(archive_failed)?;
@@ -176,6 +174,7 @@ async fn receive(
     path: &Path,
     first: &[u8],
     chunks: &mut Streaming<wire::ImportChunk>,
+    min_free_bytes: u64,
 ) -> Result<(), Status> {
     let unwritable = |error: io::Error| {
         tracing::error!("failed to write {}: {error}", path.display());
@@ -187,15 +186,7 @@ async fn receive(
     let mut file = tokio::fs::File::create(path).await.map_err(unwritable)?;
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
-        // The space that is still free must be left to running campaigns for their results.
-        let room = Room::measure(folder, DEFAULT_MIN_FREE_MIB << 20);
-        if room.free_bytes < room.needed_bytes {
-            return Err(Status::resource_exhausted(format!(
-                "receive the archive: the disk of the coordinator's data folder has {} MiB left; \
-                 make room",
-                room.free_bytes >> 20
-            )));
-        }
+        check_room(folder, min_free_bytes, "receive the archive")?;
         file.write_all(&chunk.data).await.map_err(unwritable)?;
     }
     file.flush().await.map_err(unwritable)

@@ -1,6 +1,5 @@
 //! The operator's gRPC service.
 
-use std::pin::Pin;
 use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
@@ -17,13 +16,14 @@ use queue::Queue;
 use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, Planned, View};
-use tokio_stream::{Stream, StreamExt};
+use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
 
-use super::backup::{self, Chunks};
+use super::backup;
 use super::detached::Detached;
 use super::failure::{Answer, failed, invalid};
+use super::streams::{Large, Turns};
 use super::{listing, moving, read};
 use crate::export;
 use crate::forecast;
@@ -39,6 +39,8 @@ pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,
     pub(super) changes: Detached,
     pub(super) storage: Option<Arc<Storage>>,
+    pub(super) turns: Turns,
+    pub(super) min_free_bytes: u64,
 }
 
 impl OperatorApi {
@@ -58,10 +60,10 @@ impl OperatorApi {
 
 #[tonic::async_trait]
 impl OperatorService for OperatorApi {
-    type ArchiveCampaignStream = moving::Chunks;
-    type BackupStream = Chunks;
-    type ReportStream = Pin<Box<dyn Stream<Item = Result<wire::ReportPart, Status>> + Send>>;
-    type ExportStream = Pin<Box<dyn Stream<Item = Result<wire::ExportLine, Status>> + Send>>;
+    type ArchiveCampaignStream = Large<wire::ArchiveChunk>;
+    type BackupStream = Large<wire::BackupChunk>;
+    type ReportStream = Large<wire::ReportPart>;
+    type ExportStream = Large<wire::ExportLine>;
 
     async fn create_campaign(
         &self,
@@ -184,23 +186,29 @@ impl OperatorService for OperatorApi {
         &self,
         _: Request<BackupRequest>,
     ) -> Result<Response<Self::BackupStream>, Status> {
+        let turn = self.turns.wait().await?;
         let backup = self.queue.backup().await.map_err(failed)?;
-        Ok(Response::new(backup::chunks(backup).await?))
+        Ok(Response::new(turn.send(backup::chunks(backup).await?)))
     }
 
     async fn report(
         &self,
         request: Request<ReportRequest>,
     ) -> Result<Response<Self::ReportStream>, Status> {
+        let turn = self.turns.wait().await?;
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let mut subject = report::subject(&mut view, &campaign).await.map_err(failed)?;
         let setups = report::setups(&mut view, &campaign).await;
         subject.setups = setups.map_err(failed)?;
-        let json = serde_json::to_vec(&subject);
+        drop(view);
+        let json = tokio::task::spawn_blocking(move || serde_json::to_vec(&subject)).await;
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
-        let parts = json.chunks(REPORT_PART_BYTES).map(<[u8]>::to_vec);
-        let parts: Vec<_> = parts.map(|json| Ok(wire::ReportPart { json })).collect();
-        Ok(Response::new(Box::pin(tokio_stream::iter(parts))))
+        let json = json.map_err(|error| Status::internal(error.to_string()))?;
+        let parts = (0..json.len()).step_by(REPORT_PART_BYTES).map(move |start| {
+            let end = json.len().min(start + REPORT_PART_BYTES);
+            Ok(wire::ReportPart { json: json[start..end].to_vec() })
+        });
+        Ok(Response::new(turn.send(tokio_stream::iter(parts))))
     }
 
     async fn export(
@@ -221,15 +229,18 @@ impl OperatorService for OperatorApi {
         request: Request<ArchiveCampaignRequest>,
     ) -> Result<Response<Self::ArchiveCampaignStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
+        let turn = self.turns.wait().await?;
         let chunks = moving::archive(&self.queue, self.storage.as_deref(), &name).await?;
-        Ok(Response::new(chunks))
+        Ok(Response::new(turn.send(chunks)))
     }
 
     async fn import_campaign(
         &self,
         request: Request<Streaming<wire::ImportChunk>>,
     ) -> Answer<ImportCampaignResponse> {
-        let imported = moving::import(&self.queue, &self.changes, request.into_inner()).await?;
+        let imported =
+            moving::import(&self.queue, &self.changes, request.into_inner(), self.min_free_bytes);
+        let imported = imported.await?;
         Ok(Response::new(imported))
     }
 
@@ -266,6 +277,6 @@ impl OperatorService for OperatorApi {
     }
 }
 
-fn campaign_name(name: &str) -> Result<CampaignName, Status> {
+pub(super) fn campaign_name(name: &str) -> Result<CampaignName, Status> {
     CampaignName::parse(name).map_err(invalid)
 }

@@ -9,11 +9,12 @@ use proto::coordinator::{
     HeartbeatResponse, NextFilmRequest, NextFilmResponse, PutArtifactResponse, RegisterRequest,
     RegisterResponse, ReleaseRequest, ReleaseResponse, SignOffRequest, SignOffResponse,
 };
-use queue::{Assigned, CommitVerdict, Film, Queue, ReleaseVerdict, Upload};
+use queue::{Assigned, CommitVerdict, Film, Queue, ReleaseVerdict};
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::failure::{Answer, artifact_failed, failed, invalid};
+use super::failure::{Answer, artifact_failed, check_room, failed, invalid};
+use super::operator::campaign_name;
 use super::read;
 use crate::gauges::Gauges;
 
@@ -34,6 +35,7 @@ const VIDEO: &str = "video.mp4";
 pub(super) struct WorkerApi {
     pub(super) queue: Arc<Queue>,
     pub(super) gauges: Arc<Gauges>,
+    pub(super) min_free_bytes: u64,
 }
 
 #[tonic::async_trait]
@@ -147,8 +149,16 @@ impl WorkerService for WorkerApi {
     }
 
     async fn next_film(&self, request: Request<NextFilmRequest>) -> Answer<NextFilmResponse> {
-        let pin = read::pin(request.into_inner())?;
-        let next = self.queue.next_film(&pin).await.map_err(failed)?;
+        let request = request.into_inner();
+        let only = match request.campaign.as_str() {
+            "" => None,
+            name => {
+                let mut view = self.queue.view().await.map_err(failed)?;
+                Some(view.campaign(&campaign_name(name)?).await.map_err(failed)?.name)
+            }
+        };
+        let pin = read::pin(request)?;
+        let next = self.queue.next_film(&pin, only.as_ref()).await.map_err(failed)?;
         let (film, left) = next.unzip();
         Ok(Response::new(NextFilmResponse { film: film.map(write_film), left: left.unwrap_or(0) }))
     }
@@ -168,22 +178,18 @@ impl WorkerService for WorkerApi {
             )));
         }
         let mut upload = self.queue.upload(attempt).await.map_err(artifact_failed)?;
-        receive(&mut upload, &first.data, &mut chunks).await?;
+        let mut data = first.data;
+        loop {
+            check_room(self.queue.store().folder(), self.min_free_bytes, "store the film")?;
+            upload.write(&data).await.map_err(artifact_failed)?;
+            match next_chunk(&mut chunks).await? {
+                Some(chunk) => data = chunk.data,
+                None => break,
+            }
+        }
         let path = upload.finish().await.map_err(artifact_failed)?;
         Ok(Response::new(PutArtifactResponse { path }))
     }
-}
-
-async fn receive(
-    upload: &mut Upload<'_>,
-    first: &[u8],
-    chunks: &mut Streaming<wire::ArtifactChunk>,
-) -> Result<(), Status> {
-    upload.write(first).await.map_err(artifact_failed)?;
-    while let Some(chunk) = next_chunk(chunks).await? {
-        upload.write(&chunk.data).await.map_err(artifact_failed)?;
-    }
-    Ok(())
 }
 
 async fn next_chunk(

@@ -14,7 +14,7 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinError;
 use tokio::time::Instant;
 
-/// Most concurrent computations of `compute` over all keys.
+/// Most concurrent computations of `compute`, with the reads that prepare them, over all keys.
 const COMPUTATIONS: usize = 2;
 
 /// Cache of the newest value of each key, for at most `capacity` keys besides those in use.
@@ -91,8 +91,8 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
             return Ok(cached.value.clone());
         }
         let started = Instant::now();
-        let computation = read.await?;
         let permit = self.computing.clone().acquire_owned().await;
+        let computation = read.await?;
         let computed = tokio::task::spawn_blocking(move || {
             let _permit = permit;
             let value = computation()?;
@@ -166,6 +166,23 @@ mod tests {
         (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
         assert_eq!(request().await, Ok(0));
         assert_eq!(begun.load(Ordering::Relaxed), 1);
+    }
+
+    /// Each read occupies a reader of the database, which other queries need.
+    #[tokio::test]
+    async fn only_a_few_computations_read_at_a_time() {
+        let cache = SingleFlightCache::<()>::new(9);
+        let reading = AtomicU32::new(0);
+        let compute = async |key: u32| {
+            let read = async {
+                reading.fetch_add(1, Ordering::Relaxed);
+                std::future::pending::<Result<fn() -> Result<(), String>, String>>().await
+            };
+            cache.compute(&key.to_string(), |_| true, read, JoinError::to_string).await
+        };
+        let all = futures_util::future::join_all((0..9).map(compute));
+        tokio::time::timeout(Duration::from_millis(20), all).await.expect_err("they never end");
+        assert_eq!(reading.load(Ordering::Relaxed), COMPUTATIONS as u32);
     }
 
     #[tokio::test]

@@ -402,9 +402,9 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
     assert_eq!(mode(&database), 0o600);
 }
 
-/// Anyone who can reach the port can open sockets and send nothing.
+/// Anyone who can reach the port can open connections and make no request that is admitted.
 #[tokio::test(flavor = "multi_thread")]
-async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
+async fn connections_without_an_admitted_request_are_closed_and_do_not_exhaust_the_limit() {
     /// Limit on the number of open files of the coordinator.
     const FILES: usize = 128;
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -420,19 +420,23 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     let serve = Serve::wait_until_listening(limited.expect("starts"));
     assert!(serve.is_ready(), "the coordinator does not listen");
     let address = serve.url.strip_prefix("http://").expect("a URL");
-    let connect = || TcpStream::connect(address).expect("a connection");
-    let mut silent: Vec<TcpStream> = (0..FILES + 12).map(|_| connect()).collect();
+    let connect = || {
+        let mut connection = TcpStream::connect(address).expect("a connection");
+        // The preface of HTTP/2 and empty settings.
+        let greeting = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+        connection.write_all(greeting).expect("sent");
+        connection
+    };
+    let mut idle: Vec<TcpStream> = (0..FILES + 12).map(|_| connect()).collect();
     serve.worker("honest").await;
     let listed = serve.command(&["workers", "--retry-secs", "5"]);
     assert!(listed.status.success(), "{}", text(&listed.stderr));
     assert!(text(&listed.stdout).contains("honest"));
-    // A connection on which only a few bytes were sent is closed after the timeout, too.
-    let mut last = silent.pop().expect("a connection");
-    last.write_all(b"GET / HTTP").expect("sent");
+    let mut last = idle.pop().expect("a connection");
     last.set_read_timeout(Some(Duration::from_secs(120))).expect("set");
-    let end = last.read(&mut [0; 64]);
+    let end = last.read_to_end(&mut vec![]);
     assert!(
-        matches!(&end, Ok(0)) || end.is_err_and(|error| error.kind() == ErrorKind::ConnectionReset),
+        end.is_ok() || end.is_err_and(|error| error.kind() == ErrorKind::ConnectionReset),
         "the connection is still open"
     );
 }

@@ -53,6 +53,21 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(bench.count(recorded).await, 1);
 }
 
+#[tokio::test]
+async fn films_leave_the_space_that_results_need() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("filmed")).await.expect("created");
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let clock = bench.clock.clone();
+    // No disk has this much free space.
+    let bench = Bench::start_with(bench.stop().await, clock, u64::MAX).await;
+    let film = put(&mut bench.worker("a").await, &lease, "video.mp4", &[vec![1]]).await;
+    let refused = film.expect_err("no room");
+    assert_eq!(refused.code(), Code::ResourceExhausted);
+    assert!(refused.message().contains("make room"), "{refused}");
+}
+
 /// Regression: a failed attempt's film was shown beside the next attempt's outcome.
 #[tokio::test]
 async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outcome() {

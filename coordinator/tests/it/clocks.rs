@@ -220,7 +220,7 @@ async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_ful
 /// effect of a clock jump.
 const OTHER_CLOCKS: [(&str, &str); 8] = [
     (
-        "crates/policies/policy-backends/src/vla_eval.rs",
+        "crates/policies/policy-backends/src/websocket.rs",
         "a timestamp for a server's log; nothing depends on it",
     ),
     (

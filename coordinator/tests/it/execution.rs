@@ -101,7 +101,10 @@ type Answer<T> = Result<Response<T>, Status>;
 impl Policy for DescribeOnly {
     async fn describe(&self, request: Request<DescribeRequest>) -> Answer<DescribeResponse> {
         let DescribeRequest { policy, suite, .. } = request.into_inner();
-        assert_eq!((policy.as_str(), suite.as_str()), ("expert", "libero_object"));
+        assert_eq!(suite, "libero_object");
+        if policy != "expert" {
+            return Err(Status::not_found(format!("this server serves no policy {policy:?}")));
+        }
         Ok(Response::new(DescribeResponse {
             protocol_version: proto::PROTOCOL_VERSION,
             name: policy,
@@ -152,6 +155,23 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
             assert!(message.contains(part), "{message}");
         }
     }
+    // So is a policy that the endpoint does not serve, unless it is not asked.
+    let open_pi = endpoint.replace("http", "ws");
+    for (policy, endpoint, part) in [
+        ("exprt", &endpoint, "this server serves no policy \"exprt\""),
+        ("expert", &open_pi, "start `policy-gateway --route expert=ws://127"),
+    ] {
+        let named = ["campaign", "create", "--name", "typo", "--policy", policy];
+        let rollouts = ["--endpoint", endpoint, "--tasks", "libero_object/0"];
+        let message = &fail(serve.command(&[&named[..], &rollouts].concat()), 2);
+        assert!(message.contains(part) && message.contains("--no-probe"), "{message}");
+        let unasked = [&named[..], &rollouts, &["--no-probe"]].concat();
+        assert!(serve.command(&unasked).status.success());
+        assert!(serve.command(&["campaign", "cancel", "typo"]).status.success());
+        assert!(
+            serve.command(&["campaign", "delete", "typo", "--confirm", "typo"]).status.success()
+        );
+    }
     // The latency axis is checked too: r20 is ten steps late.
     let axis = ["--axes", "camera,latency", "--levels", "r20"];
     let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
@@ -166,6 +186,13 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         assert!(!message.contains("is unknown"), "{message}");
     }
     serving.shutdown().await;
+    let waiting = ["--endpoint", &endpoint, "--tasks", "libero_object/1"];
+    let waiting = serve.command(
+        &[&["campaign", "create", "--name", "early", "--policy", "expert"][..], &waiting].concat(),
+    );
+    assert!(waiting.status.success());
+    let message = text(&waiting.stderr);
+    assert!(message.contains("does not answer yet (nothing listens there"), "{message}");
     let created = create("unknown", "overlap:10", &[]);
     assert!(created.status.success(), "{}", text(&created.stderr));
     let message = text(&created.stdout).split_whitespace().collect::<Vec<_>>().join(" ");

@@ -18,7 +18,7 @@ use tonic::Status;
 
 use crate::harness::{Worker, small_spec};
 use crate::invariants::valid_database;
-use crate::process::Serve;
+use crate::process::{Serve, coordinator, succeed};
 
 /// Number of processes that run, and are killed, at the same time.
 const CONCURRENCY: usize = 4;
@@ -235,4 +235,31 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
         let (side, step, report) = process.expect("a process without failures");
         assert!(report == expected, "{side:?} {step:?}: another report");
     }
+}
+
+/// The coordinator is killed after the deletion is on the disk and before it answers.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deletion_that_a_kill_cut_off_is_repeated_by_its_command() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let point = format!("{:?}:{:?}:1", Side::After, Step::DeleteCampaign);
+    let mut killed = Serve::wait_until_listening(serve(folder.path(), &point));
+    let mut operator =
+        OperatorServiceClient::connect(killed.url.clone()).await.expect("a connection");
+    let spec = small_spec("passing").to_string();
+    let create = wire::CreateCampaignRequest { spec, priority: 0 };
+    operator.create_campaign(create).await.expect("created");
+    let url = killed.url.clone();
+    let deleting = std::thread::spawn(move || {
+        let delete = ["campaign", "delete", "passing", "--confirm", "passing"];
+        coordinator(&[&delete[..], &["--retry-secs", "60", "--connect", &url]].concat())
+    });
+    while killed.ended().is_none() {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let mut again = Command::new(env!("CARGO_BIN_EXE_coordinator"));
+    again.args(["serve", "--listen", killed.url.trim_start_matches("http://"), "--data"]);
+    let again = again.arg(folder.path()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+    let _again = Serve::wait_until_listening(again.expect("starts"));
+    let deleted = succeed(deleting.join().expect("it runs"));
+    assert!(deleted.contains("deleted: 4 rollouts, 0 results"), "{deleted}");
 }

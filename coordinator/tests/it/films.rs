@@ -30,13 +30,21 @@ async fn commit_all_but_combination(outcome: bool) -> (Bench, Worker, wire::Leas
 }
 
 async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
+    film_of(worker, pack, "").await.expect("an answer")
+}
+
+async fn film_of(
+    worker: &mut Worker,
+    pack: &str,
+    campaign: &str,
+) -> Result<wire::NextFilmResponse, tonic::Status> {
     let request = wire::NextFilmRequest {
         asset_pack_digest: sha(pack),
         mujoco_version: "3.3.7".to_owned(),
         look: worker.look.clone(),
+        campaign: campaign.to_owned(),
     };
-    let answer = worker.service.next_film(request).await;
-    answer.expect("an answer").into_inner()
+    Ok(worker.service.next_film(request).await?.into_inner())
 }
 
 /// Requests films to make until there are none; returns them.
@@ -65,6 +73,11 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
         assert!(take_films(&mut worker).await.is_empty(), "the combination has no outcome");
         worker.commit(&combination, !outcome).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
+        let unknown = film_of(&mut worker, "primitives", "unknown").await.expect_err("no campaign");
+        assert_eq!(unknown.code(), Code::NotFound);
+        bench.create(&small_spec("another")).await.expect("created");
+        let of_another = film_of(&mut worker, "primitives", "another").await.expect("an answer");
+        assert_eq!((of_another.film, of_another.left), (None, 0));
         let all = take_films(&mut worker).await;
         let rows = all.iter().map(|film| film.manifest_row.as_str());
         let count = |name: &str| rows.clone().filter(|row| row.contains(name)).count();

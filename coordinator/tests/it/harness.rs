@@ -80,7 +80,16 @@ impl Bench {
 
     /// Starts a coordinator on a folder that may have a database.
     pub(crate) async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
-        let config = config(folder.path(), clock.clone());
+        Bench::start_with(folder, clock, 0).await
+    }
+
+    /// Starts a coordinator that keeps this much of the disk for results.
+    pub(crate) async fn start_with(
+        folder: TempDir,
+        clock: Arc<ManualClock>,
+        min_free_bytes: u64,
+    ) -> Bench {
+        let config = Config { min_free_bytes, ..config(folder.path(), clock.clone()) };
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("an address");
         let coordinator = Coordinator::open(config).await.expect("a coordinator");

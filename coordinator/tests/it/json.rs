@@ -253,3 +253,30 @@ fn every_shell_gets_a_script_that_completes_commands() {
     let refused = crate::process::coordinator(&["completions", "cmd"]);
     assert_eq!(refused.status.code(), Some(2));
 }
+
+#[test]
+fn bash_completes_names_of_campaigns_axes_levels_and_suites() {
+    let (folder, serve) = Serve::anew();
+    succeed(serve.command(&CREATE));
+    let script = folder.path().join("completions.bash");
+    let text = succeed(crate::process::coordinator(&["completions", "bash"]));
+    std::fs::write(&script, text).expect("written");
+    for (typed, expected) in [
+        (&["campaign", "status", "de"][..], "demo"),
+        (&["campaign", "create", "--axes", "camera,li"], "camera,lighting"),
+        (&["campaign", "create", "--levels", "L"], "L3"),
+        (&["campaign", "create", "--tasks", "libero_g"], "libero_goal"),
+    ] {
+        let complete = "source \"$1\"; shift; COMP_WORDS=(\"$@\"); COMP_CWORD=$(($# - 1)); \
+                        _coordinator_and_names \"$1\" \"${!#}\" \"\"; echo \"${COMPREPLY[@]}\"";
+        let output = std::process::Command::new("bash")
+            .args(["-c", complete, "bash"])
+            .arg(&script)
+            .arg(env!("CARGO_BIN_EXE_coordinator"))
+            .args(typed)
+            .env("COORDINATOR_URL", &serve.url)
+            .output();
+        let completed = succeed(output.expect("bash runs"));
+        assert!(completed.split_whitespace().any(|name| name == expected), "{completed}");
+    }
+}

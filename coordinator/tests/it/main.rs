@@ -26,7 +26,6 @@ mod json;
 mod latency;
 mod launch;
 mod manifests;
-mod merging;
 mod moving;
 mod operating;
 mod outages;

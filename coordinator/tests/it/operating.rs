@@ -348,6 +348,10 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     run(&["workers"], 0, &busy);
     run(&["jobs", "list", "demo", "--limit", "1"], 0, &["success after 120", "more: --limit"]);
     run(&["jobs", "list", "demo", "--state", "leased"], 0, &["running on slow-1"]);
+    let failed = worker.claim_one().await;
+    worker.release(&failed, Reason::PolicyMisbehaved).await;
+    let failing = ["failing      1 rollout not in quarantine yet", "simulated failure"];
+    run(&["campaign", "status", "demo"], 0, &failing);
     run(&["jobs", "show", "demo", "object/t0/clean/i16"], 0, &["attempt 1 by slow-1 on bench"]);
     run(&["jobs", "show", "demo", "object/t0/clean/i16#rx"], 2, &["#r1"]);
     run(&["jobs", "show", "demo", "object/t9/clean/i1"], 1, &["no such rollout"]);

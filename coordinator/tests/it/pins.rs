@@ -116,6 +116,10 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         ("execute is `1` now and was `8`", replace_execute as Replace),
         ("image slots is `not given` now and was `image=agentview`", remove_image_slots),
         ("digest of the weights is `other` now and was ``", replace_weights),
+        (
+            "checkpoint is `other` now and was `none`",
+            replace_checkpoint_of_a_policy_without_settings,
+        ),
     ] {
         let bench = Bench::start().await;
         bench.create(&small_spec("pinned")).await.expect("created");
@@ -124,9 +128,12 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         let report = |lease: usize, replace: Replace| {
             let mut report = worker.report(&leases[lease], true);
             let provenance = report.provenance.as_mut().expect("provenance");
-            for (name, value) in [("execute", "8"), ("image slots", "image=agentview")] {
-                let settings = &mut provenance.policy_settings;
-                settings.insert(name.to_owned(), value.to_owned());
+            let settings = &mut provenance.policy_settings;
+            settings.clear();
+            if !difference.starts_with("checkpoint") {
+                for (name, value) in [("execute", "8"), ("image slots", "image=agentview")] {
+                    settings.insert(name.to_owned(), value.to_owned());
+                }
             }
             replace(provenance);
             report
@@ -221,6 +228,10 @@ fn remove_image_slots(policy: &mut Provenance) {
 
 fn replace_weights(policy: &mut Provenance) {
     "other".clone_into(&mut policy.policy_checkpoint_digest);
+}
+
+fn replace_checkpoint_of_a_policy_without_settings(policy: &mut Provenance) {
+    "other".clone_into(&mut policy.policy_checkpoint);
 }
 
 #[tokio::test]

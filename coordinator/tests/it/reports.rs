@@ -99,7 +99,7 @@ async fn a_finished_campaign_has_its_paired_measures() {
     assert_eq!(paired, &json["cells"][0]["paired"]);
     assert_eq!((&paired["n"], &paired["b"], &paired["c"]), (&json!(4), &json!(2), &json!(0)));
     assert_eq!(paired["i"], json!(-0.5));
-    assert_eq!(json["nominal"][0]["count"], json!({"successes": 4, "n": 4}));
+    assert_eq!(json["nominal"]["count"], json!({"successes": 4, "n": 4}));
     let head = "campaign reported\npolicy expert at http://127.0.0.1:50051\n";
     assert!(report.table.starts_with(head), "{}", report.table);
     let widest = report.table.lines().map(|line| line.chars().count()).max();
@@ -176,7 +176,7 @@ async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
         provenance.policy_privileged = true;
         provenance.policy_canonical_only = true;
         provenance.program_version = version.to_owned();
-        provenance.policy_checkpoint = format!("step {version}");
+        provenance.policy_checkpoint.clear();
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let table = report(&bench).await.table;
@@ -186,7 +186,7 @@ async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
         "policy `expert` always gets the canonical instruction: its language axis is an identity",
         "more than one program version are mixed",
         "0.1.0; 0.2.0",
-        "more than one policy checkpoint are mixed",
+        "policy `expert` names no checkpoint",
     ] {
         assert!(words.contains(warning), "{table}");
     }
@@ -334,10 +334,12 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         &["report", "--from", EXAMPLE, "--published", "oft=97.1"],
         &["--published oft", "valid are OpenVLA-OFT"],
     );
-    check(
-        &["report", "--from", EXAMPLE, "--published", "OpenVLA-OFT=971"],
-        &["`971` is no percentage"],
-    );
+    for (given, message) in [
+        ("OpenVLA-OFT=971", "`971` is no percentage"),
+        ("OpenVLA-OFT=0.971", "did you mean OpenVLA-OFT=97.1?"),
+    ] {
+        check(&["report", "--from", EXAMPLE, "--published", given], &[message]);
+    }
     let files = std::fs::read_dir(folder.path()).expect("a folder");
     assert_eq!(files.count(), 1, "only the rows are in the folder");
 }

@@ -99,6 +99,7 @@ async fn campaigns_that_are_cancelled_or_without_transitions_derive_no_rollouts(
     assert!(cancelled.status.success(), "{}", text(&cancelled.stderr));
     let finished = status(&serve, "cancelled-explained");
     assert_eq!(finished["is_finished"], true);
+    assert_eq!(finished["state"], "finished");
     let waiting_reason = finished["waiting_reason"].as_str().expect("a reason");
     assert!(
         waiting_reason.contains("which was cancelled with 8 rollouts left"),

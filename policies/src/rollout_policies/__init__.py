@@ -3,14 +3,14 @@
 Subclass `Policy`, describe the policy and its inputs in `description`, implement
 `reset` and `infer`, and call `run`, or `serve` with an instance of your own.
 This package implements the protocol: sessions, retries, checks and errors. The policy only
-computes actions. `check` checks that a policy conforms to the protocol, and
+computes actions. `check` runs `policy-gateway check` on a policy, and
 `fake_observation` generates an observation of the kind that the policy receives.
 """
 
 from .access import AccessError, UnguardedAddress
 from .actions import UnusableActions
+from .check import DoesNotConform, check
 from .command import run
-from .conformance import CannotCheck, DoesNotConform, check
 from .description import Camera, Description, Gripper, Language, State
 from .episode import Episode, Observation, UnderWay, UnusableObservation
 from .fake import fake_episode, fake_observation
@@ -25,7 +25,6 @@ __all__ = [
     "LANCZOS3",
     "AccessError",
     "Camera",
-    "CannotCheck",
     "CannotListen",
     "Description",
     "DoesNotConform",

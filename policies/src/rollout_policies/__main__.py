@@ -1,7 +1,6 @@
-"""Serves a policy of the LIBERO-CTRL paper, lists them, or checks any policy server.
+"""Serves a policy of the LIBERO-CTRL paper, or lists them.
 
     python -m rollout_policies list
-    python -m rollout_policies check grpc://127.0.0.1:5000
     python -m rollout_policies serve smolvla --listen 127.0.0.1:5000
     python -m rollout_policies serve openvla-oft --suite libero_goal --device cuda:1
 """
@@ -11,18 +10,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
-import os
 import sys
 import textwrap
 
-from .access import AccessError, UnguardedAddress, read_tokens
+from .access import AccessError, UnguardedAddress
 from .adapters import BATCHING, EVALUATIONS, MODULES, WITH_SLOTS, WITH_STUDY, Options, load
 from .adapters.cameras import ROLES
 from .adapters.upstream import UnusableCheckpoint, UnusableOption, UpstreamMissing
 from .catalogue import Entry, NoCheckpoint, entries
 from .command import add_server_flags, server_options
-from .conformance import CannotCheck, Target, check_server
-from .fake import TASKS
 from .server import require_servable, serve
 
 #: Columns of the narrowest usual terminal.
@@ -37,8 +33,6 @@ def main(arguments: list[str] | None = None) -> int:
     if flags.command == "list":
         print("\n\n".join(_format_entry(entry) for entry in entries().values()))
         return 0
-    if flags.command == "check":
-        return _check(flags)
     options = Options(
         checkpoint=flags.checkpoint,
         revision=flags.revision,
@@ -112,44 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"queries in one forward pass at most, for {' and '.join(BATCHING)}; changes low-order"
         " bits of actions (default: 1)",
     )
-    _add_check(commands.add_parser("check", help="check that a server conforms to the protocol"))
     return parser
-
-
-def _add_check(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("url", help="grpc://HOST:PORT, or https://HOST:PORT over TLS")
-    parser.add_argument("--policy", default="", help="policy to check, if the server has several")
-    parser.add_argument(
-        "--suite", choices=list(TASKS), default="libero_object", help="suite of the synthetic task"
-    )
-    parser.add_argument(
-        "--ca",
-        metavar="FILE",
-        default=os.environ.get("ROLLOUT_CA") or None,
-        help="certificate authority of the server, PEM, for https:// (or ROLLOUT_CA)",
-    )
-    parser.add_argument(
-        "--token-file",
-        metavar="FILE",
-        default=os.environ.get("ROLLOUT_TOKEN_FILE") or None,
-        help="this client's token, as `ROLE TOKEN` (or ROLLOUT_TOKEN_FILE, or that line in"
-        " ROLLOUT_TOKENS)",
-    )
-
-
-def _check(flags: argparse.Namespace) -> int:
-    """Prints a verdict per point. Returns 1 if a point failed."""
-    try:
-        target = Target(
-            flags.url, flags.policy, flags.suite, flags.ca, read_tokens(flags.token_file)
-        )
-        findings = check_server(target, lambda finding: print(finding, flush=True))
-    except (CannotCheck, AccessError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    conforms = not any(finding.verdict.failed for finding in findings)
-    print("conforms" if conforms else "does not conform")
-    return 0 if conforms else 1
 
 
 def _positive(text: str) -> int:

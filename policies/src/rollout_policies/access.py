@@ -107,14 +107,6 @@ class Tokens:
                 matched_role = role
         return matched_role
 
-    def for_role(self, *roles: str) -> str | None:
-        """Returns a token of the first of these roles that has one: the first such token in the
-        file."""
-        return next(
-            (token for wanted_role in roles for role, token in self.entries if role == wanted_role),
-            None,
-        )
-
 
 def _require_private(kind: str, path: str | Path, status: os.stat_result) -> None:
     """Refuses a file of secrets that other users can read or write; the gateway has the same rule.

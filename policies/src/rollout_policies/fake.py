@@ -7,6 +7,7 @@ import numpy as np
 
 from .description import Camera, Description, State
 from .episode import Episode, Observation
+from .proto import policy_pb2 as pb
 
 #: The suites, each with the canonical instruction of one of its tasks.
 TASKS = {
@@ -88,3 +89,19 @@ def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
         State.GRIPPER_POS: np.array([opening, -opening]),
         State.GRIPPER_VEL: np.zeros(2),
     }
+
+
+def to_message(observation: Observation) -> pb.Observation:
+    """Converts an observation to its message."""
+    return pb.Observation(
+        images=[
+            pb.Image(
+                camera=camera, width=frame.shape[1], height=frame.shape[0], rgb=frame.tobytes()
+            )
+            for camera, frame in observation.images.items()
+        ],
+        state=[
+            pb.StateReading(field=reading.value, values=values)
+            for reading, values in observation.state.items()
+        ],
+    )

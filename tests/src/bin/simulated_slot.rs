@@ -36,7 +36,6 @@ const RENDERER: &str = "simulated";
 /// Number of control steps per query of the policy.
 const STEPS_PER_QUERY: u32 = 4;
 
-/// The last attempt that the parent abandoned.
 type Abandoned = Mutex<Option<AttemptId>>;
 
 fn main() {
@@ -138,6 +137,7 @@ fn play(
         parts.physics_secs += script.step.as_secs_f64();
         send_event(RolloutEvent::Progress(row.settle_steps + step + 1));
     }
+    policy.end(session);
     let hash = hash.finalize();
     let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;

@@ -72,11 +72,6 @@ impl fmt::Display for PageError {
 
 impl std::error::Error for PageError {}
 
-/// Parses a page of Markdown.
-///
-/// # Errors
-/// If a block contains commands but is not marked `sh`, or if a comment does not match the
-/// following block.
 pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
     let mut steps = Vec::new();
     let mut comment: Option<Comment> = None;

@@ -83,9 +83,6 @@ impl Session {
     }
 
     /// Runs a command to its end or, for a server, until it is ready.
-    ///
-    /// # Errors
-    /// If the command fails or times out, or a server exits before it is ready.
     pub fn run(&mut self, command: &str) -> Result<(), Failure> {
         if runs_until_stopped(command) {
             return self.start_server(command);
@@ -134,9 +131,6 @@ impl Session {
     }
 
     /// Checks the servers at the end of a page.
-    ///
-    /// # Errors
-    /// If a server exited by itself with an error.
     pub fn finish(mut self) -> Result<(), Failure> {
         for server in std::mem::take(&mut self.servers) {
             let process = &server.process;
@@ -208,7 +202,6 @@ fn without_comment(command: &str) -> &str {
     }
 }
 
-/// Returns true if a command runs until it is stopped.
 fn runs_until_stopped(command: &str) -> bool {
     let mut words = command.split_whitespace().skip_while(|word| word.contains('='));
     let program = words.next().unwrap_or_default();

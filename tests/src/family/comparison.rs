@@ -106,9 +106,6 @@ impl Comparison {
     /// Prepares comparisons in the look of `pack`, LIBERO's assets: with it, with those that
     /// `ROLLOUT_PRO_ASSETS` names, and with the checkout of LIBERO-Para that `ROLLOUT_PARA` names.
     /// The folder of pictures has a folder for each look.
-    ///
-    /// # Errors
-    /// If the folder of LIBERO-PRO's assets cannot be read.
     pub fn new(sources: Sources, pack: AssetPack, pictures: &Path) -> Result<Self> {
         let pro_pack = std::env::var("ROLLOUT_PRO_ASSETS").ok();
         let pro_pack = pro_pack.map(|dir| AssetPack::open_whole(dir.as_ref())).transpose()?;
@@ -131,9 +128,6 @@ impl Comparison {
 
     /// Compares a case. Returns [`Skipped`] if its files are missing, or its variant is not one of
     /// the benchmark's.
-    ///
-    /// # Errors
-    /// If the recording belongs to no case, or the case cannot be run.
     pub fn compare(
         &mut self,
         benchmark: Benchmark,

@@ -30,10 +30,6 @@ pub struct Recording {
     pub numbers: BTreeMap<String, Vec<f64>>,
 }
 
-/// Returns a benchmark's recordings.
-///
-/// # Errors
-/// If a file cannot be read or is malformed.
 pub fn recordings(benchmark: Benchmark) -> Result<Vec<Recording>> {
     let mut found = Found::default();
     match benchmark {

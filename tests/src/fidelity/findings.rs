@@ -65,7 +65,6 @@ pub struct ContactFindings {
     /// Largest difference in multiples of the original's sensitivity after the insensitive
     /// phase; `None` if the original stays insensitive or its sensitivity was not measured.
     pub sensitivities: Option<f64>,
-    /// Success flags that differ.
     pub success_flags: usize,
 }
 

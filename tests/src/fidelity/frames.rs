@@ -39,9 +39,6 @@ pub const SAME_ARITHMETIC: FrameLimits =
     FrameLimits { relation: RendererRelation::AnotherRenderer, equal: 0.999, close: 0.9999 };
 
 /// Reads a picture, with the lowest row first, as in frames. The scripts record it upright.
-///
-/// # Errors
-/// If the file is not a picture.
 pub fn read_upright(path: &Path) -> Result<RgbImage> {
     let picture = image::open(path).with_context(|| format!("read {}", path.display()))?;
     Ok(picture.flipv().into_rgb8())

@@ -37,7 +37,6 @@ struct Checked {
     faults: Vec<String>,
     /// Command lines of the containers.
     commands: Vec<Vec<String>>,
-    /// Kinds without a schema.
     without_schema: Vec<String>,
     resources: usize,
 }

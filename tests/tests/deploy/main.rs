@@ -10,7 +10,6 @@ use std::process::Command;
 use tests::documents::folder::checkout;
 use tests::programs::program;
 
-/// Returns the path of a folder of `deploy`.
 fn folder(name: &str) -> PathBuf {
     checkout().join("deploy").join(name)
 }

@@ -109,9 +109,8 @@ fn untrue_statements(init: &[Predicate], environment: &Environment) -> Vec<Predi
         [upper, lower] => is_object(upper) && !is_zone(lower),
         _ => true,
     });
-    let mut initial = scene.clone();
-    initial.goal = statements.clone();
-    let goal = Goal::resolve(&initial, environment.model()).expect("LIBERO's own statements");
+    let goal = Goal::resolve(&statements, scene, environment.model());
+    let goal = goal.expect("LIBERO's own statements");
     let truths = goal.truths(environment.model(), environment.data());
     let pairs = statements.into_iter().zip(truths);
     pairs.filter(|(_, holds)| !holds).map(|(statement, _)| statement).collect()

@@ -25,7 +25,7 @@ fn a_campaign_of_all_axes_has_the_golden_results() {
         "campaign", "create", "--name", NAME, "--policy", "student", "--endpoint", endpoint,
         "--tasks", TASKS, "--axes", "all", "--levels", "L2", "--configs", "0", "--nominal", "eval",
     ]);
-    let _worker = Process::students_worker(&campaigns.coordinator.url, 2);
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "libero");
     campaigns.wait_for_commits(NAME, None);
 
     let found = results(data.path());

@@ -102,11 +102,11 @@ fn fetch(line: &str) -> Result<FetchArguments, clap::Error> {
 fn assets_are_fetched_for_all_tasks_or_some_from_one_place() {
     let arguments = fetch("worker assets fetch").expect("a valid command line");
     assert_eq!(arguments.tasks, [TaskChoice::All]);
-    let arguments = fetch("worker assets fetch --tasks libero_goal/3,libero_10/0 --hub");
+    let arguments = fetch("worker assets fetch --tasks libero_goal/3,libero_10/0");
     let arguments = arguments.expect("a valid command line");
-    assert_eq!(arguments.hub.as_deref(), Some(HUB));
     assert_eq!(arguments.tasks.len(), 2);
-    for wrong in ["--tasks libero_goal/10", "--everything --tasks all", "--hub --wheels DIR"] {
+    for wrong in ["--tasks libero_goal/10", "--everything --tasks all", "--index URL --wheels DIR"]
+    {
         let line = format!("worker assets fetch {wrong}");
         assert_eq!(fetch(&line).expect_err(wrong).exit_code(), 2);
     }

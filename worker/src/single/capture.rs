@@ -2,17 +2,16 @@
 //! A frame that cannot be rendered is logged; the rollout continues.
 
 use std::fs;
-use std::io;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use image::{Rgb, RgbImage};
 use sim::{Episode, Frame, Observation};
 use transport::chain;
 
 use super::error::{SingleError, write_error};
 use super::trace::Trace;
 use crate::filming::observe_both;
+use crate::picture::Picture;
 use crate::rollout::{Step, Watcher};
 
 /// Trace and frames of one rollout.
@@ -48,7 +47,7 @@ impl Capture {
             for frame in frames {
                 fs::create_dir_all(&folder).map_err(|source| write_error(&folder, source))?;
                 let path = folder.join(format!("{title}-{}.png", frame.camera));
-                let saved = upright(frame).save(&path).map_err(io::Error::other);
+                let saved = Picture::upright(frame).save(&path);
                 saved.map_err(|source| write_error(&path, source))?;
             }
         }
@@ -100,15 +99,6 @@ impl Watcher for Capture {
     }
 }
 
-/// Converts a frame, whose row 0 is the bottom row, to an upright image.
-fn upright(frame: &Frame) -> RgbImage {
-    let (width, height) = (frame.width, frame.height);
-    RgbImage::from_fn(width, height, |x, y| {
-        let at = ((height - 1 - y) * width + x) as usize * 3;
-        Rgb([frame.rgb[at], frame.rgb[at + 1], frame.rgb[at + 2]])
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,6 +111,6 @@ mod tests {
             height: 2,
             rgb: vec![1, 2, 3, 4, 5, 6],
         };
-        assert_eq!(upright(&frame).into_raw(), [4, 5, 6, 1, 2, 3]);
+        assert_eq!(Picture::upright(&frame).pixels, [[4, 5, 6], [1, 2, 3]]);
     }
 }

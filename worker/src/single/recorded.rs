@@ -3,26 +3,22 @@
 //! from JSON lines.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use npyz::{DType, NpyFile, TypeChar};
 use policy_protocol::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
 use zip::ZipArchive;
 
 use super::error::SingleError;
+use super::npy::Header;
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
 use libero_ctrl::{JsonError, Query};
 
 /// Most actions of a recording, well above every step budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
-/// Longest header of an NPY file, bytes; NumPy writes 118.
-const MAX_HEADER_BYTES: u64 = 64 << 10;
-/// Deepest nesting of brackets in a header; NumPy writes two levels.
-const MAX_HEADER_DEPTH: u32 = 4;
 /// Longest line of JSON lines, bytes.
 const MAX_LINE_BYTES: u64 = 4096;
 
@@ -127,70 +123,23 @@ fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
         Some("npz") => {
             let mut archive = ZipArchive::new(open()?).map_err(|error| error.to_string())?;
             let array = archive.by_name("actions.npy");
-            read_rows(open_array(array.map_err(|_| "it has no array `actions`".to_owned())?)?)
+            read_rows(array.map_err(|_| "it has no array `actions`".to_owned())?)
         }
-        Some("npy") => read_rows(open_array(open()?)?),
+        Some("npy") => read_rows(open()?),
         Some("jsonl" | "json") => read_lines(open()?),
         _ => Err("its name must end in .npz, .npy, .jsonl or .json".to_owned()),
     }
 }
 
-/// Reads an array's header. Rejects deeply nested brackets, because the parser's time doubles with
-/// each level.
-fn open_array(mut file: impl Read) -> Result<NpyFile<impl Read>, String> {
-    let mut start = Vec::new();
-    let read = file.by_ref().take(MAX_HEADER_BYTES).read_to_end(&mut start);
-    read.map_err(|error| error.to_string())?;
-    // Magic, version, and the header's length: two bytes in version 1, four in later ones.
-    let (length, from) = match start.as_slice() {
-        [_, _, _, _, _, _, 1, _, low, high, ..] => (u16::from_le_bytes([*low, *high]).into(), 10),
-        [_, _, _, _, _, _, _, _, a, b, c, d, ..] => (u32::from_le_bytes([*a, *b, *c, *d]), 12),
-        _ => return Err("it is too short for an array".to_owned()),
+fn read_rows(mut file: impl Read) -> Result<Vec<Action>, String> {
+    let header = Header::read(&mut file)?;
+    let [rows, ACTION_WIDTH] = header.shape[..] else {
+        return Err(format!("its shape is {:?}, not [n, {ACTION_WIDTH}]", header.shape));
     };
-    if u64::from(length) > MAX_HEADER_BYTES - 12 {
-        return Err("its header is too long: it is no array of numbers".to_owned());
-    }
-    let mut depth = 0_u32;
-    for byte in start.iter().skip(from).take(length as usize) {
-        match byte {
-            b'{' | b'[' | b'(' => depth += 1,
-            b'}' | b']' | b')' => depth = depth.saturating_sub(1),
-            _ => {}
-        }
-        if depth > MAX_HEADER_DEPTH {
-            return Err("its header nests too many brackets: it is no array of numbers".to_owned());
-        }
-    }
-    NpyFile::new(Cursor::new(start).chain(file)).map_err(|error| error.to_string())
-}
-
-fn read_rows(array: NpyFile<impl Read>) -> Result<Vec<Action>, String> {
-    let shape = array.shape().to_vec();
-    let [rows, width] = shape[..] else {
-        return Err(format!("its shape is {shape:?}, not [n, {ACTION_WIDTH}]"));
-    };
-    if width != ACTION_WIDTH as u64 {
-        return Err(format!("its shape is {shape:?}, not [n, {ACTION_WIDTH}]"));
-    }
-    if rows > MAX_RECORDED_ACTIONS as u64 {
+    if rows > MAX_RECORDED_ACTIONS {
         return Err(too_many());
     }
-    if array.order() != npyz::Order::C {
-        return Err("it is in Fortran order: write it with numpy.ascontiguousarray".to_owned());
-    }
-    let dtype = array.dtype();
-    let kind = match &dtype {
-        DType::Plain(kind) => (kind.type_char(), kind.num_bytes()),
-        _ => return Err("it is a structured array".to_owned()),
-    };
-    let numbers = match kind {
-        (TypeChar::Float, Some(8)) => array.into_vec::<f64>(),
-        (TypeChar::Float, Some(4)) => {
-            array.into_vec::<f32>().map(|numbers| numbers.into_iter().map(f64::from).collect())
-        }
-        _ => return Err(format!("it holds {}, not floats", dtype.descr())),
-    };
-    let numbers = numbers.map_err(|error| error.to_string())?;
+    let numbers = header.floats(&mut file, rows * ACTION_WIDTH)?;
     Ok(numbers.as_chunks::<ACTION_WIDTH>().0.to_vec())
 }
 

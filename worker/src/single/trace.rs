@@ -21,12 +21,12 @@ use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
-use npyz::WriterBuilder;
 use policy_protocol::ACTION_WIDTH;
 use sim::Environment;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
+use super::npy;
 use crate::rollout::Step;
 
 /// Trace under construction: arrays that grow by a row per step.
@@ -82,29 +82,26 @@ impl Trace {
         ] {
             // An empty array still needs its width; only the arrays of actions can be empty.
             let width = values.len().checked_div(rows).unwrap_or(ACTION_WIDTH);
-            write_array(&mut npz, name, &[rows, width], values)?;
+            let encoded: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            write_array(&mut npz, name, "<f8", &[rows, width], &encoded)?;
         }
         let width = self.goal_truths.len() / scenes.max(1);
-        write_array(&mut npz, "goal_truths", &[scenes, width], &self.goal_truths)?;
-        write_array(&mut npz, "success", &[scenes], &self.success)?;
+        let truths =
+            |values: &[bool]| values.iter().map(|value| u8::from(*value)).collect::<Vec<_>>();
+        let goal_truths = truths(&self.goal_truths);
+        write_array(&mut npz, "goal_truths", "|b1", &[scenes, width], &goal_truths)?;
+        write_array(&mut npz, "success", "|b1", &[scenes], &truths(&self.success))?;
         npz.finish()?.flush()
     }
 }
 
-fn write_array<T, W>(
+fn write_array<W: Write + Seek>(
     npz: &mut ZipWriter<W>,
     name: &str,
+    descr: &str,
     shape: &[usize],
-    values: &[T],
-) -> io::Result<()>
-where
-    T: npyz::AutoSerialize + Copy,
-    W: Write + Seek,
-{
-    let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
+    encoded: &[u8],
+) -> io::Result<()> {
     npz.start_file(format!("{name}.npy"), SimpleFileOptions::default())?;
-    let array = npyz::WriteOptions::new().default_dtype().shape(&shape);
-    let mut array = array.writer(npz).begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()
+    npy::write(npz, descr, shape, encoded)
 }

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::io;
 use std::process::{ExitStatus, Stdio};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::UnixStream;
@@ -12,11 +12,13 @@ use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::process::{Child, Command};
 use tokio::sync::{Notify, mpsc};
 use tokio::task::{self, JoinSet};
+use transport::Access;
 
 use super::event::{Event, ProcessEnd, ProcessKey};
 use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
-use crate::message::{MAX_LINE_BYTES, SlotCommand, SlotEvent};
+use crate::message::{Assignment, MAX_LINE_BYTES, RolloutEvent, SlotCommand, SlotEvent};
+use crate::policy::end_session;
 
 /// Capacity of a process's command queue; a run and its abandonment need two places.
 const COMMAND_QUEUE: usize = 4;
@@ -37,9 +39,11 @@ pub(crate) struct SlotProcess {
 }
 
 impl SlotProcess {
-    /// Starts a process, and a task that forwards its events and its end to `events`.
+    /// Starts a process, and a task that forwards its events and its end to `events`. The task has
+    /// `access` to policies, and ends the session that the process leaves open.
     pub(crate) fn start(
         program: &SlotProgram,
+        access: &Access,
         key: ProcessKey,
         tasks: &mut JoinSet<()>,
         events: mpsc::Sender<Event>,
@@ -60,7 +64,12 @@ impl SlotProcess {
         let (sender, commands) = mpsc::channel(COMMAND_QUEUE);
         let kill = Arc::new(Notify::new());
         let running = run_process(child, connection, key, commands, Arc::clone(&kill), events);
-        let task = tasks.spawn(running);
+        let access = access.clone();
+        let task = tasks.spawn(async move {
+            if let Some(left) = running.await {
+                end_session(&left, &access).await;
+            }
+        });
         Ok(Self { commands: sender, kill, key, task: task.id() })
     }
 
@@ -76,7 +85,8 @@ impl SlotProcess {
     }
 }
 
-/// Owns a process until it has ended and all its output is forwarded.
+/// Owns a process until it has ended and all its output is forwarded. Returns the rollout that it
+/// left unfinished: until its session ends, the session counts against the policy's capacity.
 async fn run_process(
     mut child: Child,
     connection: UnixStream,
@@ -84,15 +94,16 @@ async fn run_process(
     commands: mpsc::Receiver<SlotCommand>,
     kill: Arc<Notify>,
     events: mpsc::Sender<Event>,
-) {
+) -> Option<Box<Assignment>> {
+    let rollout = Mutex::new(None);
     let kills_before = OomKills::read();
     let (events_socket, commands_socket) = connection.into_split();
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
     let ((), _, last_lines, status) = tokio::join!(
-        forward_events(events_socket, key, &events),
+        forward_events(events_socket, key, &events, &rollout),
         relay(stdout, key.slot),
         relay(stderr, key.slot),
-        wait_or_kill(child, forward_commands(commands_socket, commands), &kill)
+        wait_or_kill(child, forward_commands(commands_socket, commands, &rollout), &kill)
     );
     let kills = OomKills::read().since(kills_before);
     let description = match status {
@@ -102,6 +113,14 @@ async fn run_process(
     let end = ProcessEnd { description, last_lines: last_lines.into() };
     // The receiver may be gone if the supervisor has ended.
     let _ = events.send(Event::Ended { key, end }).await;
+    rollout.into_inner().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Rollout of a process that has not reported its end.
+type Unfinished = Mutex<Option<Box<Assignment>>>;
+
+fn set(unfinished: &Unfinished, rollout: Option<Box<Assignment>>) {
+    *unfinished.lock().unwrap_or_else(PoisonError::into_inner) = rollout;
 }
 
 /// Waits for the process to end, and kills it when `kill` is notified.
@@ -126,10 +145,17 @@ async fn wait_or_kill(
 
 /// Forwards commands until the supervisor drops the process or a write fails, and closes the
 /// connection, whereupon the process ends.
-async fn forward_commands(mut socket: OwnedWriteHalf, mut commands: mpsc::Receiver<SlotCommand>) {
+async fn forward_commands(
+    mut socket: OwnedWriteHalf,
+    mut commands: mpsc::Receiver<SlotCommand>,
+    rollout: &Unfinished,
+) {
     while let Some(command) = commands.recv().await {
-        if send(&mut socket, &command).await.is_err() {
-            return;
+        if let SlotCommand::Run(assignment) = &command {
+            set(rollout, Some(assignment.clone()));
+        }
+        if let Err(error) = send(&mut socket, &command).await {
+            return tracing::warn!("a slot got no command: {error}");
         }
     }
 }
@@ -140,11 +166,21 @@ async fn send(socket: &mut OwnedWriteHalf, command: &SlotCommand) -> io::Result<
     socket.write_all(&line).await
 }
 
-async fn forward_events(stream: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender<Event>) {
+async fn forward_events(
+    stream: OwnedReadHalf,
+    key: ProcessKey,
+    events: &mpsc::Sender<Event>,
+    rollout: &Unfinished,
+) {
     let mut stream = BufReader::new(stream);
     while let Some(line) = next_line(&mut stream, MAX_LINE_BYTES).await {
         match serde_json::from_slice::<SlotEvent>(&line) {
             Ok(event) => {
+                use RolloutEvent::{Abandoned, Failed, Finished};
+                if let SlotEvent::Rollout { event: Finished(_) | Failed(_) | Abandoned, .. } = event
+                {
+                    set(rollout, None);
+                }
                 if events.send(Event::Slot { key, event }).await.is_err() {
                     return;
                 }
@@ -234,7 +270,8 @@ mod tests {
         let key = ProcessKey { slot: 0, number: 1 };
         let (events, mut inbox) = mpsc::channel(1);
         let mut tasks = JoinSet::new();
-        let process = SlotProcess::start(&program, key, &mut tasks, events).expect("starts");
+        let process =
+            SlotProcess::start(&program, &Access::none(), key, &mut tasks, events).expect("starts");
         while !process.commands.is_closed() {
             process.send(SlotCommand::Abandon(AttemptId::from_random([7; 16])));
             tokio::time::sleep(Duration::from_millis(10)).await;

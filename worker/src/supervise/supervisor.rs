@@ -306,8 +306,9 @@ impl Supervisor {
         let entry = &mut self.slots[slot];
         entry.starts += 1;
         let key = ProcessKey { slot, number: entry.starts };
-        let program = &self.config.slot_program;
-        let started = SlotProcess::start(program, key, &mut self.processes, self.events.clone());
+        let Config { slot_program, access, .. } = &self.config;
+        let (processes, events) = (&mut self.processes, self.events.clone());
+        let started = SlotProcess::start(slot_program, access, key, processes, events);
         match started {
             Ok(process) => {
                 entry.process = Some(process);

@@ -133,6 +133,10 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
     coordinator.lease(lease(2, "still", &policy.url()));
     let commit = coordinator.message(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
+    // The dead slot's session would count against the policy's capacity; a slot ends its own.
+    let received = policy.received.lock().expect("unpoisoned");
+    let opened: Vec<_> = received.resets.iter().map(|reset| &reset.session).collect();
+    assert_eq!(received.ended.iter().collect::<Vec<_>>(), opened);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -7,8 +7,9 @@ use std::time::Duration;
 
 use proto::policy::policy_server::{Policy, PolicyServer};
 use proto::policy::{
-    CameraRequest, DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse,
-    InferRequest, InferResponse, Language, ResetRequest, ResetResponse, StateField,
+    CameraRequest, DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
+    InferBatchResponse, InferRequest, InferResponse, Language, ResetRequest, ResetResponse,
+    StateField,
 };
 use tokio::net::TcpListener;
 use tokio::task::JoinSet;
@@ -26,6 +27,7 @@ pub(crate) const HORIZON: u32 = 8;
 pub(crate) struct ReceivedRequests {
     pub resets: Vec<ResetRequest>,
     pub queries: Vec<InferRequest>,
+    pub ended: Vec<String>,
 }
 
 pub(crate) struct ScriptedPolicy {
@@ -144,6 +146,11 @@ impl Policy for Service {
             _ => {}
         }
         Ok(Response::new(actions))
+    }
+
+    async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
+        self.received.lock().expect("unpoisoned").ended.push(request.into_inner().session);
+        Ok(Response::new(EndResponse {}))
     }
 
     async fn infer_batch(

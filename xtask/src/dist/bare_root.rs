@@ -1,6 +1,5 @@
 //! Bare root: a root folder with glibc and the archive, but no shell, compiler runtime, OpenGL or
 //! Python. A program that starts in the bare root starts on any machine with a recent enough glibc.
-//! The container image is made from the bare root.
 
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};

@@ -12,49 +12,29 @@ use crate::step::step;
 use super::archive::{self, Archive};
 use super::bare_root::{BareRoot, DATA, PREFIX};
 use super::release::{PROGRAMS, VERSION};
-use super::{bill, crates, image, stage};
+use super::stage;
 
 /// Options of a campaign of two rollouts that the expert solves: one nominal, one with a perturbed
 /// camera.
 const CAMPAIGN: [&str; 8] =
     ["--tasks", "libero_object/1", "--axes", "camera", "--levels", "L1", "--configs", "1"];
 
-/// Packs the programs that were built for the tests, and tests the archive. Makes and tests the
-/// container image, too, if `buildah` is installed.
-///
-/// # Errors
-/// If the archive cannot be packed, or its programs do not run.
-pub(crate) fn test(
-    root: &Path,
-    cache: &Path,
-    programs: &Path,
-    schemas: Option<&Path>,
-) -> Result<()> {
+/// Packs the programs that were built for the tests, and tests the archive.
+pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let output = tempfile::tempdir().context("make a folder")?;
     let packed = archive::make(root, cache, programs, output.path())?;
-    check_archive(root, &packed, schemas)?;
-    match image::require_buildah() {
-        Ok(()) => image::make(root, &packed).map(drop),
-        Err(error) => {
-            println!("  skipped the container image: {error:#}");
-            Ok(())
-        }
-    }
+    check_archive(root, &packed)
 }
 
-/// Tests an archive. `schemas` is an interpreter that validates the bill of materials.
-pub(super) fn check_archive(root: &Path, archive: &Archive, schemas: Option<&Path>) -> Result<()> {
+/// Tests an archive.
+pub(super) fn check_archive(root: &Path, archive: &Archive) -> Result<()> {
     println!("Testing {}", archive.file.display());
     let folder = tempfile::tempdir().context("make a folder")?;
     let bare = BareRoot::make(&folder.path().join("root"), archive)?;
     bare.add_data()?;
     let unpacked = bare.dir().join(PREFIX.trim_start_matches('/'));
     step("digests of all files", || verify_digests(&unpacked))?;
-    step("documents", || check_documents(root, &unpacked))?;
-    step("bill of materials as CycloneDX", || match schemas {
-        Some(python) => validate(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
-        None => Ok("skipped: no schema"),
-    })?;
+    step("documents", || check_documents(&unpacked))?;
     if let Some(problem) = bare.entry_problem() {
         println!("  skipped the programs in a bare root: {problem}");
         return Ok(());
@@ -80,8 +60,8 @@ fn verify_digests(unpacked: &Path) -> Result<String> {
     Ok(format!("{listed} files"))
 }
 
-/// Checks that the archive has manual pages, files for users, licences and a bill of materials.
-fn check_documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
+/// Checks that the archive has manual pages and files for users.
+fn check_documents(unpacked: &Path) -> Result<&'static str> {
     for page in ["worker.1", "coordinator-campaign-create.1", "policy-gateway-doctor.1"] {
         let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
         ensure!(text.contains(".SH OPTIONS"), "read {page}: the manual page has no options");
@@ -90,33 +70,8 @@ fn check_documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
         let path = unpacked.join(stage::FOR_USERS).join(file);
         ensure!(path.is_file(), "find {}: the archive lacks it", path.display());
     }
-    let documents = unpacked.join(stage::DOCUMENTS);
-    let licences = std::fs::read_to_string(documents.join(stage::LICENCES))?;
-    let bill: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(documents.join(stage::BILL))?)?;
-    let listed: Vec<&str> = bill::names(&bill);
-    let crates = crates::shipped(root)?;
-    let crates = crates.iter().map(|part| part.name.as_str());
-    for name in crates.chain(["mujoco", "robosuite", "hf-libero"]) {
-        ensure!(licences.contains(&format!("\n{name} ")), "find {name} among the licences");
-        ensure!(listed.contains(&name), "find {name} in the bill of materials");
-    }
     Ok("complete")
 }
-
-/// Validates the bill of materials against the schema.
-fn validate(python: &Path, bill: &Path) -> Result<&'static str> {
-    let mut validate = Command::new(python);
-    capture(validate.args(["-c", VALIDATE]).arg(bill)).map(|_| "valid")
-}
-
-const VALIDATE: &str = "\
-import pathlib, sys
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
-text = pathlib.Path(sys.argv[1]).read_text()
-sys.exit(JsonStrictValidator(SchemaVersion.V1_5).validate_str(text) and 'violates the schema')
-";
 
 /// Checks that every program prints the release and the commit; returns what they print.
 fn check_versions(root: &Path, bare: &BareRoot) -> Result<String> {

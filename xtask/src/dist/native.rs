@@ -49,7 +49,6 @@ impl Elf {
         capture(Command::new(&self.patchelf).arg(option).arg(file))
     }
 
-    /// Returns the libraries that a file needs.
     fn needed(&self, file: &Path) -> Result<BTreeSet<String>> {
         let names = self.query("--print-needed", file)?;
         Ok(names.lines().map(str::to_owned).collect())

@@ -10,9 +10,9 @@ use anyhow::{Context, Result};
 use crate::process::capture;
 use crate::step::step;
 
+use super::licences;
 use super::native::{Elf, oldest_glibc};
 use super::release::PROGRAMS;
-use super::{bill, components, crates, licences};
 
 /// Name of MuJoCo's library.
 const MUJOCO: &str = "libmujoco.so.3.3.7";
@@ -37,10 +37,6 @@ const SOURCES: &str = "share/rollout/sources";
 /// manifests of `deploy`, published outcomes.
 pub(super) const FOR_USERS: &str = "share/rollout";
 
-/// Names of the licence text and of the bill of materials.
-pub(super) const LICENCES: &str = "THIRD-PARTY-LICENSES.txt";
-pub(super) const BILL: &str = "sbom.cdx.json";
-
 /// Fills the folder with all parts of the archive.
 pub(super) fn fill(
     root: &Path,
@@ -55,16 +51,15 @@ pub(super) fn fill(
     })?;
     step("manual pages, completions", || shell_files(folder))?;
     step("files of scenes", || scenes(cache, folder))?;
-    step("documents, licences, bill of materials", || {
-        let mut parts = components::from_wheels(cache)?;
-        parts.extend(components::from_compiler(&libraries.0)?);
-        let crates = crates::shipped(root)?;
-        let to = folder.join(DOCUMENTS);
-        documents(root, folder, &to)?;
-        std::fs::write(to.join(LICENCES), licences::text(root, &crates, &parts)?)?;
-        let bill = serde_json::to_string_pretty(&bill::cyclonedx(&crates, &parts))?;
-        std::fs::write(to.join(BILL), bill + "\n")?;
-        Ok(format!("of {} crates, {} other components", crates.len(), parts.len()))
+    let documents_folder = folder.join(DOCUMENTS);
+    step("documents", || documents(root, folder, &documents_folder).map(|()| "copied"))?;
+    step("licences", || match licences::tool(root) {
+        // The development profile packs without them.
+        Err(error) => Ok(format!("skipped: {error:#}")),
+        Ok(()) => {
+            licences::write(root, cache, &libraries.0, &documents_folder)?;
+            Ok("written".to_owned())
+        }
     })?;
     Ok(())
 }

@@ -91,7 +91,6 @@ impl<P: Copy + Ord> Outcomes<P> {
         self.tallies(point).source
     }
 
-    /// Returns the tally of the requested rollouts at a point.
     pub fn requests(&self, point: P) -> Tally {
         self.tallies(point).requests
     }

@@ -93,7 +93,7 @@ struct Ranges {
 }
 
 impl Bounds {
-    /// Computes the bounds over configurations of one level and replicate without a missing
+    /// Computes the bounds over configurations of one level without a missing
     /// rollout; `None` if none of these has a quarantined rollout.
     pub fn of(configurations: &[Matched]) -> Option<Self> {
         let (mut n, mut affected) = (0, 0);

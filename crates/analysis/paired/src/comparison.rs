@@ -59,7 +59,7 @@ impl<'a> From<&'a [Record]> for Compared<'a> {
 /// Result of comparing two policies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
-    /// Cells by replicate, level (nominal first) and condition.
+    /// Cells by level (nominal first) and condition.
     pub cells: Vec<ComparedCell>,
     /// Assignment of directions that the intervals assume: `Own` if both campaigns have it,
     /// otherwise `Shared`, which makes no interval narrower.
@@ -72,11 +72,9 @@ pub struct Comparison {
     pub unpaired: BTreeMap<Obstacle, Vec<RolloutId>>,
 }
 
-/// One condition at one level of one replicate.
+/// One condition at one level, with the rollouts of all replicates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ComparedCell {
-    /// The replicate.
-    pub replicate: u32,
     /// The level; L0 for nominal rollouts.
     pub level: Level,
     /// The condition.
@@ -90,6 +88,9 @@ pub struct ComparedCell {
     pub quarantined: u64,
     /// Difference over the rollouts with an outcome for both policies; absent if there are none.
     pub difference: Option<Difference>,
+    /// A − B in each replicate; empty if there is only one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_replicate: BTreeMap<u32, f64>,
     /// Differences in partial progress; absent if no rollout has an outcome and known progress for
     /// both policies.
     pub progress: Option<ProgressDifference>,
@@ -102,9 +103,9 @@ const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
 
-/// The rollouts of one cell, and the progress of those with an outcome and progress for both
-/// policies.
-type Cell = (Vec<Pair>, Vec<ProgressPair>);
+/// The rollouts of one cell, the progress of those with an outcome and progress for both policies,
+/// and A − B of each rollout by replicate.
+type Cell = (Vec<Pair>, Vec<ProgressPair>, BTreeMap<u32, Vec<i8>>);
 
 impl Comparison {
     /// Compares the records of A and B. Initial states and the axes of *simultaneous* are
@@ -140,7 +141,7 @@ impl Comparison {
             },
             ..Self::default()
         };
-        let mut cells: BTreeMap<(u32, Level, Condition), Cell> = BTreeMap::new();
+        let mut cells: BTreeMap<(Level, Condition), Cell> = BTreeMap::new();
         for (key, record) in &records_a {
             let Some(record_b) = records_b.get(key) else {
                 comparison.only_in_a += 1;
@@ -160,17 +161,21 @@ impl Comparison {
                 comparison.unpaired.entry(obstacle).or_default().push(id);
                 continue;
             }
-            let cell = (record.replicate, id.level(), id.condition());
-            let (pairs, progress_pairs) = cells.entry(cell).or_default();
+            let cell = (id.level(), id.condition());
+            let (pairs, progress_pairs, by_replicate) = cells.entry(cell).or_default();
             let pair = Pair {
                 task: id.task(),
                 number: id.config().unwrap_or(record.init_id),
                 a: record.outcome,
                 b: record_b.outcome,
             };
-            let has_outcomes = pair.a.success().is_some() && pair.b.success().is_some();
+            let outcomes = pair.a.success().zip(pair.b.success());
+            if let Some((a, b)) = outcomes {
+                let differences = by_replicate.entry(record.replicate).or_default();
+                differences.push(i8::from(a) - i8::from(b));
+            }
             if let [Some(a), Some(b)] = progress.each_ref().map(|by_key| by_key.get(key))
-                && has_outcomes
+                && outcomes.is_some()
             {
                 progress_pairs.push(ProgressPair {
                     task: pair.task,
@@ -182,11 +187,19 @@ impl Comparison {
         }
         let is_only_in_b = |key: &&Key| !records_a.contains_key(key);
         comparison.only_in_b = records_b.keys().filter(is_only_in_b).count() as u64;
-        let (keys, sets): (Vec<_>, Vec<Cell>) = cells.into_iter().unzip();
-        let (sets, progress_pairs): (Vec<_>, Vec<_>) = sets.into_iter().unzip();
+        let (mut keys, mut sets, mut progress_pairs) = (Vec::new(), Vec::new(), Vec::new());
+        for ((level, condition), (pairs, progress, by_replicate)) in cells {
+            let mean =
+                |of: &Vec<i8>| of.iter().copied().map(f64::from).sum::<f64>() / of.len() as f64;
+            let means = by_replicate.iter().filter(|_| by_replicate.len() > 1);
+            let means: BTreeMap<u32, f64> = means.map(|(k, of)| (*k, mean(of))).collect();
+            keys.push((level, condition, means));
+            sets.push(pairs);
+            progress_pairs.push(progress);
+        }
         // Initial states, which take the place of directions in nominal rollouts, have the
         // same numbers in all tasks.
-        let directions = keys.iter().map(|(_, _, condition)| match condition {
+        let directions = keys.iter().map(|(_, condition, _)| match condition {
             Condition::Clean => Directions::Shared,
             _ => comparison.directions,
         });
@@ -195,19 +208,19 @@ impl Comparison {
         let progress = ProgressDifference::of_each(&progress_pairs, &directions);
         let cells = keys.into_iter().zip(&sets).zip(differences).zip(progress);
         comparison.cells = cells
-            .map(|((((replicate, level, condition), pairs), difference), progress)| {
+            .map(|((((level, condition, by_replicate), pairs), difference), progress)| {
                 let missing = pairs.iter().filter(|pair| has_either(pair, Outcome::Missing));
                 let missing = missing.count() as u64;
                 let n = difference.as_ref().map_or(0, |difference| difference.n);
                 let shared = pairs.len() as u64;
                 ComparedCell {
-                    replicate,
                     level,
                     condition,
                     shared,
                     missing,
                     quarantined: shared - missing - n,
                     difference,
+                    by_replicate,
                     progress,
                     bounds: DifferenceBounds::of(pairs),
                 }
@@ -216,7 +229,7 @@ impl Comparison {
         comparison
     }
 
-    /// Returns the number of rollouts with an outcome for both policies, over all replicates.
+    /// Returns the number of rollouts with an outcome for both policies.
     pub fn compared(&self) -> u64 {
         let cells = self.cells.iter().filter_map(|cell| cell.difference.as_ref());
         cells.map(|difference| difference.n).sum()
@@ -260,7 +273,7 @@ impl Comparison {
 }
 
 impl ComparedCell {
-    /// Returns `nominal` or a name such as `L2 camera`, without the replicate.
+    /// Returns `nominal` or a name such as `L2 camera`.
     pub fn name(&self) -> String {
         match self.condition {
             Condition::Clean => self.condition.label().to_owned(),

@@ -4,7 +4,7 @@
 use libero_ctrl::Directions;
 
 use crate::bootstrap::Interval;
-use crate::comparison::{ComparedCell, Comparison};
+use crate::comparison::Comparison;
 use crate::difference::Difference;
 use crate::progress::{MeanDifference, ProgressDifference};
 use crate::text::{ABSENT, p_value, push_columns, push_wrapped, separate};
@@ -13,7 +13,7 @@ use crate::text::{ABSENT, p_value, push_columns, push_wrapped, separate};
 /// tasks.
 pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
     let cells =
-        || first_cells(comparison).filter_map(|cell| Some((cell, cell.difference.as_ref()?)));
+        || comparison.cells.iter().filter_map(|cell| Some((cell, cell.difference.as_ref()?)));
     let further = cells().map(|(cell, difference)| {
         let values = vec![
             interval_text(difference.estimate.new_tasks_and_directions, points),
@@ -25,10 +25,10 @@ pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
     });
     let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
     let title = "A - B for further targets";
-    push_block(text, comparison, title, &heads, further.collect());
+    push_block(text, title, &heads, further.collect());
     let by_task = cells().map(|(cell, difference)| (cell.name(), profile_columns(difference)));
     let heads = ["A better %", "95 %", "least", "most"];
-    push_block(text, comparison, "A - B by task", &heads, by_task.collect());
+    push_block(text, "A - B by task", &heads, by_task.collect());
 }
 
 fn profile_columns(difference: &Difference) -> Vec<String> {
@@ -52,7 +52,7 @@ fn profile_columns(difference: &Difference) -> Vec<String> {
 pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
     let heads = ["n", "A", "B", "A - B", "95 %", "Holm p"];
     let rows = |measure: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
-        let rows = first_cells(comparison).filter_map(|cell| {
+        let rows = comparison.cells.iter().filter_map(|cell| {
             let progress = measure(cell.progress.as_ref()?)?;
             Some((cell.name(), progress_columns(&progress, scale)))
         });
@@ -60,10 +60,10 @@ pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
     };
     let title = "partial progress: largest share of the goal's predicates held at once, %";
     let goal = rows(|progress| progress.goal, 100.0);
-    push_block(text, comparison, title, &heads, goal);
+    push_block(text, title, &heads, goal);
     let title = "partial progress: steps until success or the end of the rollout";
     let steps = rows(|progress| progress.steps, 1.0);
-    push_block(text, comparison, title, &heads, steps);
+    push_block(text, title, &heads, steps);
 }
 
 fn progress_columns(difference: &MeanDifference, scale: f64) -> Vec<String> {
@@ -110,7 +110,7 @@ pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, St
         ),
         ("least, most", "tasks with the least and the greatest A - B, in points"),
     ];
-    if first_cells(comparison).any(|cell| cell.progress.is_some()) {
+    if comparison.cells.iter().any(|cell| cell.progress.is_some()) {
         entries.push((
             "progress",
             "secondary to success; a failure counts with all steps of its budget; intervals are \
@@ -121,20 +121,7 @@ pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, St
     entries.map(|(symbol, meaning)| (symbol, meaning.to_owned())).collect()
 }
 
-/// Returns the cells of replicate 0.
-fn first_cells(comparison: &Comparison) -> impl Iterator<Item = &ComparedCell> {
-    let cells = comparison.cells.iter();
-    cells.filter(|cell| cell.replicate == 0)
-}
-
-/// Appends a block about replicate 0, which its title names if there are further replicates.
-fn push_block(
-    text: &mut String,
-    comparison: &Comparison,
-    title: &str,
-    heads: &[&str],
-    rows: Vec<(String, Vec<String>)>,
-) {
+fn push_block(text: &mut String, title: &str, heads: &[&str], rows: Vec<(String, Vec<String>)>) {
     if rows.is_empty() {
         return;
     }
@@ -142,9 +129,7 @@ fn push_block(
     let mut all = vec![(String::new(), heads)];
     all.extend(rows);
     separate(text);
-    let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
-    let suffix = if has_replicates { " (replicate 0)" } else { "" };
-    push_wrapped(text, "", &format!("{title}{suffix}"));
+    push_wrapped(text, "", title);
     push_columns(text, &all);
 }
 

@@ -20,6 +20,11 @@ pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> Strin
         separate(&mut text);
         push_wrapped(&mut text, "incomplete: ", &gaps.join("; "));
     }
+    let seeds: Vec<String> = cells.clone().filter_map(seeds).collect();
+    if !seeds.is_empty() {
+        separate(&mut text);
+        push_wrapped(&mut text, "A - B of each seed, points: ", &seeds.join("; "));
+    }
     let bounds: Vec<String> = cells.filter_map(bounds).collect();
     if !bounds.is_empty() {
         separate(&mut text);
@@ -37,21 +42,11 @@ fn heads() -> (String, Vec<String>) {
     (String::new(), heads.map(str::to_owned).to_vec())
 }
 
-/// Returns a row per cell, grouped under headings for the replicate, if there are several,
-/// and the level.
+/// Returns a row per cell, grouped under headings for the level.
 fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
-    let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
     let mut rows = vec![heads()];
-    let mut replicate = None;
     let mut heading = None;
     for cell in &comparison.cells {
-        if replicate.replace(cell.replicate) != Some(cell.replicate) {
-            // Each replicate repeats the headings of its levels.
-            heading = None;
-            if has_replicates {
-                rows.push((format!("replicate {}", cell.replicate), Vec::new()));
-            }
-        }
         let label = cell.condition.label();
         let label = match cell.condition {
             // No heading precedes the nominal rollouts, although their level is L0.
@@ -74,15 +69,6 @@ fn empty_values() -> Vec<String> {
     let mut values = vec![ABSENT.to_owned(); heads().1.len()];
     "0".clone_into(&mut values[0]);
     values
-}
-
-/// Returns a name such as `nominal`, `L2 camera`, or `L2 camera (replicate 1)` for later
-/// replicates.
-fn name(cell: &ComparedCell) -> String {
-    match cell.replicate {
-        0 => cell.name(),
-        k => format!("{} (replicate {k})", cell.name()),
-    }
 }
 
 fn values(difference: &Difference) -> Vec<String> {
@@ -111,20 +97,24 @@ fn gap(cell: &ComparedCell) -> Option<String> {
         (0, quarantined) => format!("{quarantined} quarantined"),
         (missing, quarantined) => format!("{missing} missing, {quarantined} quarantined"),
     };
-    Some(format!("{} {gap}", name(cell)))
+    Some(format!("{} {gap}", cell.name()))
+}
+
+/// Lists A − B of each replicate, whose rollouts both policies ran with seeds of the same number.
+fn seeds(cell: &ComparedCell) -> Option<String> {
+    let each = cell.by_replicate.values().map(|value| format!("{:+.1}", 100.0 * value));
+    let each: Vec<String> = each.collect();
+    (!each.is_empty()).then(|| format!("{} {}", cell.name(), each.join(", ")))
 }
 
 fn bounds(cell: &ComparedCell) -> Option<String> {
     let [low, high] = cell.bounds.as_ref()?.difference.map(|value| 100.0 * value);
-    Some(format!("{} {low:+.1} to {high:+.1}", name(cell)))
+    Some(format!("{} {low:+.1} to {high:+.1}", cell.name()))
 }
 
 fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, String)> {
     let mut entries = Vec::new();
     let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
-    if comparison.cells.iter().any(|cell| cell.replicate > 0) {
-        add("replicate", "replicates of A and B with the same number are compared");
-    }
     add(
         "n",
         "rollouts with an outcome for both policies; all rates and differences are over these \

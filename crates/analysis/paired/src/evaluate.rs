@@ -2,12 +2,13 @@
 //! the paired measures over the complete configurations and counts the missing outcomes. The
 //! formulas are in `measures`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use libero_ctrl::{AxisSet, Condition, Level, Suite, TaskRef};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
+use crate::by_task;
 use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
 use crate::findings::findings;
@@ -16,7 +17,7 @@ use crate::inference::Inference;
 use crate::inference::components::Components;
 use crate::measures::{Configuration, Measures};
 use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
-use crate::replication::Replication;
+use crate::replication::flips;
 use crate::report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
 
 /// Reports on one policy's records. `records` should hold every planned rollout, including
@@ -30,35 +31,21 @@ pub fn report(records: &[Record], options: &Options) -> Result<Report, Duplicate
 
 /// Reports on matched records.
 pub fn report_of(records: &Records, options: &Options) -> Report {
-    let replicates: BTreeSet<u32> = records.outcomes.keys().map(|key| key.0).collect();
-    let mut nominal: Vec<Nominal> =
-        replicates.iter().filter_map(|&replicate| nominal(records, replicate)).collect();
-    if let (true, Some(count)) = (nominal.is_empty(), options.reported_nominal) {
-        nominal.push(Nominal {
-            replicate: 0,
-            source: NominalSource::Reported,
-            count,
-            gap: Gap::default(),
-        });
-    }
-    let first_nominal = nominal.iter().find(|nominal| nominal.replicate == 0);
-    let first_nominal = first_nominal.map_or(Count::default(), |nominal| nominal.count);
-    let cells = records.configurations();
-    let cells = cells.chunk_by(|a, b| (a.replicate, a.level) == (b.replicate, b.level));
-    let placebos = cells.clone().filter(|matched| matched[0].level == Level::L0);
-    let placebos: BTreeMap<u32, &[Matched]> =
-        placebos.map(|matched| (matched[0].replicate, matched)).collect();
+    let reported = options.reported_nominal.map(|count| Nominal {
+        source: NominalSource::Reported,
+        count,
+        by_replicate: BTreeMap::new(),
+        gap: Gap::default(),
+    });
+    let nominal = nominal(records).or(reported);
+    let nominal_count = nominal.as_ref().map_or(Count::default(), |nominal| nominal.count);
+    let cells = records.configurations().chunk_by(|a, b| a.level == b.level);
+    let placebo = cells.clone().find(|matched| matched[0].level == Level::L0);
     let cells = cells.map(|matched| {
-        let replicate = matched[0].replicate;
-        let of_replicate = nominal.iter().find(|nominal| nominal.replicate == replicate);
-        let nominal_rate = of_replicate.and_then(|nominal| nominal.count.rate());
-        let placebo = placebos.get(&replicate).copied();
         let inference = Inference::of(matched, placebo, options.directions);
-        Cell { inference, ..cell(records, matched, nominal_rate, &options.bootstrap) }
+        Cell { inference, ..cell(records, matched, nominal_count.rate(), &options.bootstrap) }
     });
     let cells = cells.collect();
-    let later = replicates.iter().filter(|&&replicate| replicate > 0);
-    let later = later.map(|&replicate| Replication::of(records, replicate, &options.bootstrap));
     let mut report = Report {
         findings: Vec::new(),
         components: Components::of_each(records.configurations()),
@@ -68,7 +55,7 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         axes: records.axes().collect(),
         gate: options
             .published_nominal
-            .map(|rate| Gate::new(rate, first_nominal).with_tasks(&nominal_by_task(records, None))),
+            .map(|rate| Gate::new(rate, nominal_count).with_tasks(&nominal_by_task(records, None))),
         suite_gates: options
             .published_by_suite
             .iter()
@@ -80,7 +67,8 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
             .collect(),
         nominal,
         cells,
-        replication: later.collect(),
+        by_task: by_task::of_each(records),
+        flips: flips(records),
         quarantined: quarantined(records),
         bootstrap: options.bootstrap,
     };
@@ -88,20 +76,28 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
     report
 }
 
-fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
+fn nominal(records: &Records) -> Option<Nominal> {
     let (mut count, mut gap) = (Count::default(), Gap::default());
-    let mut has_nominal = false;
-    for (&(number, id), &outcome) in &records.outcomes {
-        if number == replicate && id.condition() == Condition::Clean {
-            has_nominal = true;
-            count.add(outcome);
-            gap.add(outcome);
-        }
+    let nominal = records.outcomes.iter().filter(|((_, id), _)| id.condition() == Condition::Clean);
+    let outcomes: Vec<(u32, Outcome)> = nominal.map(|((k, _), outcome)| (*k, *outcome)).collect();
+    for (_, outcome) in &outcomes {
+        count.add(*outcome);
+        gap.add(*outcome);
     }
-    has_nominal.then_some(Nominal { replicate, source: NominalSource::Records, count, gap })
+    let (source, by_replicate) = (NominalSource::Records, by_replicate(&outcomes));
+    (!outcomes.is_empty()).then_some(Nominal { source, count, by_replicate, gap })
 }
 
-/// Counts the nominal rollouts of one suite in replicate 0.
+/// Counts the outcomes of each replicate; empty if there is only one.
+fn by_replicate(outcomes: &[(u32, Outcome)]) -> BTreeMap<u32, Count> {
+    let mut counts: BTreeMap<u32, Count> = BTreeMap::new();
+    for (replicate, outcome) in outcomes {
+        counts.entry(*replicate).or_default().add(*outcome);
+    }
+    if counts.len() > 1 { counts } else { BTreeMap::new() }
+}
+
+/// Counts the nominal rollouts of one suite.
 fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     let tasks = nominal_by_task(records, Some(suite));
     tasks.iter().fold(Count::default(), |sum, task| Count {
@@ -110,11 +106,11 @@ fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     })
 }
 
-/// Counts the nominal rollouts of each task in replicate 0, for one suite or for all suites.
+/// Counts the nominal rollouts of each task, for one suite or for all suites.
 fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
-    for (&(replicate, id), &outcome) in &records.outcomes {
-        let is_nominal = replicate == 0 && id.condition() == Condition::Clean;
+    for (&(_, id), &outcome) in &records.outcomes {
+        let is_nominal = id.condition() == Condition::Clean;
         if is_nominal && suite.is_none_or(|suite| id.task().suite() == suite) {
             tasks.entry(id.task()).or_default().add(outcome);
         }
@@ -122,7 +118,7 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     tasks.into_values().collect()
 }
 
-/// Computes the cell of all configurations of one level and replicate.
+/// Computes the cell of all configurations of one level.
 fn cell(
     records: &Records,
     matched: &[Matched],
@@ -148,6 +144,8 @@ fn cell(
             gaps.insert(condition, gap);
         }
     }
+    let simultaneous = matched.iter().filter(|_| records.has_simultaneous);
+    let simultaneous: Vec<_> = simultaneous.map(|m| (m.replicate, m.simultaneous)).collect();
     let complete: Vec<Configuration> = matched.iter().filter_map(Matched::configuration).collect();
     let solvable = matched.iter().filter(|m| m.nominal == Outcome::Success);
     let solvable: Vec<Configuration> = solvable.filter_map(Matched::configuration).collect();
@@ -166,12 +164,12 @@ fn cell(
         })
     });
     Cell {
-        replicate: matched[0].replicate,
         level: matched[0].level,
         alone: alone.collect(),
         latency: has_latency.then(|| SingleAxis::new(counts[&Condition::Latency], nominal_rate)),
         subsets: subsets(matched),
         simultaneous: counts.get(&Condition::Combination).copied(),
+        by_replicate: by_replicate(&simultaneous),
         completeness: Completeness {
             complete: complete.len() as u64,
             expected: matched.len() as u64,

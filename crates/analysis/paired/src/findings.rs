@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 
 use libero_ctrl::{Condition, Level};
 
+use crate::count::Count;
 use crate::finding::{Finding, FindingKind};
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
 use crate::inference::loss::Loss;
 use crate::inference::multiplicity::holm;
+use crate::replication::Flips;
 use crate::report::{Cell, Report};
 use crate::text::{listed, percent, points};
 
@@ -22,11 +24,10 @@ pub const FINDING_ALPHA: f64 = 0.01;
 /// Significance level of claims of equivalence, whose p-values are not corrected.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
-/// Returns the findings about replicate 0: success, then for each level costs, simultaneity
+/// Returns the findings: success, then for each level costs, simultaneity
 /// and, if success depends on the direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
-    let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
-    let cells: Vec<&Cell> = cells.collect();
+    let cells: Vec<&Cell> = report.cells.iter().collect();
     let claims = Claims::new(&cells);
     let mut findings: Vec<Finding> = success(report, &cells).into_iter().collect();
     for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
@@ -91,10 +92,13 @@ impl Claims {
 
 /// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
-    let nominal = report.nominal.iter().find(|nominal| nominal.replicate == 0)?.count;
-    let mut sentence = match nominal.n {
+    let nominal = report.nominal.as_ref()?;
+    let seeds = seeds(&nominal.by_replicate);
+    let mut sentence = match nominal.count.n {
         0 => "No nominal rollout has an outcome yet".to_owned(),
-        n => format!("Nominally, {} % of {n} rollouts succeed", percent(nominal.rate())),
+        n => {
+            format!("Nominally, {} % of {n} rollouts{seeds} succeed", percent(nominal.count.rate()))
+        }
     };
     let at_levels = cells.iter().filter_map(|cell| {
         let rate = cell.simultaneous?.rate()?;
@@ -103,7 +107,8 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
         let interval = interval.map_or_else(String::new, |[low, high]| {
             format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
         });
-        Some(format!("{} %{interval} at {}", percent(Some(rate)), cell.level))
+        let seeds = self::seeds(&cell.by_replicate);
+        Some(format!("{} %{interval}{seeds} at {}", percent(Some(rate)), cell.level))
     });
     let at_levels: Vec<String> = at_levels.collect();
     if !at_levels.is_empty() {
@@ -112,6 +117,16 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     }
     sentence.push('.');
     Some(Finding { kind: FindingKind::Success, level: None, claims: false, holm_p: None, sentence })
+}
+
+/// Describes counts by policy seed: ` (mean of 3 seeds: 70.0, 35.0 and 40.0)`; empty without
+/// replicates.
+pub(crate) fn seeds(by_replicate: &BTreeMap<u32, Count>) -> String {
+    if by_replicate.is_empty() {
+        return String::new();
+    }
+    let rates: Vec<String> = by_replicate.values().map(|count| percent(count.rate())).collect();
+    format!(" (mean of {} seeds: {})", rates.len(), listed(&rates))
 }
 
 /// Writes the finding about the greatest loss under a single axis, or smaller losses if only they
@@ -126,8 +141,13 @@ fn cost(cell: &Cell) -> Option<Finding> {
     let by_loss =
         |a: &&(&str, &Loss), b: &&(&str, &Loss)| a.1.loss.value.total_cmp(&b.1.loss.value);
     let (most, loss) = *singles.iter().max_by(by_loss)?;
-    let level = cell.level;
+    // Without nominal success nothing can be lost, and too few tasks show nothing.
     let is_costly = |loss: &Loss| loss.holm_p < FINDING_ALPHA && loss.loss.value > 0.0;
+    let has_enough_tasks = loss.nominal.new_tasks.or(loss.success.new_tasks).is_some();
+    if loss.nominal.value == 0.0 || !has_enough_tasks && !is_costly(loss) {
+        return None;
+    }
+    let level = cell.level;
     let is_equivalent = |loss: &Loss| loss.equivalence_p.is_some_and(|p| p < EQUIVALENCE_ALPHA);
     let names = |predicate: &dyn Fn(&Loss) -> bool| -> Vec<String> {
         let named = singles.iter().filter(|(_, loss)| predicate(loss));
@@ -177,6 +197,10 @@ fn cost(cell: &Cell) -> Option<Finding> {
 fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let level = cell.level;
+    // A policy that never succeeds has no outcome that simultaneity could change.
+    if inference.paired.s_conj.value == 0.0 && inference.paired.s_sim.value == 0.0 {
+        return None;
+    }
     let Some(excess) = &inference.excess else {
         return without_floor(cell, report, claims);
     };
@@ -260,8 +284,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
                     percent(Some(r_d)),
                 )
             });
-            let mut cells = report.cells.iter().filter(|cell| cell.replicate == 0);
-            let cause = match cells.any(|cell| cell.level == Level::L0) {
+            let cause = match report.cells.iter().any(|cell| cell.level == Level::L0) {
                 true => "because the placebo level L0 has no complete configuration of these axes"
                     .to_owned(),
                 false => format!("without a placebo (`--levels L0,{level}`)"),
@@ -287,10 +310,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
 /// language-perturbed rollouts. Language has an effect of its own, so that the share of
 /// language-perturbed rollouts is an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
-    let replicate = report.replication.first();
-    let replicate = replicate
-        .and_then(|replication| replication.flips_by_condition.get(&Condition::Clean)?.rate());
-    if let Some(rate) = replicate {
+    if let Some(rate) = report.flips.get(&Condition::Clean).and_then(Flips::rate) {
         return Some(("Nominal rollouts of two replicates end differently", rate));
     }
     let language = Condition::Single(libero_ctrl::Axis::Language);

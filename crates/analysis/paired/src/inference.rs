@@ -23,7 +23,7 @@ use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
 use crate::outcomes::Matched;
 
-/// Inference about one level of one replicate.
+/// Inference about one level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inference {
     /// The paper's measures over complete configurations, with intervals for each target.
@@ -47,8 +47,8 @@ pub struct Inference {
 }
 
 impl Inference {
-    /// Computes the inference from the configurations of one level and replicate and those
-    /// of the placebo; `None` if no configuration is complete.
+    /// Computes the inference from the configurations of one level and those of
+    /// the placebo; `None` if no configuration is complete.
     pub(crate) fn of(
         matched: &[Matched],
         placebo: Option<&[Matched]>,

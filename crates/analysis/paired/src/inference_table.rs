@@ -84,7 +84,7 @@ const EXCESS_LINES: [ExcessLine; 12] = [
 
 /// Appends the table: intervals for each target, rates among eligible configurations,
 /// relative independence, and the excess over the noise floor.
-pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
+pub(crate) fn push_inference(text: &mut String, cells: &[&Cell]) {
     for cells in cells.chunks(MAX_CELLS) {
         let inferred: Vec<(Level, &Inference)> =
             cells.iter().filter_map(|cell| Some((cell.level, cell.inference.as_ref()?))).collect();
@@ -92,10 +92,7 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
             continue;
         }
         separate(text);
-        let _ = writeln!(
-            text,
-            "95 % intervals about these tasks, new tasks and new directions, %{suffix}"
-        );
+        let _ = writeln!(text, "95 % intervals about these tasks, new tasks and new directions, %");
         let levels = inferred.iter().map(|(level, _)| level.to_string());
         push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
         for (label, value) in LINES {
@@ -112,12 +109,12 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
             push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
     }
-    push_losses(text, cells, suffix);
+    push_losses(text, cells);
 }
 
 /// Appends the table of success lost under each condition, against matched nominal
 /// rollouts.
-fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
+fn push_losses(text: &mut String, cells: &[&Cell]) {
     let heads = ["n", "nominal", "success", "loss", "95 %", "Holm p", "equiv. p"];
     let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
     for cell in cells {
@@ -147,8 +144,7 @@ fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     }
     if rows.len() > 1 {
         separate(text);
-        let _ =
-            writeln!(text, "loss against nominal rollouts of the same initial states, %{suffix}");
+        let _ = writeln!(text, "loss against nominal rollouts of the same initial states, %");
         push_columns(text, &rows);
     }
 }

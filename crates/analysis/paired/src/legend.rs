@@ -64,11 +64,8 @@ pub fn legend(reports: &[&Report]) -> String {
     for (symbol, meaning) in inference_table::meanings(&all, directions) {
         entries.push((symbol, meaning.to_owned()));
     }
-    let replication = reports.iter().flat_map(|report| &report.replication);
-    let changes = replication.flat_map(|replication| replication.changes.values());
     let measures = cells().flat_map(|cell| cell.paired.iter().chain(&cell.solvable));
-    let absent = measures.map(|measures| measures.no_interval);
-    let absent: Vec<_> = absent.chain(changes.map(|change| change.no_interval)).collect();
+    let absent: Vec<_> = measures.map(|measures| measures.no_interval).collect();
     if cells().any(|cell| cell.paired.is_some()) {
         let bootstrap = reports.first().map_or_else(Bootstrap::default, |report| report.bootstrap);
         entries.extend(interval_entries(&bootstrap, absent));

@@ -14,6 +14,7 @@
 mod bootstrap;
 mod bounds;
 mod brief;
+mod by_task;
 mod comparison;
 mod comparison_further;
 mod comparison_table;
@@ -42,6 +43,7 @@ mod text;
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
 pub use brief::brief;
+pub use by_task::{SuiteRow, TaskSuccess};
 pub use comparison::{Compared, ComparedCell, Comparison, Obstacle};
 pub use comparison_table::comparison_table;
 pub use count::Count;
@@ -70,7 +72,7 @@ pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
 pub use planning::{Against, Assumed, Detectable, Planned};
 pub use progress::{MeanDifference, Progress, ProgressDifference};
-pub use replication::{Change, Flips, Replication};
+pub use replication::Flips;
 pub use report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
 pub use sequential::{
     CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,

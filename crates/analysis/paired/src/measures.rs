@@ -1,4 +1,4 @@
-//! The measures of one cell: matched configurations of one level and replicate.
+//! The measures of one cell: matched configurations of one level.
 
 use std::collections::BTreeMap;
 

@@ -242,7 +242,7 @@ impl Records {
     }
 
     /// Returns every configuration with at least one recorded perturbed rollout, ordered
-    /// by replicate, level, task and number.
+    /// by level, replicate, task and number.
     pub fn configurations(&self) -> &[Matched] {
         &self.matched
     }
@@ -278,7 +278,7 @@ impl Records {
         let mut matched = BTreeMap::new();
         for &Record { id, init_id, replicate, outcome } in records {
             let Some(config) = id.config() else { continue };
-            let key = (replicate, id.level(), id.task(), config);
+            let key = (id.level(), replicate, id.task(), config);
             let entry = matched.entry(key).or_insert_with(|| Matched {
                 replicate,
                 level: id.level(),

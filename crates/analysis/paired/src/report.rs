@@ -7,13 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
+use crate::by_task::TaskSuccess;
 use crate::count::Count;
 use crate::finding::Finding;
 use crate::gate::{Gate, SuiteGate};
 use crate::inference::Inference;
 use crate::inference::components::Components;
 use crate::measures::Measures;
-use crate::replication::Replication;
+use crate::replication::Flips;
 
 /// Options of a report.
 #[derive(Clone, Debug, Default)]
@@ -43,8 +44,8 @@ pub struct Report {
     pub notes: Vec<String>,
     /// Axes that were perturbed alone, in the protocol's order.
     pub axes: Vec<Axis>,
-    /// Nominal success, per replicate.
-    pub nominal: Vec<Nominal>,
+    /// Nominal success; absent if the campaign runs no nominal rollouts.
+    pub nominal: Option<Nominal>,
     /// The reproduction gate; absent if no published figure is known.
     pub gate: Option<Gate>,
     /// The gates of single suites whose published figures are known.
@@ -57,10 +58,12 @@ pub struct Report {
     /// Assignment of directions to configurations.
     #[serde(default, skip_serializing_if = "Directions::is_shared")]
     pub directions: Directions,
-    /// Cells, by replicate and level.
+    /// Cells, by level.
     pub cells: Vec<Cell>,
-    /// Comparison of each further replicate with the first.
-    pub replication: Vec<Replication>,
+    /// Success of every task, by level (nominal first) and condition.
+    pub by_task: Vec<TaskSuccess>,
+    /// Rollouts whose outcome differs between replicates, by condition; empty without replicates.
+    pub flips: BTreeMap<Condition, Flips>,
     /// Variance components by level; empty without replicates.
     pub components: Vec<Components>,
     /// Sentences about the figures, see [`findings`](fn@crate::findings).
@@ -83,15 +86,16 @@ impl Report {
     }
 }
 
-/// Nominal rollouts of one replicate.
+/// Nominal rollouts of all replicates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Nominal {
-    /// The replicate.
-    pub replicate: u32,
     /// Source of the count.
     pub source: NominalSource,
     /// Rollouts and their successes.
     pub count: Count,
+    /// `count` of each replicate; empty if there is only one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_replicate: BTreeMap<u32, Count>,
     /// Rollouts without an outcome.
     pub gap: Gap,
 }
@@ -106,11 +110,9 @@ pub enum NominalSource {
     Reported,
 }
 
-/// One level of one replicate.
+/// One level, with the configurations of all replicates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
-    /// The replicate.
-    pub replicate: u32,
     /// The level.
     pub level: Level,
     /// Success under each single axis over all results, including those of incomplete
@@ -127,6 +129,9 @@ pub struct Cell {
     /// Success of the simultaneous rollouts over all their results; absent if the campaign runs no
     /// simultaneous rollouts.
     pub simultaneous: Option<Count>,
+    /// `simultaneous` of each replicate; empty if there is only one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_replicate: BTreeMap<u32, Count>,
     /// Counts of complete configurations, over which the paired measures are computed.
     pub completeness: Completeness,
     /// Paired measures; absent if no configuration is complete or the campaign runs no

@@ -7,13 +7,16 @@ use std::fmt::Write;
 use libero_ctrl::{AxisSet, Condition, Measure};
 
 use crate::bounds::Bounds;
+use crate::brief::push_suites;
 use crate::count::Count;
+use crate::findings::seeds;
 use crate::gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
 use crate::inference::components::Components;
 use crate::inference_table::push_inference;
 use crate::measures::Measures;
+use crate::replication::Flips;
 use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
 use crate::text::{
     ABSENT, p_value, percent, points, points_interval, push_columns, push_row, push_wrapped, rate,
@@ -39,36 +42,24 @@ pub fn table(report: &Report) -> String {
     if !report.quarantined.is_empty() {
         push_wrapped(&mut text, "! ", &quarantined(&report.quarantined));
     }
-    for nominal in &report.nominal {
+    if let Some(nominal) = &report.nominal {
         separate(&mut text);
-        push_wrapped(&mut text, "", &nominal_line(nominal, report));
+        push_wrapped(&mut text, "", &nominal_line(nominal));
     }
     text.push_str(&gate_lines(report));
-    let mut replicates: Vec<u32> = report.cells.iter().map(|cell| cell.replicate).collect();
-    replicates.dedup();
-    for replicate in replicates {
-        let cells: Vec<&Cell> =
-            report.cells.iter().filter(|cell| cell.replicate == replicate).collect();
-        let suffix = replicate_suffix(replicate, report);
-        push_rates(&mut text, report, &cells, &suffix);
-        push_subsets(&mut text, &cells, &suffix);
-        if cells.iter().any(|cell| cell.simultaneous.is_some()) {
-            for cells in cells.chunks(MAX_CELLS) {
-                push_paired(&mut text, cells, &suffix, &report.overstated);
-            }
-            push_inference(&mut text, &cells, &suffix);
+    let cells: Vec<&Cell> = report.cells.iter().collect();
+    push_rates(&mut text, report, &cells);
+    push_suites(&mut text, report, |_| true);
+    push_subsets(&mut text, &cells);
+    if cells.iter().any(|cell| cell.simultaneous.is_some()) {
+        for cells in cells.chunks(MAX_CELLS) {
+            push_paired(&mut text, cells, &report.overstated);
         }
-        push_gaps(&mut text, &cells);
+        push_inference(&mut text, &cells);
     }
+    push_gaps(&mut text, &cells);
     push_replication(&mut text, report);
     text
-}
-
-fn replicate_suffix(replicate: u32, report: &Report) -> String {
-    match report.replication.is_empty() {
-        true => String::new(),
-        false => format!(", replicate {replicate}"),
-    }
 }
 
 fn quarantined(names: &[String]) -> String {
@@ -80,8 +71,8 @@ fn quarantined(names: &[String]) -> String {
     format!("in quarantine and excluded from every rate ({}): {named}{more}", names.len())
 }
 
-fn nominal_line(nominal: &Nominal, report: &Report) -> String {
-    let suffix = replicate_suffix(nominal.replicate, report);
+fn nominal_line(nominal: &Nominal) -> String {
+    let seeds = seeds(&nominal.by_replicate);
     let Count { successes, n } = nominal.count;
     let rate = percent(nominal.count.rate());
     let missing = match gap_text(&nominal.gap) {
@@ -92,7 +83,7 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
         NominalSource::Records => "",
         NominalSource::Reported => ", as reported",
     };
-    format!("nominal success{suffix}: {rate} % ({successes}/{n}{source}){missing}")
+    format!("nominal success: {rate} % ({successes}/{n}{source}){seeds}{missing}")
 }
 
 /// Writes the verdicts of the gates over all suites and for single suites.
@@ -141,7 +132,7 @@ fn gate_line(suffix: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
     )
 }
 
-fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str) {
+fn push_rates(text: &mut String, report: &Report, cells: &[&Cell]) {
     let has_latency = cells.iter().any(|cell| cell.latency.is_some());
     if report.axes.is_empty() && !has_latency {
         return;
@@ -156,7 +147,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
         true => "success, its counts, and the loss against nominal, %",
         false => "success, and its counts, %",
     };
-    let _ = writeln!(text, "{title}{suffix}");
+    let _ = writeln!(text, "{title}");
     let has_simultaneous = cells.iter().any(|cell| cell.simultaneous.is_some());
     let singles = report.axes.iter().copied().map(Condition::Single);
     let columns: Vec<Condition> = singles
@@ -198,14 +189,14 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
 }
 
 /// Appends success under subsets of two or more axes, a line for each subset.
-fn push_subsets(text: &mut String, cells: &[&Cell], suffix: &str) {
+fn push_subsets(text: &mut String, cells: &[&Cell]) {
     let sets: BTreeSet<AxisSet> =
         cells.iter().flat_map(|cell| cell.subsets.keys().copied()).collect();
     if sets.is_empty() {
         return;
     }
     separate(text);
-    let _ = writeln!(text, "success under several axes, and its counts, %{suffix}");
+    let _ = writeln!(text, "success under several axes, and its counts, %");
     for cells in cells.chunks(MAX_CELLS) {
         let levels = cells.iter().map(|cell| cell.level.to_string());
         push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
@@ -287,9 +278,9 @@ fn starred(label: &str, overstated: &BTreeSet<Measure>) -> String {
     }
 }
 
-fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BTreeSet<Measure>) {
+fn push_paired(text: &mut String, cells: &[&Cell], overstated: &BTreeSet<Measure>) {
     separate(text);
-    let _ = writeln!(text, "paired outcomes of complete configurations, %{suffix}");
+    let _ = writeln!(text, "paired outcomes of complete configurations, %");
     let levels = cells.iter().map(|cell| cell.level.to_string());
     push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
     let complete = cells.iter().map(|cell| {
@@ -346,29 +337,18 @@ fn push_gaps(text: &mut String, cells: &[&Cell]) {
 }
 
 fn push_replication(text: &mut String, report: &Report) {
-    if report.replication.is_empty() {
+    if report.flips.is_empty() {
         return;
     }
     separate(text);
-    for replication in &report.replication {
-        let changes = replication.changes.iter();
-        let changes = changes.map(|(level, change)| {
-            let interval = points_interval(change.i_ci95, change.no_interval);
-            format!("{level} {} {interval}", points(change.i))
-        });
-        let changes = changes.collect::<Vec<_>>().join(", ");
-        let changes = match changes.as_str() {
-            "" => "no configuration is complete in both".to_owned(),
-            changes => format!("I changes by {changes}"),
-        };
-        let flips = &replication.flips;
-        let line = format!(
-            "replicate {} against 0: {} % of outcomes differ ({}/{}); {changes}",
-            replication.replicate,
-            percent(flips.rate()),
-            flips.flipped,
-            flips.compared,
-        );
+    let flips = report.flips.iter().map(|(condition, flips)| {
+        let Flips { compared, flipped } = flips;
+        format!("{} {} % ({flipped}/{compared})", condition.label(), percent(flips.rate()))
+    });
+    let flips: Vec<String> = flips.collect();
+    push_wrapped(text, "", &format!("outcomes that another seed changes: {}", flips.join(", ")));
+    for cell in report.cells.iter().filter(|cell| !cell.by_replicate.is_empty()) {
+        let line = format!("simultaneous at {}{}", cell.level, seeds(&cell.by_replicate));
         push_wrapped(text, "", &line);
     }
     for components in &report.components {

@@ -168,21 +168,18 @@ fn rollouts_with_the_same_id_and_another_setup_are_not_paired_but_listed() {
 }
 
 #[test]
-fn replicates_are_paired_by_number() {
+fn replicates_are_paired_by_number_and_pooled() {
     let mut a = vec![record(CAMERA, 0, 7, S)];
     a.push(Record { replicate: 1, outcome: F, ..a[0] });
     let mut b = a.clone();
     b[1].outcome = S;
     let comparison = compare(&a, &b);
-    let net: Vec<_> = comparison
-        .cells
-        .iter()
-        .map(|cell| Some((cell.replicate, cell.difference.as_ref()?.difference)))
-        .collect();
-    assert_eq!(net, [Some((0, 0.0)), Some((1, -1.0))]);
+    let [cell] = comparison.cells.as_slice() else { panic!("{comparison:?}") };
+    let difference = cell.difference.as_ref().expect("two outcomes");
+    assert_eq!((difference.n, difference.difference), (2, -0.5));
+    assert_eq!(cell.by_replicate, [(0, 0.0), (1, -1.0)].into());
     let table = comparison_table(&comparison, &Bootstrap::default());
-    assert!(table.contains("replicate 1\n"), "{table}");
-    assert!(table.contains("A - B by task (replicate 0)\n"), "{table}");
+    assert!(table.contains("each seed, points: L2 camera +0.0, -100.0\n"), "{table}");
 }
 
 #[test]

@@ -186,13 +186,19 @@ fn nominal(task_index: usize, config: u16, outcome: Outcome) -> Record {
 /// Returns a campaign of two axes over three tasks with one configuration each. `outcomes` are
 /// nominal, camera, sensor and simultaneous.
 fn campaign(outcomes: [[Outcome; 4]; 3]) -> Vec<Record> {
-    let rows = outcomes.into_iter().enumerate();
-    rows.flat_map(|(task, [clean, camera, sensor, simultaneous])| {
+    campaign_of_tasks(&outcomes, 1)
+}
+
+/// Returns such a campaign with `configs` configurations of each task.
+fn campaign_of_tasks(outcomes: &[[Outcome; 4]], configs: usize) -> Vec<Record> {
+    let rows = outcomes.iter().enumerate();
+    rows.flat_map(|(index, &[clean, camera, sensor, simultaneous])| {
+        let (task, config) = (index / configs, (index % configs) as u16);
         [
-            nominal(task, 0, clean),
-            perturbed(task, Condition::Single(Axis::Camera), 0, camera),
-            perturbed(task, Condition::Single(Axis::Sensor), 0, sensor),
-            perturbed(task, Condition::Combination, 0, simultaneous),
+            nominal(task, config, clean),
+            perturbed(task, Condition::Single(Axis::Camera), config, camera),
+            perturbed(task, Condition::Single(Axis::Sensor), config, sensor),
+            perturbed(task, Condition::Combination, config, simultaneous),
         ]
     })
     .collect()
@@ -214,7 +220,7 @@ fn measures_of_a_campaign_are_over_the_axes_that_it_perturbs() {
     assert_eq!(measures.emergent_share, Some(1.0));
     let solvable = cell.solvable.as_ref().expect("two are solvable");
     assert_eq!((solvable.n, solvable.b, solvable.c), (2, 1, 1));
-    let nominal = &report.nominal[0];
+    let nominal = report.nominal.as_ref().expect("nominal rollouts");
     assert_eq!((nominal.count.successes, nominal.count.n), (2, 3));
     let loss = cell.alone[&Axis::Camera].clean_relative_loss;
     assert!(loss.expect("known").abs() < 1e-12, "2/3 against 2/3 nominal is no loss");
@@ -226,7 +232,12 @@ fn a_bound_of_chance_is_stated_only_if_nearly_identical_rollouts_end_differently
         let rows = (0..3).flat_map(|task| {
             [
                 nominal(task, 0, S),
-                perturbed(task, Condition::Single(Axis::Language), 0, language),
+                perturbed(
+                    task,
+                    Condition::Single(Axis::Language),
+                    0,
+                    if task > 0 { language } else { S },
+                ),
                 perturbed(task, Condition::Single(Axis::Sensor), 0, S),
                 perturbed(task, Condition::Combination, 0, F),
             ]
@@ -342,12 +353,15 @@ fn reported_nominal_counts_are_used_if_no_nominal_rollout_is_recorded() {
         ..Options::default()
     };
     let recorded = report(&records, &options).expect("no duplicates");
-    assert_eq!(recorded.nominal[0].count, Count { successes: 2, n: 3 });
+    assert_eq!(
+        recorded.nominal.as_ref().expect("nominal rollouts").count,
+        Count { successes: 2, n: 3 }
+    );
     assert_eq!(recorded.gate.expect("a published figure").verdict, GateVerdict::Undecided);
 
     records.retain(|record| record.id.condition() != Condition::Clean);
     let reported = report(&records, &options).expect("no duplicates");
-    assert_eq!(reported.nominal[0].source, NominalSource::Reported);
+    assert_eq!(reported.nominal.as_ref().expect("a count").source, NominalSource::Reported);
     assert_eq!(reported.gate.expect("a published figure").verdict, GateVerdict::Passed);
     let text = table(&reported);
     assert!(text.contains("96.7 % (1934/2000, as reported)"), "{text}");
@@ -383,29 +397,70 @@ fn a_report_of_nominal_rollouts_alone_has_only_nominal_success() {
     assert_eq!(table(&report), "nominal success: 50.0 % (1/2)\n");
 }
 
+/// Three seeds whose simultaneous rollouts succeed 14, 7 and 8 times in 20: the headline is 48.3 %
+/// of all 60, and the interval is no narrower for counting a task's seeds as one.
 #[test]
-fn later_replicates_are_compared_with_replicate_0() {
-    let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
-    let mut later = records.clone();
-    for record in &mut later {
-        record.replicate = 1;
+fn every_headline_pools_the_replicates_and_lists_the_seeds() {
+    let campaign_of = |replicate: u32, successes: usize| {
+        let rows = (0..20).map(|index| [S, S, S, if index < successes { S } else { F }]);
+        let records = campaign_of_tasks(&rows.collect::<Vec<_>>(), 4);
+        records.into_iter().map(move |record| Record { replicate, ..record })
+    };
+    let records: Vec<Record> =
+        [14, 7, 8].into_iter().zip(0..).flat_map(|(n, k)| campaign_of(k, n)).collect();
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let [cell] = report.cells.as_slice() else { panic!("one cell per level: {report:?}") };
+    assert_eq!(cell.simultaneous, Some(Count { successes: 29, n: 60 }));
+    let by_seed: Vec<u64> = cell.by_replicate.values().map(|count| count.successes).collect();
+    assert_eq!(by_seed, [14, 7, 8]);
+    let seeds = "(mean of 3 seeds: 70.0, 35.0 and 40.0)";
+    let finding = &report.findings[0].sentence;
+    assert!(finding.contains("48.3 %") && finding.contains(seeds), "{finding}");
+    assert!(
+        table(&report).contains(seeds) && brief(&report).contains("48.3"),
+        "{}",
+        table(&report)
+    );
+    // The same outcomes in every replicate tell nothing more than once.
+    let once: Vec<Record> = campaign_of(0, 7).collect();
+    let twice: Vec<Record> = (0..2).flat_map(|k| campaign_of(k, 7)).collect();
+    let [once, twice] = [once, twice].map(|records| {
+        let report = paired::report(&records, &Options::default()).expect("no duplicates");
+        report.cells[0].inference.clone().expect("complete configurations")
+    });
+    assert_eq!(once.paired, twice.paired);
+    assert_eq!(
+        once.losses[&Condition::Combination].loss,
+        twice.losses[&Condition::Combination].loss
+    );
+    assert_eq!(once.directions, twice.directions);
+}
+
+/// Neither a policy that solves nothing nor three tasks say anything about axes.
+#[test]
+fn no_finding_compares_nothing_with_nothing_or_generalises_from_few_tasks() {
+    for (outcomes, tasks) in [([F, F, F, F], 6), ([S, F, F, F], 3)] {
+        let records = campaign_of_tasks(&vec![outcomes; 2 * tasks], 2);
+        let report = report(&records, &Options::default()).expect("no duplicates");
+        let findings: Vec<&str> =
+            report.findings.iter().map(|finding| finding.sentence.as_str()).collect();
+        assert_eq!(findings.len(), 1, "only the rates: {findings:?}");
     }
-    // The first configuration's simultaneous rollout succeeds: no longer an emergent failure.
+}
+
+#[test]
+fn rollouts_that_another_seed_changes_are_counted_by_condition() {
+    let records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let mut later: Vec<Record> =
+        records.iter().map(|record| Record { replicate: 1, ..*record }).collect();
     later[3].outcome = S;
     later[4].outcome = M;
-    records.extend(later);
+    let records = [records, later].concat();
     let report = report(&records, &Options::default()).expect("no duplicates");
-    let replication = &report.replication[0];
-    let Flips { compared, flipped } = replication.flips;
-    assert_eq!((compared, flipped), (11, 1));
-    let simultaneous = replication.flips_by_condition[&Condition::Combination];
-    assert_eq!(simultaneous.rate(), Some(1.0 / 3.0));
-    let change = &replication.changes[&Level::L2];
-    assert_eq!((change.n, change.same_transition), (3, 2));
-    assert_eq!((change.changed, change.changed_again), (2, 1));
-    assert!((change.i - 1.0 / 3.0).abs() < 1e-12, "{change:?}");
-    assert!((change.r_e + 1.0 / 3.0).abs() < 1e-12, "{change:?}");
-    assert!(table(&report).contains("replicate 1 against 0: 9.1 % of outcomes differ (1/11)"));
+    assert_eq!(report.flips[&Condition::Combination], Flips { compared: 3, flipped: 1 });
+    let compared: u64 = report.flips.values().map(|flips| flips.compared).sum();
+    assert_eq!(compared, 11);
+    assert!(table(&report).contains("simultaneous 33.3 % (1/3)"), "{}", table(&report));
 }
 
 #[test]

@@ -78,9 +78,10 @@ impl Analysis {
             records = Records::default();
             report = Report {
                 axes: Vec::new(),
-                nominal: Vec::new(),
+                nominal: None,
                 cells: Vec::new(),
-                replication: Vec::new(),
+                by_task: Vec::new(),
+                flips: BTreeMap::new(),
                 components: Vec::new(),
                 findings: Vec::new(),
                 ..report
@@ -139,13 +140,8 @@ impl Analysis {
         self.progress.get(&(matched.replicate, id))
     }
 
-    /// Returns the cells of replicate 0, by level.
-    pub fn cells(&self) -> impl Iterator<Item = &Cell> {
-        self.report.cells.iter().filter(|cell| cell.replicate == 0)
-    }
-
-    /// Returns the cell of a level in replicate 0.
+    /// Returns the cell of a level.
     pub fn cell(&self, level: Level) -> Option<&Cell> {
-        self.cells().find(|cell| cell.level == level)
+        self.report.cells.iter().find(|cell| cell.level == level)
     }
 }

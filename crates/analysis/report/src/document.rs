@@ -61,7 +61,7 @@ pub enum DocumentError {
 #[derive(Serialize)]
 struct JsonForm<'a> {
     warnings: &'a [String],
-    /// Measures of replicate 0; null if no configuration is complete.
+    /// Measures of all replicates; null if no configuration is complete.
     paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
     reports: Vec<JsonReport<'a>>,
 }
@@ -161,7 +161,8 @@ impl Document {
             return Ok(text.map_err(JsonError::from)?);
         }
         let paired = self.analyses.iter().map(|analysis| {
-            let levels = analysis.cells().map(|cell| (cell.level, cell.paired.as_ref()));
+            let levels =
+                analysis.report.cells.iter().map(|cell| (cell.level, cell.paired.as_ref()));
             (analysis.label.as_str(), levels.collect())
         });
         let reports = self.analyses.iter().map(|analysis| JsonReport {

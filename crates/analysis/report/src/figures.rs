@@ -26,7 +26,6 @@ use libero_ctrl::{Level, RolloutId};
 use maud::{Markup, PreEscaped, html};
 use paired::Transition;
 
-use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::threshold_report::ThresholdReport;
 
@@ -38,7 +37,7 @@ pub use gate::gate;
 pub use heat_map::heat_map;
 pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
-pub use replication::{flips, replicates};
+pub use replication::flips;
 pub use survival::survival;
 pub use svg::WIDTH;
 pub use upset::upset;
@@ -97,7 +96,7 @@ impl Figure {
         // The file draws its own background, because a viewer may show a dark background behind
         // the text of the light scheme, or the reverse.
         let style = html! {
-            style { (PreEscaped(STYLE)) }
+            style { (PreEscaped(literal_style())) }
             rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
                 width="100%" height="100%" {}
         };
@@ -126,9 +125,29 @@ impl Figure {
     }
 }
 
+/// Returns [`STYLE`] with the values of its variables, and always light: programs that convert SVG
+/// files to PDF know no variables, and a file does not follow the colours of its reader's desktop.
+fn literal_style() -> String {
+    let (_, light) = STYLE.split_once('{').unwrap_or_default();
+    let light = light.split_once('}').map_or("", |(light, _)| light);
+    let variables = light.split(';').filter(|declaration| declaration.starts_with("--"));
+    let mut style: String = STYLE
+        .lines()
+        .filter(|line| !line.starts_with('@'))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    for variable in variables {
+        style = style.replace(&format!("{variable};"), "");
+        if let Some((name, value)) = variable.split_once(':') {
+            style = style.replace(&format!("var({name})"), value);
+        }
+    }
+    style
+}
+
 /// Returns the levels of a document, in ascending order of radius.
 pub fn levels(document: &Document) -> Vec<Level> {
-    let cells = document.analyses.iter().flat_map(Analysis::cells);
+    let cells = document.analyses.iter().flat_map(|analysis| &analysis.report.cells);
     let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
     levels.into_iter().collect()
 }
@@ -160,7 +179,6 @@ pub fn all(document: &Document) -> Vec<Figure> {
         for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
             figures.extend([interaction_matrix(analysis, level), additive(analysis, level)]);
         }
-        figures.extend(replicates(analysis));
         figures.extend(flips(analysis));
     }
     for pair in document.comparisons() {

@@ -7,7 +7,6 @@
 //! time, machine and the order of the records.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod analysis;
 mod comparison;

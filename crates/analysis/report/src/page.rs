@@ -111,6 +111,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
                     success within 5 points is not set up as its authors had it, and its robustness \
                     is not to be interpreted.", figures::gate(document).into_iter().collect()))
                 (tables::single_axes(document))
+                @for analysis in &document.analyses { (tables::suites(analysis)) }
                 (tables::subsets(document))
             }
         }
@@ -154,24 +155,15 @@ fn matrix_caption(link: Option<Link>) -> &'static str {
     }
 }
 
+/// Renders the share of outcomes that another policy seed changes, in campaigns with replicates.
 fn replication(document: &Document) -> Markup {
-    let panels = |analysis: &Analysis| {
-        let panels = [figures::replicates(analysis), figures::flips(analysis)];
-        panels.into_iter().flatten().collect::<Vec<_>>()
-    };
-    let replicated = document.analyses.iter();
-    let replicated = replicated.filter(|analysis| !analysis.report.replication.is_empty());
-    let replicated: Vec<&Analysis> = replicated.collect();
+    let panels: Vec<_> = document.analyses.iter().filter_map(figures::flips).collect();
     html! {
-        @if !replicated.is_empty() {
+        @if !panels.is_empty() {
             section {
                 h2 { "Replication" }
-                p { "The same initial states and realised perturbations, another policy seed." }
-                @for analysis in replicated {
-                    (figure(&format!("{}: agreement of the replicates. Whiskers: 95 % intervals.",
-                        analysis.label), panels(analysis)))
-                    (tables::replication(analysis))
-                }
+                (figure("Rollouts whose outcome differs from that of the first seed, with the same \
+                    initial state and realised perturbation.", panels))
             }
         }
     }

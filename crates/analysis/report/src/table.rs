@@ -7,6 +7,8 @@
 mod configurations;
 mod explanations;
 mod form;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod results;
 mod thresholds;
 
@@ -41,6 +43,14 @@ pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), 
         Rows::Configurations => configurations::table(document).parquet(out),
         Rows::MinimalSubsets => explanations::table(document).parquet(out),
         Rows::Thresholds => thresholds::table(document).parquet(out),
+    }
+}
+
+/// A build without the feature writes no Parquet.
+#[cfg(not(feature = "parquet"))]
+impl<R> form::Table<R> {
+    fn parquet(&self, _: impl Write + Send) -> Result<(), TableError> {
+        Err(TableError::Parquet { table: self.name })
     }
 }
 

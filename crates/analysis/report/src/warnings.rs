@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use paired::Outcome;
 
 use libero_ctrl::{Condition, Look, delay_at};
-use rollout_types::{Fingerprints, Provenance};
+use rollout_types::{CONNECTED_SINCE, Fingerprints, Provenance};
 
 use crate::subject::{Subject, pluralise};
 
@@ -14,6 +14,8 @@ use crate::subject::{Subject, pluralise};
 const PRIMITIVES: &str = "primitives";
 /// Largest number of rollouts that one warning names; further ones are only counted.
 const MAX_NAMED: usize = 5;
+/// End of the batch mode of a server that takes no seed.
+const UNSEEDED: &str = ", unseeded";
 /// Number of hexadecimal digits shown of a digest.
 const DIGEST_DIGITS: usize = 12;
 
@@ -59,6 +61,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
             subject.policy
         ));
     }
+    warnings.extend(unidentified(subject));
     warnings.extend(other_training_pack(subject));
     warnings.extend(other_training_look(subject));
     warnings.extend(no_nominal_success(subject));
@@ -203,6 +206,38 @@ fn left_out(subject: &Subject) -> Option<String> {
             subject.left_out
         )
     })
+}
+
+/// Warns of a policy whose server names no weights, and of several connections to such a server,
+/// which may have been replaced in between.
+fn unidentified(subject: &Subject) -> Vec<String> {
+    let (policy, provenances) = (&subject.policy, &subject.provenances);
+    let mut warnings = Vec::new();
+    if let Some(origin) = provenances.iter().find(|origin| origin.is_unidentified()) {
+        let seeds = match origin.batch_mode.ends_with(UNSEEDED) {
+            true => " and takes no seed",
+            false => "",
+        };
+        warnings.push(format!(
+            "policy `{policy}` names no checkpoint{seeds}: which weights these rates are of is not \
+             recorded; add `?checkpoint=NAME` to the address of an openpi server, or have the \
+             server report a digest"
+        ));
+    }
+    let connections =
+        provenances.iter().filter(|origin| origin.policy_checkpoint_digest.is_empty());
+    let connections: BTreeSet<&String> =
+        connections.filter_map(|origin| origin.policy_settings.get(CONNECTED_SINCE)).collect();
+    if connections.len() > 1 {
+        let connections: Vec<String> = connections.iter().map(ToString::to_string).collect();
+        warnings.push(format!(
+            "results of policy `{policy}` are of {} connections, and whether the same weights \
+             answered on all of them is not known, because the server reports none: {}",
+            connections.len(),
+            first_names(&connections)
+        ));
+    }
+    warnings
 }
 
 /// Warns of a policy that was measured on a different asset pack than it was trained on.

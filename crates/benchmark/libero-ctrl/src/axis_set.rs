@@ -36,7 +36,6 @@ impl AxisSet {
         self.0 == 0
     }
 
-    /// Returns true if the set contains an axis.
     pub const fn contains(self, axis: Axis) -> bool {
         self.0 & (1 << axis as u8) != 0
     }

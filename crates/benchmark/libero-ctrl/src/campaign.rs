@@ -72,7 +72,6 @@ pub enum Rollouts {
     Thresholds(Thresholds),
     /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
     Variants(Variants),
-    /// Tasks of a suite file.
     SuiteFile(Box<SuiteFile>),
 }
 
@@ -122,9 +121,6 @@ impl Rollouts {
 
 impl CampaignSpec {
     /// Parses and validates a specification.
-    ///
-    /// # Errors
-    /// If the text is not a valid specification; the error names the problem and the remedy.
     pub fn from_json(text: &str) -> Result<Self, SpecError> {
         let spec: Self = serde_json::from_str(text)
             .map_err(|error| SpecError::Json { problem: JsonError::from(error).to_string() })?;
@@ -133,9 +129,6 @@ impl CampaignSpec {
     }
 
     /// Validates constraints that the types do not express.
-    ///
-    /// # Errors
-    /// If a constraint is violated; the error names the problem and the remedy.
     pub fn check(&self) -> Result<(), SpecError> {
         let empty = |field, remedy| Err(SpecError::Empty { field, remedy });
         if self.name.is_empty() {
@@ -144,9 +137,8 @@ impl CampaignSpec {
         if self.policy.name.is_empty() {
             return empty("policy.name", "write the policy's name at its endpoint");
         }
-        if !self.policy.endpoint.contains("://") {
-            let given = self.policy.endpoint.clone();
-            return Err(SpecError::Endpoint { given });
+        if !is_endpoint(&self.policy.endpoint) {
+            return Err(SpecError::Endpoint);
         }
         if !(1..=MAX_REPLICATES).contains(&self.replicates) {
             let given = self.replicates;
@@ -479,6 +471,17 @@ fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {
 
 fn default_replicates() -> u32 {
     1
+}
+
+/// Returns true for the URL of a gRPC server, which is shown to everybody who may see the campaign.
+fn is_endpoint(url: &str) -> bool {
+    let is_of_host = |char: char| char.is_ascii_alphanumeric() || ".-_:[]".contains(char);
+    url.split_once("://").is_some_and(|(scheme, host)| {
+        let host = host.strip_suffix('/').unwrap_or(host);
+        ["http", "https", "grpc", "grpcs"].contains(&scheme)
+            && !host.is_empty()
+            && host.chars().all(is_of_host)
+    })
 }
 
 #[cfg(test)]

@@ -59,45 +59,33 @@ pub enum Nominal {
     None,
 }
 
-/// Error in a design.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DesignError {
-    /// A required field is empty.
     #[error("`{field}` is empty, {remedy}")]
     Empty {
-        /// The field.
         field: &'static str,
         /// Remedy: the value to write.
         remedy: &'static str,
     },
-    /// A number is outside its range.
     #[error("`{field}` has {given}, valid are {valid}")]
     OutOfRange {
-        /// The field.
         field: &'static str,
         /// The number.
         given: u64,
         /// Valid range.
         valid: String,
     },
-    /// A subset is not a proper subset of two or more of the design's axes.
     #[error(
         "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
          single axes and all at once always run"
     )]
     Subset {
-        /// The set.
         given: AxisSet,
         /// The design's axes.
         axes: AxisSet,
     },
-    /// A placebo option is set, but L0 is not among the levels.
     #[error("`{field}` applies to the placebo level only: add L0 to `levels`, or remove `{field}`")]
-    NoPlacebo {
-        /// The field.
-        field: &'static str,
-    },
-    /// The radius of the placebo is outside its range.
+    NoPlacebo { field: &'static str },
     #[error(
         "`placebo_radius` is {given}, valid are {} to {}", PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
@@ -105,32 +93,22 @@ pub enum DesignError {
         /// The radius.
         given: f64,
     },
-    /// A configuration of the placebo is not in the design.
     #[error("`placebo_configs` has {given}, which is not in `configs`")]
     PlaceboConfig {
         /// The configuration.
         given: u16,
     },
-    /// The language axis has no paraphrases at a level of the design.
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
          remove it from `axes`, or import a manifest with its own instructions"
     )]
-    NoParaphrase {
-        /// The level.
-        level: Level,
-    },
-    /// The delay of the latency axis at a level is not a positive whole number of control steps.
+    NoParaphrase { level: Level },
     #[error(
         "axis `latency` delays responses by half the radius in control steps, which is not a \
          positive whole number at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, \
          or remove it from `axes`"
     )]
-    Delay {
-        /// The level.
-        level: Level,
-    },
-    /// An upper bound of the design's number of rows exceeds [`MAX_ROWS`].
+    Delay { level: Level },
     #[error(
         "the design has up to {rows} rollouts, at most {MAX_ROWS} are possible: divide the design"
     )]
@@ -173,9 +151,6 @@ impl Design {
     }
 
     /// Validates constraints that the types do not express.
-    ///
-    /// # Errors
-    /// If a constraint is violated; the error names the problem and the remedy.
     pub fn check(&self) -> Result<(), DesignError> {
         let empty = |field, remedy| Err(DesignError::Empty { field, remedy });
         if self.tasks.is_empty() {
@@ -308,7 +283,6 @@ impl Design {
         conditions
     }
 
-    /// Returns the version that identifies this design.
     pub fn version(&self) -> DesignVersion {
         if self.has_same_rollouts(&Self::v0_1()) {
             return DesignVersion::v0_1();
@@ -373,9 +347,6 @@ impl Design {
 }
 
 /// Parses a selection of tasks: `all`, a suite, or one task.
-///
-/// # Errors
-/// If the text is not a valid selection.
 pub fn select_tasks(text: &str) -> Result<Vec<TaskRef>, UnknownName> {
     if text == "all" {
         return Ok(TaskRef::all().collect());

@@ -16,7 +16,6 @@ use crate::suite::TaskRef;
 pub const CONTROL_HZ: u32 = 20;
 /// Longest delay, control steps: ten seconds.
 pub const MAX_DELAY: u16 = 200;
-/// Largest number of distinct delays of a distribution.
 const MAX_DISTINCT_DELAYS: usize = 32;
 /// Largest weight of one delay.
 const MAX_WEIGHT: u32 = 1000;
@@ -108,9 +107,6 @@ impl Execution {
 
     /// Checks that actions of a policy whose responses have at most `horizon` actions can be
     /// executed.
-    ///
-    /// # Errors
-    /// If every response would take effect after the step of its last action.
     pub fn check(&self, horizon: usize) -> Result<(), TooLate> {
         match self {
             Self::Overlap { delays, .. } if usize::from(delays.shortest()) >= horizon => {
@@ -159,10 +155,6 @@ impl Delays {
 
     /// Creates the distribution of measured latencies from pairs of control steps and counts.
     /// The weight of a latency is its share of all counts in thousandths, at least one thousandth.
-    ///
-    /// # Errors
-    /// If there is no latency, a latency exceeds [`MAX_DELAY`], there are more than 32 distinct
-    /// latencies, or the weights of a latency that is given repeatedly add up to more than 1000.
     pub fn measured(
         counts: impl IntoIterator<Item = (u16, u64)>,
     ) -> Result<Self, LatencyFileError> {
@@ -178,9 +170,6 @@ impl Delays {
 
     /// Parses a file of measured latencies: JSON with the number of responses by delay in
     /// control steps, `{"delay_steps": {"3": 812, "4": 188}}`. Other fields are ignored.
-    ///
-    /// # Errors
-    /// If the JSON does not have this form, or [`Self::measured`] refuses the latencies.
     pub fn from_json(text: &str) -> Result<Self, LatencyFileError> {
         #[derive(Deserialize)]
         struct File {

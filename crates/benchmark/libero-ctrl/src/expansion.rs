@@ -23,9 +23,6 @@ impl CampaignSpec {
     /// Returns the rows of the campaign's design, manifest or suite file under its execution
     /// model; no rows for other specifications. The rows of a design or manifest are in the order
     /// of [`Design::expand`].
-    ///
-    /// # Errors
-    /// If the specification is invalid.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
         let rows = match &self.rollouts {
@@ -48,9 +45,6 @@ impl Design {
     /// followed by the perturbed rollouts of the same task and configuration. The units are in the
     /// order of configurations, then of tasks, so that interim paired figures cover all tasks
     /// early. Nominal rollouts from the remaining initial states come last.
-    ///
-    /// # Errors
-    /// If the design is invalid.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, DesignError> {
         self.check()?;
         let mut rows = Vec::new();
@@ -84,10 +78,6 @@ impl Design {
 
     /// Returns the row of a configuration under a condition of this design at any level,
     /// including levels that the design does not run; the direction is the same at all levels.
-    ///
-    /// # Errors
-    /// If the row alone is no valid design, for example because the condition perturbs language and
-    /// the level has no paraphrases, or the condition is latency and the level has no delay.
     pub fn row_at(
         &self,
         task: TaskRef,

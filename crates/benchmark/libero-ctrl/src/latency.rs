@@ -30,7 +30,6 @@ pub(crate) fn execution_at(level: Level) -> Option<Execution> {
 /// An axis of a specification: one of the protocol's six, or latency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AnyAxis {
-    /// An axis of the protocol.
     Protocol(Axis),
     /// The latency axis.
     Latency,

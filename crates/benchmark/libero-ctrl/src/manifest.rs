@@ -62,9 +62,6 @@ pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
 }
 
 /// Validates rows that were not parsed from a text; errors number them from 1.
-///
-/// # Errors
-/// As [`parse`].
 pub fn check(rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
     let mut checker = Checker::default();
     for (index, row) in rows.iter().enumerate() {
@@ -153,26 +150,19 @@ pub struct ManifestErrors {
 pub struct LineError {
     /// The line, from 1.
     pub line: usize,
-    /// The problem.
     pub problem: LineProblem,
 }
 
-/// Kinds of problems with a line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LineProblem {
-    /// The line is not a row.
     #[error("{0}")]
     Row(String),
-    /// The id occurs in an earlier line.
     #[error("{id} is already in line {first}")]
     Duplicate {
-        /// The id.
         id: RolloutId,
         /// First line with the id, from 1.
         first: usize,
     },
-    /// The initial state or parameters differ from those of the configuration's other rows,
-    /// with which the row would be compared.
     #[error("{id}: {column} differ from those of its configuration in line {first}")]
     Unpaired {
         /// The row.
@@ -182,7 +172,6 @@ pub enum LineProblem {
         /// Line of the row that this row should agree with.
         first: usize,
     },
-    /// The execution model differs from that of the first row outside the latency axis.
     #[error(
         "{id}: execution model `{given}`, but `{expected}` in line {first}: put rows of different \
              models into separate manifests"
@@ -197,18 +186,14 @@ pub enum LineProblem {
         /// Line of that first row.
         first: usize,
     },
-    /// The manifest has more than [`MAX_ROWS`] rows.
     #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
-    /// The manifest has no rows.
     #[error("the manifest has no rows")]
     NoRows,
-    /// The parameters do not have the radius of the row's level.
     #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
     Radius {
         /// The row.
         id: RolloutId,
-        /// The axis.
         axis: Axis,
         /// The row's level.
         level: Level,

@@ -8,25 +8,20 @@ use crate::thresholds::Thresholds;
 /// Reason why the thresholds of a campaign cannot be measured, with a remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotMeasurable {
-    /// The rows are imported, derived from the outcomes of another campaign, or of LIBERO's family
-    /// or a suite file.
     #[error(
         "its rows are not expanded from a design, so that their values at another radius are \
          unknown; create a campaign with `tasks`, `axes` and `levels`"
     )]
     NoDesign,
-    /// The campaign has no nominal rollouts, from which thresholds are measured.
     #[error(
         "it has no nominal rollouts, from which thresholds are measured; create it with `nominal` \
          eval"
     )]
     NoNominal,
-    /// The campaign perturbs nothing, or only at the placebo level.
     #[error(
         "it perturbs nothing, or at the placebo level only; create a campaign with axes and levels"
     )]
     NoCondition,
-    /// The campaign does not run the condition.
     #[error("it does not run the condition {given}; its conditions are {valid}")]
     ConditionNotRun {
         /// The requested condition.
@@ -38,9 +33,6 @@ pub enum NotMeasurable {
 
 impl Thresholds {
     /// Checks that the thresholds of a campaign with the given rollouts can be measured.
-    ///
-    /// # Errors
-    /// If they cannot; see [`NotMeasurable`].
     pub fn check_measurable(&self, rollouts: &Rollouts) -> Result<(), NotMeasurable> {
         let Rollouts::Design(design) = rollouts else {
             return Err(NotMeasurable::NoDesign);

@@ -212,10 +212,6 @@ impl Perturbation {
     }
 
     /// Parses the `perturb` object of a manifest row.
-    ///
-    /// # Errors
-    /// If a key is unknown or missing, a value is not a number, or the object does not match the
-    /// condition.
     pub fn from_manifest(
         condition: Condition,
         perturb: Map<String, Value>,
@@ -253,13 +249,11 @@ impl Perturbation {
 /// Error: the `perturb` object does not match its condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PerturbError {
-    /// The condition has no parameters, but some are given.
     #[error("read `perturb`: condition {condition} has no parameters, leave it empty")]
     NotEmpty {
         /// The row's condition.
         condition: Condition,
     },
-    /// The parameters are for different axes than the condition's.
     #[error(
         "read `perturb` of condition {condition}: it has parameters of {given}, give the \
          parameters of the condition's axes"
@@ -270,7 +264,6 @@ pub enum PerturbError {
         /// The axes that have parameters.
         given: AxisSet,
     },
-    /// A parameter is unknown, missing or not a number.
     #[error("read `perturb` of condition {condition}: {problem}")]
     Parameters {
         /// The row's condition.

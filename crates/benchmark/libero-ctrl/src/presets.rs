@@ -129,7 +129,6 @@ impl TaskRef {
     }
 }
 
-/// Presets of one suite.
 struct SuitePresets {
     max_steps: u32,
     demo_action_rms: [f64; 2],

@@ -26,7 +26,6 @@ pub struct Privileged {
 pub struct Entity {
     /// Name of the instance or site.
     pub name: String,
-    /// Kind of entity.
     pub kind: EntityKind,
     /// Category; for a site, the name of the instance that carries it.
     pub category: String,
@@ -41,7 +40,6 @@ pub struct Entity {
     pub centre: [f64; 3],
 }
 
-/// Kinds of entities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EntityKind {
     /// A free-moving object.

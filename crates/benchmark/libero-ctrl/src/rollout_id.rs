@@ -56,10 +56,6 @@ impl RolloutId {
     }
 
     /// Creates the id of a perturbed rollout.
-    ///
-    /// # Errors
-    /// If the condition is [`Condition::Clean`] or [`Condition::Variant`], whose ids
-    /// [`Self::clean`] and [`Self::of_variant`] create.
     pub fn perturbed(
         task: TaskRef,
         condition: Condition,
@@ -73,7 +69,6 @@ impl RolloutId {
         Ok(id)
     }
 
-    /// Returns the task.
     pub const fn task(&self) -> TaskRef {
         self.task
     }

@@ -103,9 +103,6 @@ impl ManifestRow {
 
     /// Returns the row of the same configuration restricted to some of its axes, each
     /// perturbed as in this row, which must perturb all of `axes`.
-    ///
-    /// # Errors
-    /// If `axes` is empty.
     pub fn only(&self, axes: AxisSet) -> Result<Self, UnknownName> {
         let id = self.id;
         let config = id.number();
@@ -122,19 +119,16 @@ impl ManifestRow {
 /// Error: a column of the row is invalid or contradicts another column.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
-    /// A column contradicts the rollout id.
     #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
     Contradiction {
         /// The row's id.
         id: RolloutId,
-        /// The column.
         column: &'static str,
         /// Text of the column.
         given: String,
         /// Text that follows from the id.
         expected: String,
     },
-    /// The initial state does not exist.
     #[error("read row {id}: `init_id` is {given}, valid are 0 to 49")]
     InitState {
         /// The row's id.
@@ -142,7 +136,6 @@ pub enum RowError {
         /// The row's initial state.
         given: u16,
     },
-    /// The placebo radius is missing in a placebo row, given in any other row, or out of range.
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
          leave it out of other rows",
@@ -154,7 +147,6 @@ pub enum RowError {
         /// The row's radius.
         given: Option<f64>,
     },
-    /// The delay of a latency row is not that of its level, or its level has none.
     #[error(
         "read row {id}: `execution` is {given}, {}",
         expected.as_ref().map_or_else(
@@ -170,7 +162,6 @@ pub enum RowError {
         /// Model of the row's level, if it has one.
         expected: Option<Execution>,
     },
-    /// The row has a policy seed other than 0.
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
     PolicySeed {
         /// The row's id.
@@ -178,8 +169,6 @@ pub enum RowError {
         /// The row's policy seed.
         given: u64,
     },
-    /// A row of LIBERO's family or of a suite file lacks its protocol, or a row of LIBERO-CTRL has
-    /// a protocol.
     #[error(
         "read row {id}: `protocol` is {}; write a protocol in rows of LIBERO-Plus, LIBERO-PRO, \
          LIBERO-Para \
@@ -192,7 +181,6 @@ pub enum RowError {
         /// The row's protocol.
         given: Option<String>,
     },
-    /// A row of a suite file lacks its task, or a row of another benchmark has such a task.
     #[error(
         "read row {id}: `own` is {}; write a task in rows of suite files only",
         if *is_given { "given" } else { "missing" }
@@ -203,7 +191,6 @@ pub enum RowError {
         /// True if the row has a task.
         is_given: bool,
     },
-    /// A path of a suite file's task leaves its folder.
     #[error(
         "read row {id}: `own` has the path `{path}`; write a relative path with / and without . \
          and .."
@@ -211,10 +198,8 @@ pub enum RowError {
     OwnPath {
         /// The row's id.
         id: RolloutId,
-        /// The path.
         path: String,
     },
-    /// The parameters do not match the row's condition.
     #[error("read row {id}: {problem}")]
     Perturb {
         /// The row's id.
@@ -375,7 +360,6 @@ fn radius_text(radius: Option<f64>) -> String {
     radius.map_or_else(|| "missing".to_owned(), |radius| radius.to_string())
 }
 
-/// Checks that a column has the value that follows from the id.
 fn check_column<T: PartialEq + ToString>(
     id: RolloutId,
     column: &'static str,

@@ -13,7 +13,6 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("make the manifest row of {id}: {problem}")]
 pub struct NoSuchRow {
-    /// The id.
     pub id: RolloutId,
     /// Reason why there is no such row.
     pub problem: String,
@@ -22,10 +21,6 @@ pub struct NoSuchRow {
 /// Returns the row of an id in LIBERO-CTRL v0.1; configurations that v0.1 does not have are drawn
 /// with design seed 0. A combination perturbs all six axes or, at unnamed radii, which have
 /// no paraphrases, the five metric axes.
-///
-/// # Errors
-/// If the id is of LIBERO's family or of a suite file, or the protocol has no such configuration,
-/// initial state or condition at the level.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
     if id.variant().is_some() {

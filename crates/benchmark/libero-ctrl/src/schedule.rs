@@ -19,7 +19,6 @@ pub const ACTION_WIDTH: usize = 7;
 /// One control step's action.
 pub type Action = [f64; ACTION_WIDTH];
 
-/// Index of the gripper in an action.
 const GRIPPER: usize = ACTION_WIDTH - 1;
 /// Gripper command that keeps the gripper open, as in the steps in which the scene settles.
 const OPEN: f64 = -1.0;
@@ -49,7 +48,6 @@ pub struct Schedule {
 /// A response of the policy.
 #[derive(Clone, Debug)]
 struct Answer {
-    /// Number of the query.
     query: u32,
     /// Step of the first action, which may be dropped.
     first_step: u32,
@@ -71,7 +69,6 @@ pub struct Query {
 /// A command and its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
-    /// The action.
     pub action: Action,
     /// Number of the query, and index in its response; `None` if the arm holds still.
     pub source: Option<(u32, usize)>,

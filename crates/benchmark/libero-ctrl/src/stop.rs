@@ -66,32 +66,26 @@ impl Strata {
 /// Error: the rule cannot end the campaign.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
-    /// The rule uses a measure that a campaign does not have.
     #[error("`stop`: {0}")]
     Measure(UnknownName),
-    /// The campaign has fewer than two axes.
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
          or remove `stop`"
     )]
     NotSimultaneous,
-    /// The rule has both clauses about new tasks and other clauses.
     #[error(
         "`stop` mixes clauses for new tasks, which need whole tasks one after another, with \
          clauses that need every task from the start; write clauses of one kind"
     )]
     BothKinds,
-    /// The strata do not fit the rule.
     #[error("`stop` with `strata` {given}: `{rule}` needs {needed}")]
     Strata {
         /// The strata given.
         given: &'static str,
-        /// The rule.
         rule: String,
         /// Strata that the rule needs.
         needed: &'static str,
     },
-    /// The campaign has several replicates.
     #[error(
         "`stop` with {given} `replicates`: its intervals assume one replicate; write 1, \
          or remove `stop`"
@@ -100,13 +94,11 @@ pub enum StopError {
         /// The number of replicates given.
         given: u32,
     },
-    /// The rollouts of the campaign are derived from the outcomes of another campaign.
     #[error("`stop` with `{field}`, whose campaigns end without a stop rule: remove `stop`")]
     Derived {
         /// The field that names the source campaign.
         field: &'static str,
     },
-    /// An imported configuration lacks a rollout that the stop rule needs.
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
          not in the manifest; add it, or remove `stop`"

@@ -115,9 +115,6 @@ pub enum Clause {
 impl StopRule {
     /// Checks that a campaign or comparison has every measure that the rule uses. Otherwise
     /// the rule would never hold.
-    ///
-    /// # Errors
-    /// If a measure is missing; the error names the first missing measure.
     pub fn check(&self, measures: &[Measure]) -> Result<(), UnknownName> {
         let mut needed = self.clauses.iter().map(|clause| clause.measure());
         match needed.find(|measure| !measures.contains(measure)) {
@@ -130,7 +127,6 @@ impl StopRule {
         }
     }
 
-    /// Returns true if a clause is about new tasks.
     pub fn is_about_new_tasks(&self) -> bool {
         self.clauses.iter().any(Clause::is_about_new_tasks)
     }

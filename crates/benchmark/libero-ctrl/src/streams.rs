@@ -57,7 +57,6 @@ pub struct MatchedStream {
 }
 
 impl MatchedStream {
-    /// Creates the stream of one axis of one configuration at one level.
     pub fn new(task: TaskRef, level: Level, config: u16, axis: Axis) -> Self {
         Self::named(&format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}"))
     }
@@ -100,7 +99,6 @@ impl MatchedRng {
         PI * self.random()
     }
 
-    /// Draws a standard normal.
     pub fn standard_normal(&mut self) -> f64 {
         standard_normal(|| self.0.next_u64())
     }

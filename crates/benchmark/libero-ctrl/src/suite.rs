@@ -7,9 +7,7 @@ use std::str::FromStr;
 use crate::names::{UnknownName, serde_as_text};
 use crate::tasks::TASK_NAMES;
 
-/// Tasks per suite.
 pub const TASKS_PER_SUITE: u8 = 10;
-/// Released initial states per task.
 pub const INIT_STATES_PER_TASK: u16 = 50;
 
 /// A task suite of LIBERO.
@@ -101,10 +99,6 @@ pub struct TaskRef {
 }
 
 impl TaskRef {
-    /// Returns the task with an index in a suite.
-    ///
-    /// # Errors
-    /// If the suite has no such task.
     pub fn new(suite: Suite, index: u32) -> Result<Self, UnknownName> {
         match u8::try_from(index) {
             Ok(index) if index < TASKS_PER_SUITE && suite != Suite::Own => {
@@ -124,7 +118,6 @@ impl TaskRef {
         Suite::ALL.into_iter().flat_map(Suite::tasks)
     }
 
-    /// Returns the suite.
     pub const fn suite(self) -> Suite {
         self.suite
     }

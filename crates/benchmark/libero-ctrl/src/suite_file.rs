@@ -51,7 +51,6 @@ impl SuitePrompt {
     }
 }
 
-/// Content of a suite file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteFile {
@@ -75,11 +74,9 @@ pub struct SuiteFile {
     /// `start` is a reset. Not part of the digest.
     #[serde(default = "all_states")]
     pub trials: u16,
-    /// The suites.
     pub suites: Vec<FileSuite>,
 }
 
-/// A suite of a suite file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FileSuite {
@@ -92,7 +89,6 @@ pub struct FileSuite {
     /// Step budget of the policy; `None` for [`SuiteFile::budget`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
-    /// The tasks.
     pub tasks: Vec<FileTask>,
 }
 
@@ -170,16 +166,13 @@ impl From<FileTask> for TaskText {
     }
 }
 
-/// Error in a suite file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SuiteFileError {
-    /// The text is not JSON, or a field is missing, unknown or of another type.
     #[error("read suite file: {problem}; docs/FAMILY.md describes its fields")]
     Json {
         /// Problem and its line.
         problem: String,
     },
-    /// A value is invalid.
     #[error("read suite file: `{field}` is {given}: {remedy}")]
     Value {
         /// Place in the file, such as `suites[0].tasks[3].name`.
@@ -193,9 +186,6 @@ pub enum SuiteFileError {
 
 impl SuiteFile {
     /// Parses and validates a file.
-    ///
-    /// # Errors
-    /// If the text is not a valid suite file; the error names the field and the remedy.
     pub fn from_json(text: &str) -> Result<Self, SuiteFileError> {
         let file: Self = serde_json::from_str(text).map_err(|error| SuiteFileError::Json {
             problem: JsonError::from(error).to_string(),
@@ -205,9 +195,6 @@ impl SuiteFile {
     }
 
     /// Validates constraints that the types do not express.
-    ///
-    /// # Errors
-    /// If a constraint is violated; the error names the field and the remedy.
     pub fn check(&self) -> Result<(), SuiteFileError> {
         check_name("name", &self.name)?;
         if let Some(folder) = &self.folder {

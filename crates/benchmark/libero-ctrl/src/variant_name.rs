@@ -28,19 +28,10 @@ impl VariantName {
     pub const UNPERTURBED: &'static str = "unperturbed";
 
     /// Creates a name from a change such as `noise_30`.
-    ///
-    /// # Errors
-    /// If the change is empty, longer than 31 bytes, or has other characters than lower-case
-    /// letters, digits and `_`.
     pub fn new(benchmark: Benchmark, change: &str) -> Result<Self, UnknownName> {
         Self::checked(Some(benchmark), change)
     }
 
-    /// Creates the name of a suite of a suite file.
-    ///
-    /// # Errors
-    /// If the suite's name is not valid as a change, see [`Self::new`], or is
-    /// [`Self::UNPERTURBED`].
     pub fn own(suite: &str) -> Result<Self, UnknownName> {
         match suite {
             Self::UNPERTURBED => Err(unknown(suite)),

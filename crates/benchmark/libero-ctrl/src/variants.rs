@@ -13,7 +13,6 @@ use crate::policy_route::Record;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Variants {
-    /// The benchmark.
     pub benchmark: Benchmark,
     /// Name of the protocol. Rollouts of two protocols are never pooled.
     pub protocol: String,
@@ -48,7 +47,6 @@ pub struct Variants {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{field}` beside `{rollouts}`: {problem}")]
 pub struct VariantsError {
-    /// The field.
     pub field: &'static str,
     /// Field that defines the rollouts, `variants` or `suite_file`.
     pub rollouts: &'static str,

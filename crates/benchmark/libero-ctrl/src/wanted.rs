@@ -18,9 +18,7 @@ pub struct Wanted {
     /// The asset pack: `primitives`, `libero`, or the first digits of a pack's
     /// digest, at least eight.
     pub assets: Option<String>,
-    /// The renderer.
     pub renderer: Option<RendererKind>,
-    /// The look.
     pub look: Option<Look>,
 }
 

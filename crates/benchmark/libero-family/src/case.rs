@@ -51,11 +51,6 @@ impl Case {
         unperturbed.collect()
     }
 
-    /// Returns the case of a rollout id.
-    ///
-    /// # Errors
-    /// If the id is neither of LIBERO's family nor of a suite file, or its benchmark has no such
-    /// change of the task.
     pub fn of_id(id: RolloutId) -> Result<Self, SelectionError> {
         let task = id.task();
         let subject = id.variant().and_then(|name| subject(task, name));
@@ -63,10 +58,6 @@ impl Case {
     }
 
     /// Returns the case of a manifest row, and its protocol.
-    ///
-    /// # Errors
-    /// If no case has the row's id, the protocol is unknown or belongs to another benchmark, or the
-    /// row is of a suite file, whose protocol is not a benchmark's.
     pub fn of_row(row: &ManifestRow) -> Result<(Self, Protocol), SelectionError> {
         let case = Self::of_id(row.id)?;
         let protocol: Protocol = row.protocol.as_deref().unwrap_or_default().parse()?;

@@ -18,7 +18,6 @@ use libero_ctrl::numpy::LegacyRng;
 use picture::CHANNELS;
 pub use picture::Picture;
 
-/// Severities of each kind.
 const SEVERITIES: u8 = 10;
 /// Largest side of a picture with fog, pixels; the released code fails on larger pictures.
 pub const MAX_FOG_SIDE: usize = fog::SIDE;
@@ -106,10 +105,6 @@ impl Corruption {
     }
 
     /// Checks that the corruption supports pictures of a size, in rows, columns and bytes.
-    ///
-    /// # Errors
-    /// If the picture is empty or does not have three bytes per pixel, or if the released code
-    /// cannot corrupt pictures of this size either.
     pub fn check(self, height: usize, width: usize, bytes: usize) -> Result<(), UnsuitedPicture> {
         let is_complete = bytes == height * width * CHANNELS && bytes > 0;
         let is_supported = match self.kind {
@@ -124,9 +119,6 @@ impl Corruption {
     }
 
     /// Corrupts a picture, drawing random numbers from the generator.
-    ///
-    /// # Errors
-    /// If [`Self::check`] refuses the picture; the generator and the picture are then unchanged.
     pub fn apply(
         self,
         picture: &mut Picture<'_>,

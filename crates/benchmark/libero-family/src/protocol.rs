@@ -15,7 +15,6 @@ use crate::selection_error::SelectionError;
 pub struct Protocol {
     /// Name on the command line and in results.
     pub name: &'static str,
-    /// The benchmark.
     pub benchmark: Benchmark,
     /// State at the start of a rollout.
     pub beginning: Beginning,
@@ -34,7 +33,6 @@ pub struct Protocol {
 /// Step budgets of openvla-oft, which most harnesses use.
 const BUDGETS: [u32; 4] = [220, 280, 300, 520];
 
-/// The protocols.
 pub const PROTOCOLS: [Protocol; 9] = [
     Protocol {
         name: "plus-official",
@@ -150,9 +148,6 @@ impl Protocol {
     }
 
     /// Checks that the protocol belongs to a benchmark.
-    ///
-    /// # Errors
-    /// If the protocol belongs to another benchmark.
     pub fn check(&self, benchmark: Benchmark) -> Result<(), SelectionError> {
         match self.benchmark == benchmark {
             true => Ok(()),

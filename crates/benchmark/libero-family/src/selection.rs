@@ -27,11 +27,9 @@ pub enum Selection {
 /// Filters of LIBERO-Plus' variants. A variant must match all filters that are not empty.
 #[derive(Clone, Debug, Default)]
 pub struct PlusFilters {
-    /// Variants by name.
     pub variants: Vec<Variant>,
     /// LIBERO's suites.
     pub suites: Vec<Suite>,
-    /// Dimensions.
     pub dimensions: Vec<Dimension>,
     /// Difficulties, 1 to 5; 0 for variants without one.
     pub difficulties: Vec<u8>,
@@ -40,7 +38,6 @@ pub struct PlusFilters {
 /// Suites of LIBERO-PRO.
 #[derive(Clone, Debug)]
 pub struct ProFilters {
-    /// The suites.
     pub suites: Vec<ProSuite>,
     /// Number of trials of each task, from the first initial states.
     pub trials: u16,
@@ -56,11 +53,6 @@ pub struct ParaFilters {
 }
 
 impl Selection {
-    /// Returns the selection of a specification.
-    ///
-    /// # Errors
-    /// If a name is unknown, a number is out of range, or a filter is given that only another
-    /// benchmark has.
     pub fn of_spec(spec: &Variants) -> Result<Self, SelectionError> {
         let refuse = |filter, is_given: bool| match is_given {
             true => Err(SelectionError::Filter { benchmark: spec.benchmark.name(), filter }),
@@ -130,9 +122,6 @@ impl Selection {
     }
 
     /// Returns the selected rollouts, in the benchmark's order.
-    ///
-    /// # Errors
-    /// If nothing matches, or a named variant does not exist.
     pub fn cases(&self) -> Result<Vec<Case>, SelectionError> {
         let cases = match self {
             Self::Plus(filters) => filters.cases()?,
@@ -203,10 +192,6 @@ impl ParaFilters {
 /// Returns the rows of a campaign of any kind; see [`CampaignSpec::expand`]. The rows of a
 /// campaign of LIBERO's family are the unperturbed rollouts, followed by the variants in the
 /// benchmark's order.
-///
-/// # Errors
-/// If the specification is invalid, a chosen variant can run on no worker and `runnable` is not
-/// set, or none of the chosen variants can run.
 pub fn expand(spec: &CampaignSpec) -> Result<Vec<ManifestRow>, SpecError> {
     let Rollouts::Variants(variants) = &spec.rollouts else {
         return spec.expand();
@@ -234,9 +219,6 @@ fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
 }
 
 /// Returns the chosen variants that a campaign leaves out because no worker can run them.
-///
-/// # Errors
-/// If the selection is invalid.
 pub fn left_out(variants: &Variants) -> Result<Lacking, SelectionError> {
     let chosen = Selection::of_spec(variants)?.cases()?;
     Ok(audit(chosen).1)
@@ -260,7 +242,6 @@ fn matches_filter<T: PartialEq>(filter: &[T], value: &T) -> bool {
     filter.is_empty() || filter.contains(value)
 }
 
-/// Parses names.
 fn parse_all<T: std::str::FromStr<Err = UnknownName>>(
     names: &[String],
 ) -> Result<Vec<T>, UnknownName> {

@@ -3,8 +3,6 @@
 //! that mostly succeed, and provides demonstrations for visual policies, for which it is not a
 //! baseline. The modules define skills; this file runs the skills in sequence.
 
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
-
 mod error;
 mod geometry;
 mod goal;

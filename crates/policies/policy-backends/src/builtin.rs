@@ -31,12 +31,11 @@ pub enum Builtin {
 
 impl Builtin {
     /// Every built-in policy.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 5] = [
         Self::Noop,
         Self::Expert,
         Self::ExpertWithFrames,
         Self::Student(Weights::Libero),
-        Self::Student(Weights::LiberoRandomised),
         Self::Student(Weights::Boxes),
     ];
 

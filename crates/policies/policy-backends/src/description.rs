@@ -2,6 +2,7 @@
 //! functions. The crate `policy-protocol` checks descriptions and answers.
 
 use proto::policy::DescribeResponse;
+use rollout_types::CONNECTED_SINCE;
 
 /// Largest number of queries in one `InferBatch`.
 pub const MAX_BATCH_QUERIES: usize = 64;
@@ -18,7 +19,8 @@ pub fn batch_size(described: &DescribeResponse) -> usize {
 }
 
 /// Describes the first difference of a description from the expected description; `None` if there
-/// is none. Ignores the protocol version, and batching, which may differ between replicas.
+/// is none. Ignores the protocol version, batching and the time of connection, which may differ
+/// between replicas.
 pub fn difference(expected: &DescribeResponse, given: &DescribeResponse) -> Option<String> {
     let fields = |described: &DescribeResponse| {
         [
@@ -43,7 +45,7 @@ pub fn difference(expected: &DescribeResponse, given: &DescribeResponse) -> Opti
         named.map_or_else(|| "not given".to_owned(), |setting| setting.value.clone())
     };
     let names = expected.settings.iter().chain(&given.settings);
-    let names = names.map(|setting| setting.name.as_str());
+    let names = names.map(|setting| setting.name.as_str()).filter(|name| *name != CONNECTED_SINCE);
     fields(expected)
         .into_iter()
         .zip(fields(given))

@@ -42,9 +42,22 @@ pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,
 ) -> Result<[f64; N], String> {
-    let mut readings = observation.iter().flat_map(|observation| &observation.state);
+    numbers(observation, field)?.try_into().map_err(|_| lacks(field))
+}
+
+/// Returns a reading.
+///
+/// # Errors
+/// If the observation lacks the reading.
+pub(super) fn numbers(
+    observation: Option<&Observation>,
+    field: StateField,
+) -> Result<&[f64], String> {
+    let mut readings = observation.into_iter().flat_map(|observation| &observation.state);
     let reading = readings.find(|reading| reading.field() == field);
-    reading
-        .and_then(|reading| reading.values.as_slice().try_into().ok())
-        .ok_or_else(|| format!("the observation lacks {}", field.as_str_name()))
+    reading.map(|reading| reading.values.as_slice()).ok_or_else(|| lacks(field))
+}
+
+fn lacks(field: StateField) -> String {
+    format!("the observation lacks {}", field.as_str_name())
 }

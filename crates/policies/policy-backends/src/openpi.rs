@@ -4,7 +4,8 @@
 //! frames, [`codec`] encodes and decodes messages.
 //!
 //! Such a server keeps no state between queries, does not name its checkpoint, and draws its noise
-//! from a single stream that cannot be seeded. The description declares all three.
+//! from a single stream that cannot be seeded. The description declares all three, and since when
+//! no connection was lost.
 
 use std::{
     fmt,
@@ -13,13 +14,14 @@ use std::{
 
 use policy_protocol::CAMERAS;
 use proto::policy::{
-    DescribeResponse, InferRequest, InferResponse, Language, ResetRequest, Setting, StateField,
+    DescribeResponse, InferRequest, InferResponse, Language, ResetRequest, Setting,
 };
+use rollout_types::UNNAMED_CHECKPOINT;
 use sha2::{Digest, Sha256};
 use tokio::sync::{Semaphore, SemaphorePermit};
 use transport::{Access, ServerKind};
 
-pub use self::address::{DEFAULT_EXECUTE, MAX_EXECUTE, OpenpiAddress, OpenpiAddressError};
+pub use self::address::{OPTIONS, OpenpiAddress, OpenpiAddressError, State};
 use crate::{
     backend::{Backend, BackendError},
     observations::{self, FRAME_SIDE},
@@ -33,9 +35,6 @@ pub mod frame;
 
 /// Longest quoted part of a server's traceback, characters: the end, which names the error.
 const QUOTED_CHARS: usize = 600;
-/// Robot readings that form the eight numbers of the server's state, in order.
-const STATE: [StateField; 3] =
-    [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos];
 /// Connections, and concurrent queries, per server: the server computes one query while the next
 /// one is in transit.
 pub const MAX_CONNECTIONS: usize = 2;
@@ -78,6 +77,14 @@ impl OpenpiBackend {
 
     /// Connects, and reads the metadata that the server sends first.
     async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
+        // A server that has closed all connections has restarted.
+        let mut idle = std::mem::take(&mut *self.idle());
+        let had_open = !idle.is_empty();
+        idle.retain_mut(Connection::is_idle);
+        if had_open && idle.is_empty() {
+            self.server.lost();
+        }
+        self.idle().append(&mut idle);
         let (connection, metadata) = self.server.connect(None).await?;
         Ok((connection, answer_bytes(metadata)?))
     }
@@ -128,7 +135,7 @@ impl Backend for OpenpiBackend {
         // Opens a new connection each time, because a server sends its metadata only at the start
         // of a connection; the metadata show whether it is still the same server.
         let (connection, metadata) = self.connect().await?;
-        let described = describe(&self.address, &metadata);
+        let described = describe(&self.address, &metadata, self.server.connected_since());
         let mut idle = self.idle();
         idle.truncate(MAX_CONNECTIONS - 1);
         idle.push(connection);
@@ -148,10 +155,14 @@ impl Backend for OpenpiBackend {
         let prompt = self.prompts().get(&request.session).cloned();
         let prompt = prompt.ok_or(BackendError::SessionLost)?;
         let failed = |message| BackendError::Policy { message };
-        let message = encode_query(&request, &prompt).map_err(failed)?;
-        let answer = self.send_query(message).await?;
+        let message = encode_query(&self.address, &request, &prompt).map_err(failed)?;
+        let answer = self.send_query(message).await.map_err(|error| match error {
+            BackendError::Policy { message } => failed(with_remedy(&self.address, message)),
+            error => error,
+        })?;
         let chunk = codec::answer(&answer).map_err(|error| failed(error.to_string()))?;
-        first_actions(&chunk, self.address.execute).map_err(failed)
+        let answer = first_actions(&chunk, self.address.execute).map_err(failed)?;
+        Ok(with_gripper(answer, self.address.gripper))
     }
 }
 
@@ -175,6 +186,14 @@ fn answer_bytes(received: Received) -> Result<Vec<u8>, BackendError> {
     }
 }
 
+/// Adds the address to write, if a server's error asks for another key of an input.
+fn with_remedy(address: &OpenpiAddress, traceback: String) -> String {
+    match address.with_key_of(&traceback) {
+        Some(found) => format!("{traceback}; if that key is an input, write {found} as its route"),
+        None => traceback,
+    }
+}
+
 fn last_chars(text: &str) -> String {
     let text = text.trim();
     let skipped = text.chars().count().saturating_sub(QUOTED_CHARS);
@@ -183,49 +202,84 @@ fn last_chars(text: &str) -> String {
 
 /// Describes an openpi server. Its metadata depend on its training configuration, and must be the
 /// same for all replicas.
-fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
+fn describe(address: &OpenpiAddress, metadata: &[u8], connected: Setting) -> DescribeResponse {
     let digest = Sha256::digest(metadata);
     let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),
-        checkpoint: format!("not named by its server, whose metadata are sha256 {digest}…"),
-        cameras: CAMERAS.map(observations::camera).into(),
-        state: STATE.map(i32::from).into(),
+        checkpoint: match address.checkpoint.as_str() {
+            "" => format!("{UNNAMED_CHECKPOINT}, whose metadata are sha256 {digest}…"),
+            name => format!("{name}, as its route names it"),
+        },
+        cameras: cameras(address).map(|(camera, _)| observations::camera(camera)).collect(),
+        state: address.state.fields().iter().map(|&field| field.into()).collect(),
         horizon: address.execute,
         execute: address.execute,
         stochastic: true,
         unseeded: true,
         language: Language::FreeForm.into(),
-        settings: vec![Setting {
-            name: "image slots".to_owned(),
-            value: "observation/image=agentview, observation/wrist_image=robot0_eye_in_hand"
-                .to_owned(),
-        }],
+        settings: settings(address).into_iter().chain([connected]).collect(),
         ..DescribeResponse::default()
     }
 }
 
-/// Encodes an observation as openpi's LIBERO client does.
-fn encode_query(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
-    let observation = request.observation.as_ref();
-    let frame = |camera: &str| {
-        let frame = observations::frame(observation, camera)?;
-        Ok::<_, String>(frame::prepare(&frame, FRAME_SIDE as usize))
+/// Returns the settings that an address fixes: the cameras of the image slots, and every other
+/// option that is not openpi's.
+fn settings(address: &OpenpiAddress) -> Vec<Setting> {
+    let slots = cameras(address).map(|(camera, key)| format!("{key}={camera}"));
+    let slots = slots.collect::<Vec<_>>().join(", ");
+    let options = address.options().into_iter();
+    // The description has its own fields for these.
+    let is_setting = |(name, _): &(&str, String)| {
+        !["execute", "image_key", "wrist_key", "checkpoint"].contains(name)
     };
-    let [position, rotation, fingers] = STATE;
+    let options = options.filter(is_setting).map(|(name, value)| (name.to_owned(), value));
+    let all = [("image slots".to_owned(), slots)].into_iter().chain(options);
+    all.map(|(name, value)| Setting { name, value }).collect()
+}
+
+/// Returns the cameras whose frames the server gets, each with its key.
+fn cameras(address: &OpenpiAddress) -> impl Iterator<Item = (&'static str, &str)> {
+    let keys = [Some(address.image_key.as_str()), address.wrist_key()];
+    CAMERAS.into_iter().zip(keys).filter_map(|(camera, key)| Some((camera, key?)))
+}
+
+/// Encodes an observation as openpi's LIBERO client does.
+fn encode_query(
+    address: &OpenpiAddress,
+    request: &InferRequest,
+    prompt: &str,
+) -> Result<Vec<u8>, String> {
+    let observation = request.observation.as_ref();
+    let side = address.size as usize;
+    let images = cameras(address).map(|(camera, key)| {
+        let turned = observations::frame(observation, camera)?;
+        let frame = if address.is_turned { turned } else { observations::rotated(&turned) };
+        Ok((key, frame::resize(&frame, [FRAME_SIDE as usize; 2], [side; 2])))
+    });
     let mut state = vec![];
-    state.extend(observations::reading::<3>(observation, position)?);
-    state.extend(observations::reading::<3>(observation, rotation)?);
-    state.extend(observations::reading::<2>(observation, fingers)?);
-    let [scene, wrist] = CAMERAS;
+    for &field in address.state.fields() {
+        state.extend(observations::numbers(observation, field)?);
+    }
     Ok(codec::observation(&codec::ClientObservation {
-        side: frame::SIDE,
-        image: &frame(scene)?,
-        wrist_image: &frame(wrist)?,
-        state: &state,
-        prompt,
+        side,
+        images: &images.collect::<Result<Vec<_>, String>>()?,
+        state: (address.state != State::None).then_some((&address.state_key, &state)),
+        prompt: (&address.prompt_key, prompt),
     }))
+}
+
+/// Converts the server's numbers for the gripper to LIBERO's, where −1 is open and 1 is closed.
+fn with_gripper(mut answer: InferResponse, gripper: [i32; 2]) -> InferResponse {
+    let width = answer.action_width as usize;
+    if width > 0 && gripper != [-1, 1] {
+        let [open, closed] = gripper.map(|number| number as f32);
+        for gripper in answer.actions.iter_mut().skip(width - 1).step_by(width) {
+            *gripper = 2.0 * (*gripper - open) / (closed - open) - 1.0;
+        }
+    }
+    answer
 }
 
 /// Returns the actions of a chunk that are executed.
@@ -253,22 +307,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_parsed_and_displayed_unchanged() {
-        for text in ["ws://gpu7:8000", "wss://[::1]:8000?execute=10"] {
-            let address: OpenpiAddress = text.parse().expect(text);
-            assert_eq!(address.to_string(), text);
-        }
-        let invalid = [
-            "ws://gpu7",
-            "ws://:8000",
-            "http://gpu7:8000",
-            "ws://gpu7:8000/path",
-            "ws://gpu7:8000?execute=0",
-            "ws://gpu7:8000?run=5",
-        ];
-        for text in invalid {
-            let error = text.parse::<OpenpiAddress>().expect_err(text);
-            assert!(error.to_string().contains("ws://HOST:PORT"), "{error}");
+    fn the_servers_gripper_becomes_liberos() {
+        for (gripper, expected) in [([-1, 1], 0.5), ([1, 0], 0.0), ([0, 2], -0.5)] {
+            let answer = InferResponse { actions: vec![0.5; 14], action_width: 7 };
+            let actions = with_gripper(answer, gripper).actions;
+            assert_eq!((actions[5], actions[6], actions[13]), (0.5, expected, expected));
         }
     }
 

@@ -10,7 +10,7 @@
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant},
 };
 
 use proto::policy::{
@@ -33,7 +33,7 @@ use crate::{
     numpy::{Keys, array, map},
     observations::{self, FRAME_SIDE},
     sessions::SessionTable,
-    websocket::{Connection, Received, Server},
+    websocket::{Connection, Received, Server, now},
 };
 
 mod address;
@@ -126,14 +126,19 @@ impl VlaEvalBackend {
 
     /// Returns a connection without an episode.
     async fn unused_link(&self) -> Result<Link, BackendError> {
+        let mut was_closed = false;
         loop {
             let Some(mut link) = self.idle().pop() else {
+                if was_closed {
+                    self.server.lost();
+                }
                 return self.connect().await;
             };
             // A closed connection means that the server restarted.
             if link.connection.is_idle() {
                 return Ok(link);
             }
+            was_closed = true;
         }
     }
 
@@ -178,7 +183,8 @@ impl Backend for VlaEvalBackend {
         // Opens a new connection each time, because the HELLO shows whether the server is still
         // the same.
         let link = self.connect().await?;
-        let described = link.terms.described.clone();
+        let mut described = link.terms.described.clone();
+        described.settings.push(self.server.connected_since());
         let mut idle = self.idle();
         idle.truncate(MAX_IDLE - 1);
         idle.push(link);
@@ -270,7 +276,7 @@ fn observation(
     let images = images.map(|(camera, slot)| {
         let frame = observations::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
-        Ok((Value::from(*slot), frame.map_err(|error| error.to_string())?))
+        Ok((Value::from(*slot), frame?))
     });
     let images = Value::Map(images.collect::<Result<_, String>>()?);
     let entry = |key: &str, value| (Value::from(key), value);
@@ -290,11 +296,4 @@ fn observation(
         ]);
     }
     Ok(Value::Map(entries))
-}
-
-/// Returns the seconds since 1970.
-#[allow(clippy::disallowed_methods, reason = "only a timestamp for the server's logs")]
-fn now() -> f64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.unwrap_or_default().as_secs_f64()
 }

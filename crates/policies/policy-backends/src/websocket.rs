@@ -1,9 +1,14 @@
 //! WebSocket connections to policy servers of other protocols: TCP, TLS, token, handshake, and a
 //! diagnosis of failures. The back-ends interpret the messages.
 
-use std::time::Duration;
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
 
 use futures_util::{FutureExt, SinkExt, StreamExt};
+use proto::policy::Setting;
+use rollout_types::CONNECTED_SINCE;
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     net::TcpStream,
@@ -76,8 +81,20 @@ impl HostPort {
     }
 }
 
+/// Time since which no connection to a server was lost, ms since 1970; `None` while there is
+/// no such connection. Servers that name no checkpoint may have been replaced in between.
+#[derive(Clone, Default)]
+struct ConnectedSince(Arc<Mutex<Option<u64>>>);
+
+impl ConnectedSince {
+    fn lock(&self) -> MutexGuard<'_, Option<u64>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// Address of a server, with the credentials for it.
 pub(super) struct Server {
+    connected: ConnectedSince,
     host_port: HostPort,
     access: Access,
     peer: Peer,
@@ -98,6 +115,7 @@ impl Server {
         let endpoint = Endpoint::from_shared(host_port.uri()).ok()?;
         let settings = Settings { clear, encrypted, ..SETTINGS };
         Some(Self {
+            connected: ConnectedSince::default(),
             peer: Peer::new(endpoint, &access, kind, settings),
             host_port,
             access,
@@ -108,6 +126,20 @@ impl Server {
     /// Returns `host:port`.
     pub(super) fn authority(&self) -> &str {
         &self.host_port.authority
+    }
+
+    /// Records that every connection has been lost.
+    pub(super) fn lost(&self) {
+        *self.connected.lock() = None;
+    }
+
+    /// Returns the setting that tells results before a lost connection from those after it.
+    pub(super) fn connected_since(&self) -> Setting {
+        let since = *self.connected.lock();
+        let value = since.map_or_else(String::new, |since| {
+            format!("{} since {since} ms after 1970", self.host_port.authority)
+        });
+        Setting { name: CONNECTED_SINCE.to_owned(), value }
     }
 
     /// Connects, sends `first` if given, and waits for the server's first message.
@@ -133,9 +165,11 @@ impl Server {
             };
             let mut connection = Connection {
                 socket,
+                connected: self.connected.clone(),
                 authority: self.host_port.authority.clone(),
                 peer: self.peer.clone(),
             };
+            self.connected.lock().get_or_insert_with(|| (now() * 1e3) as u64);
             if let Some(first) = first {
                 connection.send(first).await?;
             }
@@ -190,6 +224,7 @@ impl Server {
 
     /// Returns the error for a server that cannot be reached, with a diagnosis of its address.
     async fn connection_error(&self) -> BackendError {
+        *self.connected.lock() = None;
         BackendError::Unreachable {
             address: self.host_port.authority.clone(),
             trouble: self.peer.probe().await.into(),
@@ -197,11 +232,19 @@ impl Server {
     }
 
     fn unreachable(&self, found: ProbeResult) -> BackendError {
+        *self.connected.lock() = None;
         BackendError::Unreachable {
             address: self.host_port.authority.clone(),
             trouble: self.peer.error(found).into(),
         }
     }
+}
+
+/// Returns the seconds since 1970.
+#[allow(clippy::disallowed_methods, reason = "only a timestamp for logs and results")]
+pub(super) fn now() -> f64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.unwrap_or_default().as_secs_f64()
 }
 
 trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
@@ -216,6 +259,7 @@ pub(super) enum Received {
 /// An open connection.
 pub(super) struct Connection {
     socket: WebSocketStream<Box<dyn Stream>>,
+    connected: ConnectedSince,
     authority: String,
     peer: Peer,
 }
@@ -248,9 +292,16 @@ impl Connection {
         }
     }
 
-    /// Returns true if the server has neither closed the connection nor sent a message.
+    /// Returns true if the server has neither closed the connection nor sent a message. Pings,
+    /// which Python's servers send every 20 s, are answered.
     pub(super) fn is_idle(&mut self) -> bool {
-        self.socket.next().now_or_never().is_none()
+        loop {
+            match self.socket.next().now_or_never() {
+                None => return true,
+                Some(Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_)))) => {}
+                Some(_) => return false,
+            }
+        }
     }
 
     /// Closes the connection; ignores errors.
@@ -259,6 +310,7 @@ impl Connection {
     }
 
     fn connection_lost(&self) -> BackendError {
+        *self.connected.lock() = None;
         BackendError::Unreachable {
             address: self.authority.clone(),
             trouble: self.peer.error(ProbeResult::Broken).into(),

@@ -9,7 +9,7 @@ use crate::{
     descriptions::{self, DescriptionDifference},
     difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size},
     fit::{Limit, fit},
-    randomness::{REPEATABLE, Randomness},
+    randomness::{REPEATABLE, Randomness, SEEDS_PER_MEAN},
     search::{Explanation, SearchResult, SearchSetup},
     server::{ExaminationError, Server},
     server_pair::{SEED, ServerPair, Side},
@@ -17,8 +17,6 @@ use crate::{
     variant::Topic,
 };
 
-/// Number of answers per situation that are averaged, if equal seeds do not give equal noise.
-const SEEDS_PER_MEAN: usize = 8;
 /// Number of standard errors within which two means count as equal.
 const STANDARD_ERRORS: f64 = 2.5;
 /// Largest share of a difference that an explanation by frame size may leave unexplained.

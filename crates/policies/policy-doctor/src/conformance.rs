@@ -28,7 +28,6 @@ const CONCURRENCY: u32 = 8;
 
 /// Requirement of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the sentences of `Display` describe the points")]
 pub enum Point {
     Description,
     Version,
@@ -122,7 +121,7 @@ pub async fn check(
     let probe = Probe::connect(target).await?;
     let reference = probe.episode("reference", SEED, QueryOrder::Forward).await;
     let reference = reference.map_err(|status| ConformanceError::Episode {
-        url: target.url.clone(),
+        url: target.shown.clone(),
         status: status.into(),
     })?;
     let mut conforms = true;

@@ -20,7 +20,6 @@ mod verdicts;
 
 /// Check of the diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the sentences of `Display` describe the points")]
 pub enum Point {
     Actions,
     Range,

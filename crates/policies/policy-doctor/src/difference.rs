@@ -16,7 +16,6 @@ pub(crate) const COMPONENT_NAMES: [&str; 7] =
 /// Kind of a difference between two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "the sentences of `meaning` describe the kinds")]
 pub enum Kind {
     FrameOrientation,
     FrameSize,

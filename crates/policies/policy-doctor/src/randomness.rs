@@ -10,6 +10,8 @@ use crate::{
 
 /// Largest difference of answers that count as equal: batches and kernels change low-order bits.
 pub(crate) const REPEATABLE: f64 = BATCH_TOLERANCE as f64;
+/// Number of answers per situation that are averaged, if equal seeds do not give equal noise.
+pub(crate) const SEEDS_PER_MEAN: usize = 8;
 /// Number of situations that are queried again.
 const SITUATIONS: usize = 3;
 

@@ -6,7 +6,6 @@
 //! and counts the clipped actions in the result.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 use proto::PROTOCOL_VERSION;
 use proto::policy::{CameraRequest, DescribeResponse, InferResponse, StateField};

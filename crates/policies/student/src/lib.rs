@@ -62,7 +62,6 @@
 //!   and has one path for all sizes.
 
 #![deny(unsafe_op_in_unsafe_fn)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod block;
 mod columns;
@@ -82,8 +81,6 @@ mod weights;
 
 /// Weights trained on LIBERO's own assets in unperturbed scenes, as safetensors.
 pub const LIBERO: &[u8] = include_bytes!("../weights/student.safetensors");
-/// Weights trained on LIBERO's own assets in randomly perturbed scenes.
-pub const LIBERO_RANDOMISED: &[u8] = include_bytes!("../weights/student-randomised.safetensors");
 /// Weights trained on the built-in boxes in unperturbed scenes, for tests that download no assets.
 pub const BOXES: &[u8] = include_bytes!("../weights/student-boxes.safetensors");
 

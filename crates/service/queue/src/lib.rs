@@ -10,7 +10,6 @@
 //! section `# Errors`.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod clock;
 pub mod expand;
@@ -38,7 +37,6 @@ pub use operations::error::QueueError;
 pub use operations::films::Film;
 pub use operations::imported::{RowProblem, RowsError, WorkerProblem};
 pub use operations::local_videos::{FilmRemoval, LocalFilm};
-pub use operations::merge::{MergeError, Merged, merge};
 pub use operations::portable::{
     AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,
 };

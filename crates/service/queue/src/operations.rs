@@ -20,7 +20,6 @@ pub(crate) mod imported;
 pub(crate) mod in_flight;
 pub(crate) mod lacking;
 pub(crate) mod local_videos;
-pub(crate) mod merge;
 pub(crate) mod portable;
 mod register;
 pub(crate) mod release;

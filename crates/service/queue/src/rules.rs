@@ -4,6 +4,5 @@ pub mod campaign;
 pub mod choice;
 pub(crate) mod explanation;
 pub mod lease;
-pub mod merge;
 pub mod outage;
 pub(crate) mod pairing;

@@ -13,7 +13,6 @@ pub(crate) mod claims;
 pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
-pub(crate) mod halves;
 pub(crate) mod hidden;
 pub(crate) mod imported;
 pub(crate) mod instants;
@@ -46,14 +45,14 @@ use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
 use failpoint::{Failpoints, Side, Step};
 
 pub const DATABASE_FILE: &str = "coordinator.sqlite";
-/// The file whose lock marks the data folder as owned by a coordinator.
-const LOCK_FILE: &str = "coordinator.lock";
 /// Permissions of a data folder and of its database: outcomes, videos and addresses of policies are
 /// private. Other users of the machine go through the coordinator.
 const PRIVATE_FOLDER_MODE: u32 = 0o700;
 const PRIVATE_MODE: u32 = 0o600;
-/// Number of read-only connections beside the writer.
-const READERS: u32 = 4;
+/// Number of read-only connections beside the writer. Large reads take at most eight: two answers
+/// to operators, two statistics and two comparisons of pages, derived campaigns and early stops.
+/// The others serve small queries.
+const READERS: u32 = 11;
 /// Longest wait of a statement for a lock held by another process, such as a backup or an
 /// interactive shell.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
@@ -71,8 +70,8 @@ pub struct Store {
     /// Device and inode of the database file at opening.
     file: (u64, u64),
     failpoints: Failpoints,
-    /// Locked file, which marks the folder as owned until the store is closed. The kernel releases
-    /// the lock however the process ends.
+    /// The locked data folder, which this process owns until the store is closed. The kernel
+    /// releases the lock however the process ends, and no removed file undoes it.
     lock: File,
 }
 
@@ -381,13 +380,7 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 
 fn lock_folder(folder: &Path) -> Result<File, OpenError> {
     let in_folder = |source| OpenError::Folder { folder: folder.to_owned(), source };
-    let lock = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .mode(PRIVATE_MODE)
-        .open(folder.join(LOCK_FILE))
-        .map_err(in_folder)?;
+    let lock = File::open(folder).map_err(in_folder)?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(OpenError::InUse { folder: folder.to_owned() }),

@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "String", into = "String")]
 pub struct AttemptId(u128);
 
-/// Invalid text of an attempt's id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read an attempt id: the text must be 32 digits of lower-case hex")]
 pub struct AttemptIdError;

@@ -3,7 +3,6 @@
 //! them at their own boundaries.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod backoff;
 mod id;
@@ -14,7 +13,8 @@ mod result;
 pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{
-    Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK,
+    CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER,
+    TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT,
 };
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};

@@ -18,6 +18,13 @@ pub const TAUGHT_ON_LOOK: &str = "taught on look";
 /// Name of the setting that holds the execution model; absent if the model is `wait`.
 pub const EXECUTION: &str = "execution model";
 
+/// Name of the setting that holds the time since which no connection to a server was lost, for
+/// servers that name no checkpoint and may have been replaced since.
+pub const CONNECTED_SINCE: &str = "connected since";
+
+/// Beginning of the checkpoint of a policy whose server names none.
+pub const UNNAMED_CHECKPOINT: &str = "not named by its server";
+
 /// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
 
@@ -30,7 +37,6 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// Name of the renderer.
     pub renderer: String,
     pub look: Look,
 }
@@ -65,7 +71,6 @@ pub struct Provenance {
     /// all queries of a seed at one replica) or "up to N" queries, with the suffix ", unseeded" if
     /// the server takes no seed. "single" without a gateway.
     pub batch_mode: String,
-    /// Version of the worker's program.
     pub program_version: String,
 }
 
@@ -126,6 +131,13 @@ impl Provenance {
         self.policy_settings.get(EXECUTION).map_or(WAIT, String::as_str)
     }
 
+    /// Returns true if neither a digest nor a name identifies the weights that were measured.
+    pub fn is_unidentified(&self) -> bool {
+        let name = &self.policy_checkpoint;
+        let is_unnamed = name.is_empty() || name.starts_with(UNNAMED_CHECKPOINT);
+        is_unnamed && self.policy_checkpoint_digest.is_empty()
+    }
+
     /// Returns the asset pack that the policy reports to have been trained on, if it differs from
     /// the one that the policy was measured on.
     pub fn other_training_pack(&self) -> Option<&str> {
@@ -143,7 +155,7 @@ impl Provenance {
 
     /// Describes the first difference of this result's policy from the policy of an earlier result,
     /// `pinned`, of the same campaign and suite; `None` if the policies are the same. Ignores the
-    /// execution model and the reported training assets: neither affects the policy's actions, and
+    /// execution model, the time of connection and the reported training assets: none affects the policy's actions, and
     /// a server may begin to report them later.
     pub fn policy_difference(&self, pinned: &Provenance) -> Option<String> {
         let differs = |property: &str, now: &str, before: &str| {
@@ -165,7 +177,8 @@ impl Provenance {
                 let mut names: BTreeSet<&String> =
                     settings.keys().chain(self.policy_settings.keys()).collect();
                 names.retain(|name| {
-                    ![TAUGHT_ON, TAUGHT_ON_LOOK, EXECUTION].contains(&name.as_str())
+                    ![TAUGHT_ON, TAUGHT_ON_LOOK, EXECUTION, CONNECTED_SINCE]
+                        .contains(&name.as_str())
                 });
                 names.into_iter().find_map(|name| {
                     let [now, before] = [&self.policy_settings, settings]
@@ -220,10 +233,13 @@ mod tests {
     }
 
     #[test]
-    fn newly_declared_training_assets_do_not_change_the_policy() {
-        let [undeclared, declared] =
-            [None, Some("libero")].map(|assets| measured_on("libero", assets));
-        assert_eq!(declared.policy_difference(&undeclared), None);
-        assert_eq!(undeclared.policy_difference(&declared), None);
+    fn newly_declared_training_assets_and_another_connection_do_not_change_the_policy() {
+        let undeclared = measured_on("libero", None);
+        let mut connected = undeclared.clone();
+        connected.policy_settings.insert(CONNECTED_SINCE.to_owned(), "1".to_owned());
+        for declared in [measured_on("libero", Some("libero")), connected] {
+            assert_eq!(declared.policy_difference(&undeclared), None);
+            assert_eq!(undeclared.policy_difference(&declared), None);
+        }
     }
 }

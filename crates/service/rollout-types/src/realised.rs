@@ -20,7 +20,6 @@ pub const TOLERANCE: f64 = 1e-8;
 #[serde(transparent)]
 pub struct Realised(BTreeMap<Axis, RealisedAxis>);
 
-/// Realised values of one axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RealisedAxis {
     /// Parameters of the manifest row.

@@ -15,11 +15,9 @@ pub struct RolloutResult {
     pub ik: Option<IkResidual>,
     /// Executed actions that were clipped into [-1, 1].
     pub clipped_actions: u32,
-    /// Queries that the policy answered.
     pub policy_queries: u32,
     /// Parts of `wall_secs`.
     pub parts: Parts,
-    /// Progress towards the goal.
     pub goal: GoalProgress,
     /// Prompt that the policy got; `None` if it was empty.
     pub prompt: Option<String>,

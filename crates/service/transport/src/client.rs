@@ -21,6 +21,7 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 use tonic::{Request, Status};
 
 use crate::found::ProbeResult;
+use crate::repeat::Repeating;
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
 use crate::users::check_server;
@@ -49,8 +50,8 @@ pub struct Access {
     ca: Option<Vec<u8>>,
 }
 
-/// A connection that sends its token with every call.
-pub type Connection = InterceptedService<Channel, Bearer>;
+/// A connection that sends its token with every call, and survives the end of its transport.
+pub type Connection = InterceptedService<Repeating, Bearer>;
 
 /// Adds the token to a call.
 #[derive(Clone, Debug)]
@@ -154,7 +155,7 @@ impl Access {
             true => endpoint.connect_with_connector_lazy(LocalConnector),
             false => self.with_tls(endpoint)?.connect_lazy(),
         };
-        Ok(InterceptedService::new(channel, bearer))
+        Ok(InterceptedService::new(Repeating(channel), bearer))
     }
 
     fn with_tls(&self, endpoint: Endpoint) -> Result<Endpoint, AccessError> {
@@ -366,11 +367,15 @@ print('got', len(listener.accept()[0].recv(1000)), flush=True)
             let answer = connection.call(request.expect("a request")).await;
             crate::chain(&answer.expect_err("no gRPC server"))
         };
-        let accepting = async {
-            let (stream, _) = listener.accept().await.expect("a connection");
-            drop(stream);
+        let closing = async {
+            while let Ok((stream, _)) = listener.accept().await {
+                drop(stream);
+            }
         };
-        let (broken, ()) = tokio::join!(call(), accepting);
+        let broken = tokio::select! {
+            broken = call() => broken,
+            () = closing => panic!("the listener failed"),
+        };
         assert!(!broken.contains("another user"), "{broken}");
         drop(listener);
 

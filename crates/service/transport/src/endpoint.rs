@@ -19,9 +19,11 @@ impl EndpointError {
 /// Parses a gRPC server's URL.
 ///
 /// # Errors
-/// If the URL is malformed, or has another scheme, no host, a path, or a query.
+/// If the URL is malformed, or has another scheme, a user, no host, a path, or a query.
 pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
-    let error = || EndpointError { given: url.to_owned() };
+    // A user and a password are refused and not quoted, since addresses are shown and logged.
+    let (user, shown) = url.rsplit_once('@').map_or((None, url), |(user, host)| (Some(user), host));
+    let error = || EndpointError { given: shown.to_owned() };
     let (scheme, authority) = match url.split_once("://") {
         Some(("http" | "grpc", authority)) => ("http", authority),
         Some(("https" | "grpcs", authority)) => ("https", authority),
@@ -31,7 +33,7 @@ pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     let endpoint = Endpoint::from_shared(format!("{scheme}://{authority}")).map_err(|_| error())?;
     let has_host = endpoint.uri().host().is_some_and(|host| !host.is_empty());
     let has_no_path = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
-    (has_host && has_no_path).then_some(endpoint).ok_or_else(error)
+    (user.is_none() && has_host && has_no_path).then_some(endpoint).ok_or_else(error)
 }
 
 #[cfg(test)]
@@ -57,9 +59,17 @@ mod tests {
 
     #[test]
     fn an_invalid_server_url_is_refused_with_an_example() {
-        for url in ["", "localhost:7000", "ftp://host", "http://", "http://a b", "http://h/path"] {
+        for url in [
+            "",
+            "localhost:7000",
+            "ftp://host",
+            "http://",
+            "http://a b",
+            "http://h/path",
+            "http://me:secret@h:1",
+        ] {
             let error = parse_endpoint(url).expect_err(url).to_string();
-            assert!(error.contains("http://HOST:PORT"), "{error}");
+            assert!(error.contains("http://HOST:PORT") && !error.contains("secret"), "{error}");
         }
     }
 }

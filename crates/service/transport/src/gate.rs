@@ -176,11 +176,30 @@ impl Shared {
                 allowed
             }
         };
-        let (Some(tokens), Allowed::OneOf(roles)) = (&self.tokens, allowed) else {
-            return Ok(());
-        };
-        let headers = request.headers();
-        let is_page = matches!(resource, Resource::Page(_));
+        if let Some(tokens) = &self.tokens {
+            // A resource for everybody admits nobody.
+            let Allowed::OneOf(roles) = allowed else { return Ok(()) };
+            self.check_role(
+                tokens,
+                roles,
+                matches!(resource, Resource::Page(_)),
+                request.headers(),
+            )?;
+        }
+        if let Some(caller) = self::caller(request) {
+            caller.admit();
+        }
+        Ok(())
+    }
+
+    /// Checks that a request has a token of one of these roles or, for a page, a session.
+    fn check_role(
+        &self,
+        tokens: &Tokens,
+        roles: &[Role],
+        is_page: bool,
+        headers: &HeaderMap,
+    ) -> Result<(), Status> {
         if is_page && roles.contains(&Role::Viewer) && self.sessions.has_session(headers) {
             return Ok(());
         }

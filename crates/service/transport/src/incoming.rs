@@ -1,17 +1,18 @@
 //! Incoming connections of a server: limits on their number, in total and per address, and timeouts
 //! for silent ones.
 //!
-//! Each connection costs a file descriptor, and anyone who can reach the port can open thousands.
-//! Three rules keep room for active callers. A connection is closed if its first bytes do not
-//! arrive in time, or if nothing passes for minutes (live HTTP/2 connections carry pings). Beyond
-//! the limit, the oldest connection that has not sent its greeting yet is evicted for the next one.
-//! An address that fills its share with active connections is refused further connections.
+//! Each connection costs a file descriptor and memory, and anyone who can reach the port can open
+//! thousands. Three rules keep room for admitted callers. A connection is closed if the gate admits
+//! none of its requests in time, or if nothing passes for minutes (live HTTP/2 connections carry
+//! pings). Beyond a limit, the oldest connection without an admitted request is evicted for the
+//! next one. An address that fills its share with admitted connections is refused further ones.
 
 use std::collections::HashMap;
 use std::future::Future;
 use std::io;
 use std::net::IpAddr;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
@@ -28,11 +29,10 @@ use tonic::transport::server::Connected;
 use crate::refusals::LOG_AGAIN_AFTER;
 use crate::users::Caller;
 
-/// Longest wait for the first `GREETING_BYTES` of a connection.
-pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
-/// Bytes after which a connection counts as active: the length of HTTP/2's preface; no HTTP/1.1
-/// request or TLS handshake is shorter.
-const GREETING_BYTES: usize = 24;
+/// Longest time of a connection without an admitted request. It includes the TLS handshake.
+pub const ADMISSION_TIMEOUT: Duration = Duration::from_secs(10);
+/// Number of connections without an admitted request, each of which costs some 20 KiB.
+const MAX_UNADMITTED: usize = 1_024;
 /// Longest time without traffic in either direction. HTTP/2 sends a ping every thirty seconds, and
 /// event streams to pages send an event at least every five seconds.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(180);
@@ -90,8 +90,15 @@ struct OpenConnections {
 #[derive(Debug)]
 struct Entry {
     address: IpAddr,
-    /// Notified to evict the connection; `None` once the connection is active.
-    evict: Option<Arc<Notify>>,
+    /// True once the gate has admitted a request of the connection.
+    admitted: Arc<AtomicBool>,
+    evict: Arc<Notify>,
+}
+
+impl Entry {
+    fn is_admitted(&self) -> bool {
+        self.admitted.load(Ordering::Relaxed)
+    }
 }
 
 /// A slot among the open connections, released on drop.
@@ -99,6 +106,9 @@ struct Entry {
 struct Slot {
     open: Arc<OpenConnections>,
     number: u64,
+    admitted: Arc<AtomicBool>,
+    /// Resolves when the connection is evicted.
+    evicted: Pin<Box<OwnedNotified>>,
 }
 
 impl OpenConnections {
@@ -108,31 +118,33 @@ impl OpenConnections {
     }
 
     /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
-    /// oldest silent connection is evicted: of the same address if that address has used its share,
-    /// otherwise of any address. Returns `None` if there is no silent connection to evict.
-    fn take_slot(
-        self: &Arc<OpenConnections>,
-        number: u64,
-        address: IpAddr,
-    ) -> Option<(Slot, Arc<Notify>)> {
+    /// oldest connection without an admitted request is evicted: of the same address if that
+    /// address has used its share, otherwise of any address. Returns `None` if there is none.
+    fn take_slot(self: &Arc<OpenConnections>, number: u64, address: IpAddr) -> Option<Slot> {
         let mut connections = self.lock();
         let is_same_address = |entry: &Entry| entry.address == address;
         let count = connections.values().filter(|entry| is_same_address(entry)).count();
         let is_full = count >= self.limits.of_one_address;
-        if is_full || connections.len() >= self.limits.total {
-            let silent = connections
-                .iter()
-                .filter(|(_, entry)| entry.evict.is_some() && (!is_full || is_same_address(entry)));
-            let oldest = silent.map(|(number, _)| *number).min()?;
-            if let Some(Entry { evict: Some(evict), .. }) = connections.remove(&oldest) {
-                evict.notify_one();
+        let unadmitted = || connections.iter().filter(|(_, entry)| !entry.is_admitted());
+        if is_full
+            || connections.len() >= self.limits.total
+            || unadmitted().count() >= MAX_UNADMITTED
+        {
+            let evictable = unadmitted().filter(|(_, entry)| !is_full || is_same_address(entry));
+            let oldest = evictable.map(|(number, _)| *number).min()?;
+            if let Some(entry) = connections.remove(&oldest) {
+                entry.evict.notify_one();
             }
         }
-        let evict = Arc::new(Notify::new());
-        let entry = Entry { address, evict: Some(evict.clone()) };
-        connections.insert(number, entry);
-        let open = self.clone();
-        Some((Slot { open, number }, evict))
+        let (admitted, evict) = (Arc::default(), Arc::<Notify>::default());
+        let slot = Slot {
+            open: self.clone(),
+            number,
+            admitted: Arc::clone(&admitted),
+            evicted: Box::pin(Arc::clone(&evict).notified_owned()),
+        };
+        connections.insert(number, Entry { address, admitted, evict });
+        Some(slot)
     }
 }
 
@@ -147,11 +159,7 @@ impl Drop for Slot {
 pub struct Watched {
     stream: TcpStream,
     slot: Slot,
-    /// Resolves when the connection is evicted.
-    evicted: Pin<Box<OwnedNotified>>,
     deadline: Pin<Box<Sleep>>,
-    /// Bytes received, up to [`GREETING_BYTES`].
-    greeting_bytes: usize,
     /// Time of the last traffic in either direction.
     last_traffic: Instant,
     /// Longest time without traffic.
@@ -159,47 +167,45 @@ pub struct Watched {
 }
 
 impl Watched {
-    fn new(stream: TcpStream, slot: Slot, evict: Arc<Notify>, idle: Duration) -> Watched {
+    fn new(stream: TcpStream, slot: Slot, idle: Duration) -> Watched {
         Watched {
             stream,
             slot,
-            evicted: Box::pin(evict.notified_owned()),
-            deadline: Box::pin(sleep(GREETING_TIMEOUT)),
-            greeting_bytes: 0,
+            deadline: Box::pin(sleep(ADMISSION_TIMEOUT)),
             last_traffic: Instant::now(),
             idle,
         }
     }
 
-    fn is_active(&self) -> bool {
-        self.greeting_bytes >= GREETING_BYTES
-    }
-
-    fn record_received(&mut self, bytes: usize) {
-        self.last_traffic = Instant::now();
-        if self.is_active() {
-            return;
-        }
-        self.greeting_bytes += bytes;
-        if self.is_active()
-            && let Some(entry) = self.slot.open.lock().get_mut(&self.slot.number)
-        {
-            entry.evict = None;
+    /// Records a write. One that waits for the peer to read is bounded like a silence: nothing is
+    /// read meanwhile.
+    fn written(
+        &mut self,
+        written: Poll<io::Result<usize>>,
+        context: &mut Context<'_>,
+    ) -> Poll<io::Result<usize>> {
+        match written {
+            Poll::Ready(written) => {
+                self.last_traffic = Instant::now();
+                Poll::Ready(written)
+            }
+            Poll::Pending => self.poll_closed(context).map(Err),
         }
     }
 
     /// Returns the error once the connection must be closed.
     fn poll_closed(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
         let timed_out = || {
-            let message = "the connection was silent for too long";
+            let message = "the connection was silent, or not admitted, for too long";
             Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, message))
         };
-        if !self.is_active() && self.evicted.as_mut().poll(context).is_ready() {
+        let is_admitted = self.slot.admitted.load(Ordering::Relaxed);
+        if !is_admitted && self.slot.evicted.as_mut().poll(context).is_ready() {
             return timed_out();
         }
         while self.deadline.as_mut().poll(context).is_ready() {
             let end = self.last_traffic + self.idle;
-            if !self.is_active() || end <= Instant::now() {
+            if !is_admitted || end <= Instant::now() {
                 return timed_out();
             }
             // The timer is reset when it fires, not with every byte.
@@ -215,10 +221,9 @@ impl AsyncRead for Watched {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let filled = buffer.filled().len();
         match Pin::new(&mut self.stream).poll_read(context, buffer) {
             Poll::Ready(Ok(())) => {
-                self.record_received(buffer.filled().len() - filled);
+                self.last_traffic = Instant::now();
                 Poll::Ready(Ok(()))
             }
             Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
@@ -233,9 +238,8 @@ impl AsyncWrite for Watched {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        let written = ready!(Pin::new(&mut self.stream).poll_write(context, bytes));
-        self.last_traffic = Instant::now();
-        Poll::Ready(written)
+        let written = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.written(written, context)
     }
 
     fn poll_write_vectored(
@@ -243,9 +247,8 @@ impl AsyncWrite for Watched {
         context: &mut Context<'_>,
         bytes: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let written = ready!(Pin::new(&mut self.stream).poll_write_vectored(context, bytes));
-        self.last_traffic = Instant::now();
-        Poll::Ready(written)
+        let written = Pin::new(&mut self.stream).poll_write_vectored(context, bytes);
+        self.written(written, context)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -265,7 +268,7 @@ impl Connected for Watched {
     type ConnectInfo = Caller;
 
     fn connect_info(&self) -> Caller {
-        Caller::new(self.stream.connect_info())
+        Caller::new(self.stream.connect_info(), Arc::clone(&self.slot.admitted))
     }
 }
 
@@ -335,8 +338,8 @@ impl Incoming {
                 continue;
             }
             let address = address.ip().to_canonical();
-            if let Some((slot, evict)) = self.open.take_slot(self.accepted, address) {
-                return Poll::Ready(Watched::new(stream, slot, evict, self.idle));
+            if let Some(slot) = self.open.take_slot(self.accepted, address) {
+                return Poll::Ready(Watched::new(stream, slot, self.idle));
             }
             let is_recent = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
             if !self.logged.is_some_and(is_recent) {
@@ -387,39 +390,39 @@ mod tests {
         })
     }
 
-    /// Takes a slot for an active connection.
-    fn active(open: &Arc<OpenConnections>, number: u64, caller: IpAddr) -> Option<Slot> {
-        let (slot, _) = open.take_slot(number, caller)?;
-        open.lock().get_mut(&number).expect("an entry").evict = None;
+    /// Takes a slot for a connection with an admitted request.
+    fn admitted(open: &Arc<OpenConnections>, number: u64, caller: IpAddr) -> Option<Slot> {
+        let slot = open.take_slot(number, caller)?;
+        slot.admitted.store(true, Ordering::Relaxed);
         Some(slot)
     }
 
     #[test]
-    fn the_oldest_silent_connection_is_evicted() {
+    fn the_oldest_connection_without_an_admitted_request_is_evicted() {
         let open = open(3, 3);
-        let silent = [1, 2].map(|number| open.take_slot(number, address(1)).expect("a slot"));
-        let active = active(&open, 3, address(1)).expect("a slot");
+        let unadmitted = [1, 2].map(|number| open.take_slot(number, address(1)).expect("a slot"));
+        let admitted = admitted(&open, 3, address(1)).expect("a slot");
         let next = open.take_slot(4, address(2)).expect("the slot of the first");
         let mut numbers: Vec<u64> = open.lock().keys().copied().collect();
         numbers.sort_unstable();
         assert_eq!(numbers, [2, 3, 4]);
-        drop((silent, active, next));
+        drop((unadmitted, admitted, next));
         assert!(open.lock().is_empty());
     }
 
     #[test]
-    fn active_connections_of_one_address_leave_the_others_their_share() {
+    fn admitted_connections_of_one_address_leave_the_others_their_share() {
         let open = open(4, 3);
-        let silent = open.take_slot(1, address(2)).expect("a slot");
+        let unadmitted = open.take_slot(1, address(2)).expect("a slot");
         let taken: Vec<Slot> =
-            (2..=4).filter_map(|number| active(&open, number, address(1))).collect();
+            (2..=4).filter_map(|number| admitted(&open, number, address(1))).collect();
         assert_eq!(taken.len(), 3);
         assert!(open.take_slot(5, address(1)).is_none(), "the address has used its share");
-        assert!(open.lock().contains_key(&1), "the silent connection of another address stays");
-        // Another address evicts the silent connection.
+        assert!(open.lock().contains_key(&1), "the connection of another address stays");
+        // Another address evicts the connection without an admitted request.
         assert!(open.take_slot(6, address(3)).is_some());
         assert!(!open.lock().contains_key(&1));
-        drop((silent, taken));
+        drop((unadmitted, taken));
     }
 
     /// Connects to `incoming`; returns both ends.
@@ -441,7 +444,7 @@ mod tests {
     /// Returns the time until a read of a silent connection fails.
     async fn time_until_closed(connection: &mut Watched) -> Duration {
         let begun = Instant::now();
-        let read = timeout(4 * GREETING_TIMEOUT, connection.read_u8()).await;
+        let read = timeout(4 * ADMISSION_TIMEOUT, connection.read_u8()).await;
         let error = read.expect("the read ends").expect_err("the connection is closed");
         assert_eq!(error.kind(), io::ErrorKind::TimedOut, "{error}");
         begun.elapsed()
@@ -451,16 +454,15 @@ mod tests {
     async fn a_connection_is_closed_some_time_after_its_last_traffic_in_either_direction() {
         let mut incoming = incoming().await;
         assert_eq!(incoming.idle, IDLE_TIMEOUT);
-        // The first timer is `GREETING_TIMEOUT`; this test shortens the timers after it.
+        // The first timer is `ADMISSION_TIMEOUT`; this test shortens the timers after it.
         let idle = Duration::from_secs(2);
         incoming.idle = idle;
         let (mut caller, mut connection) = connected(&mut incoming).await;
-        let mut bytes = [0; GREETING_BYTES];
-        caller.write_all(&bytes).expect("sent");
-        connection.read_exact(&mut bytes).await.expect("received");
+        connection.slot.admitted.store(true, Ordering::Relaxed);
+        let mut bytes = [0; 1];
         let begun = Instant::now();
         // Traffic in one direction alone keeps the connection open, well beyond the first timer.
-        while begun.elapsed() < GREETING_TIMEOUT + idle {
+        while begun.elapsed() < ADMISSION_TIMEOUT + idle {
             let silence = timeout(idle / 2, connection.read_u8()).await;
             assert!(silence.is_err(), "{silence:?} after {:?}", begun.elapsed());
             connection.write_all(b"b").await.expect("open");
@@ -476,15 +478,24 @@ mod tests {
         assert!(closed >= idle / 2 && closed < 2 * idle, "{closed:?}");
     }
 
+    /// Neither bytes in either direction nor a write that the caller does not read prolong it.
     #[tokio::test]
-    async fn a_connection_without_a_complete_greeting_is_closed() {
+    async fn a_connection_without_an_admitted_request_is_closed() {
         let mut incoming = incoming().await;
-        let (mut caller, mut connection) = connected(&mut incoming).await;
-        let mut bytes = [0; GREETING_BYTES - 1];
-        caller.write_all(&bytes).expect("sent");
-        connection.read_exact(&mut bytes).await.expect("received");
-        let closed = time_until_closed(&mut connection).await;
-        assert!(closed < GREETING_TIMEOUT + Duration::from_secs(5), "{closed:?}");
+        for is_read in [true, false] {
+            let (mut caller, mut connection) = connected(&mut incoming).await;
+            caller.write_all(&[0; 64]).expect("sent");
+            connection.read_exact(&mut [0; 64]).await.expect("received");
+            let begun = Instant::now();
+            let closed = async {
+                match is_read {
+                    true => drop(time_until_closed(&mut connection).await),
+                    false => while connection.write_all(&[0; 1 << 20]).await.is_ok() {},
+                }
+            };
+            timeout(2 * ADMISSION_TIMEOUT, closed).await.expect("it is closed");
+            assert!(begun.elapsed() < ADMISSION_TIMEOUT + Duration::from_secs(5));
+        }
     }
 
     /// Name of a test that lowers the limits of its process.

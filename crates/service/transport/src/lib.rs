@@ -11,7 +11,6 @@
 //! token; the id gives access to pages for some hours, and to no call.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod browser;
 mod browser_sessions;
@@ -26,6 +25,7 @@ mod private;
 mod probe;
 mod rate;
 mod refusals;
+mod repeat;
 mod server;
 mod token;
 mod users;
@@ -36,10 +36,11 @@ pub use endpoint::{EndpointError, parse_endpoint};
 pub use failure::{chain, innermost, is_outage, is_outage_code, may_succeed_later, status_text};
 pub use found::{CertificateFault, ConnectError, ProbeResult, ServerKind, Settings};
 pub use gate::{Allowed, Gate, Gated, Resource};
-pub use incoming::{GREETING_TIMEOUT, IDLE_TIMEOUT, Incoming, Watched, raise_file_limit};
+pub use incoming::{ADMISSION_TIMEOUT, IDLE_TIMEOUT, Incoming, Watched, raise_file_limit};
 pub use peer::Peer;
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
+pub use repeat::Repeating;
 pub use server::{
     GatedServer, HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security,
     SecurityError, ServerArguments,

@@ -3,6 +3,7 @@
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use rustix::process::geteuid;
@@ -31,11 +32,18 @@ pub struct Caller {
     /// User id of the process at the other end, looked up on first use; `None` if the kernel lists
     /// no socket for it.
     user: Arc<OnceLock<Option<u32>>>,
+    /// True once the gate has admitted a request of the connection.
+    admitted: Arc<AtomicBool>,
 }
 
 impl Caller {
-    pub(crate) fn new(connection: TcpConnectInfo) -> Self {
-        Self { connection, user: Arc::default() }
+    pub(crate) fn new(connection: TcpConnectInfo, admitted: Arc<AtomicBool>) -> Self {
+        Self { connection, user: Arc::default(), admitted }
+    }
+
+    /// Records that the gate has admitted a request of the connection, which is kept from then on.
+    pub(crate) fn admit(&self) {
+        self.admitted.store(true, Ordering::Relaxed);
     }
 
     pub(crate) fn address(&self) -> Option<SocketAddr> {

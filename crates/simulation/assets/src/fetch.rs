@@ -55,10 +55,6 @@ pub struct Fetched {
 impl Fetch<'_> {
     /// Fetches those `wanted` files that are missing or altered. Waits for another process that
     /// fetches into the same folder.
-    ///
-    /// # Errors
-    /// If files cannot be read, downloaded or written, or `progress` ends the fetch. Completely
-    /// received files are kept.
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
         if self.files_to_fetch(wanted)?.0.is_empty() {
             let present = wanted.len();
@@ -73,10 +69,10 @@ impl Fetch<'_> {
             files: 0,
             of_files: to_fetch.len(),
             bytes: 0,
-            of_bytes: to_fetch.iter().map(|file| self.origin.transfer_bytes(file)).sum(),
+            of_bytes: to_fetch.iter().map(|file| file.stored).sum(),
         };
         self.send_report(Report::Arriving(progress))?;
-        for group in self.origin.group_by_parcel(&to_fetch) {
+        for group in Origin::group_by_parcel(&to_fetch) {
             let (origin, table) = (self.origin, self.into.table());
             let parcel = self.retry(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;

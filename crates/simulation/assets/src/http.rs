@@ -17,6 +17,8 @@ use crate::error::AssetsError;
 
 /// Largest text answer, bytes; an index page has a few kB.
 const MAX_TEXT_BYTES: u64 = 16 << 20;
+/// Remedy for an index that refuses a request or has other contents.
+pub(crate) const OTHER_INDEX: &str = "set ROLLOUT_INDEX_URL to another package index";
 /// Bytes that have to arrive within each [`Deadlines::gain`].
 pub(crate) const GAIN_BYTES: u64 = 1 << 20;
 /// Environment variables of pip, OpenSSL and requests that hold the path of a certificate file.
@@ -68,9 +70,6 @@ pub(crate) struct Address {
 
 impl Address {
     /// Parses an HTTP URL.
-    ///
-    /// # Errors
-    /// A remedy, if the text is not a valid URL.
     pub(crate) fn parse(text: &str) -> Result<Self, &'static str> {
         const REMEDY: &str = "write https://HOST/PATH, or http://HOST:PORT/PATH for a local mirror";
         let mut url = Url::parse(text.trim()).map_err(|_| REMEDY)?;
@@ -123,18 +122,16 @@ fn authorization(url: &Url) -> Option<String> {
     Some(format!("Basic {}", BASE64_STANDARD.encode(credentials)))
 }
 
-/// HTTP client for package indices and the Hugging Face hub. Uses the proxies that are set in
+/// HTTP client for package indices. Uses the proxies that are set in
 /// the environment variables.
 #[derive(Debug)]
 pub(crate) struct Client {
     agent: Agent,
     deadlines: Deadlines,
-    /// Remedy for a server that refuses a request or has other contents, in the imperative.
-    pub(crate) remedy: &'static str,
 }
 
 impl Client {
-    pub(crate) fn new(deadlines: Deadlines, remedy: &'static str) -> Result<Self, AssetsError> {
+    pub(crate) fn new(deadlines: Deadlines) -> Result<Self, AssetsError> {
         let mut tls = TlsConfig::builder();
         if let Some(roots) = certificates()? {
             tls = tls.root_certs(roots);
@@ -146,7 +143,7 @@ impl Client {
             .http_status_as_error(false)
             .tls_config(tls.build())
             .build();
-        Ok(Self { agent: config.into(), deadlines, remedy })
+        Ok(Self { agent: config.into(), deadlines })
     }
 
     /// Requests a byte range. The server may send the whole file instead; the status code tells.
@@ -199,7 +196,7 @@ impl Client {
             status => Err(RequestError::Permanent(AssetsError::Refused {
                 url: url(),
                 status,
-                remedy: self.remedy,
+                remedy: OTHER_INDEX,
             })),
         }
     }
@@ -228,7 +225,6 @@ impl Client {
 struct MinimumRateReader<R> {
     reader: R,
     period: Duration,
-    /// Start of the current period.
     period_start: Instant,
     /// Bytes that arrived in the current period.
     gained: u64,

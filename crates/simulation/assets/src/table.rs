@@ -135,7 +135,6 @@ impl Table {
         &self.files
     }
 
-    /// Returns the file at a path in the pack.
     pub fn get(&self, path: &str) -> Option<&FileFacts> {
         Some(&self.files[*self.by_path.get(path)?])
     }

@@ -79,10 +79,6 @@ impl VerifiedFolder {
         &self.folder
     }
 
-    /// Verifies one file.
-    ///
-    /// # Errors
-    /// If the file differs from the table.
     pub fn verify(&self, file: &FileFacts) -> Result<(), Difference> {
         let path = self.folder.join(file.path);
         let stamp = stamp(&fs::metadata(&path).map_err(unreadable)?);

@@ -166,7 +166,6 @@ fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
     (vectors.map(|vector| vector.map(f32::to_bits)), numbers.map(f32::to_bits), camera.orthographic)
 }
 
-/// Returns the bits of a light for comparison.
 fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
     let vectors = [light.pos, light.dir, light.ambient, light.diffuse, light.specular];
     let spot = match light.kind {
@@ -178,7 +177,6 @@ fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
     (vectors.map(|vector| vector.map(f32::to_bits)), spot)
 }
 
-/// Returns the bits of a texture use for comparison.
 fn texture_bits(used: &TextureUse) -> (usize, [u32; 2], bool, bool) {
     let repeat = used.repeat.map(f32::to_bits);
     (used.texture, repeat, used.uniform, used.by_corner)

@@ -83,10 +83,6 @@ impl Canvas {
     /// pixel, row by row from the bottom. The model must be the same for all frames of a canvas;
     /// `largest_levels` holds the bytes that the model's textures were made from, which are their
     /// largest mipmap levels.
-    ///
-    /// # Errors
-    /// If the frame's size, the camera or the size of shadow maps is invalid, the scene refers to
-    /// items that the model lacks, or `largest_levels` does not fit the textures.
     pub fn draw(
         &mut self,
         model: &Model,
@@ -99,9 +95,6 @@ impl Canvas {
 
     /// Draws a frame. Returns the depths at each pixel's first sample: 0 at the near plane, 1 at
     /// the far plane, as in OpenGL; row by row from the bottom. Translucent geoms are ignored.
-    ///
-    /// # Errors
-    /// As [`draw`](Self::draw).
     pub fn depths(
         &mut self,
         model: &Model,

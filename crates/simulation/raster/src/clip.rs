@@ -16,7 +16,6 @@ pub(crate) struct ClippedCorner<V> {
     pub(crate) values: V,
 }
 
-/// A piece of a clipped triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ClippedTriangle {
     /// Index of the original triangle in its mesh, and first vertex of its cluster.

@@ -3,7 +3,6 @@
 /// Reason why data is not accepted into a model.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ModelError {
-    /// A texture's dimensions do not fit its bytes, or are out of range.
     #[error(
         "a texture of {width} × {height} texels with {channels} channels does not fit {bytes} \
          bytes: give 3 or 4 bytes a texel, 1 to 16384 texels a side, and cubes as one square or six"
@@ -18,10 +17,8 @@ pub enum ModelError {
         /// Bytes that were given.
         bytes: usize,
     },
-    /// The bytes are not a prepared mesh or texture.
     #[error("these bytes are not a prepared mesh or texture: prepare the mesh or texture again")]
     Bytes,
-    /// The number of pieces of a shape is out of range.
     #[error(
         "shapes of {slices} slices, {stacks} stacks and {quads} quads cannot be made: give 3 to \
          512 slices, 4 to 512 stacks and 1 to 64 quads"
@@ -39,7 +36,6 @@ pub enum ModelError {
 /// Reason why a frame cannot be drawn.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum DrawError {
-    /// Frame without pixels, or with too many.
     #[error("a frame of {width} × {height} pixels cannot be drawn: give 1 to 4096 a side")]
     Size {
         /// Width, pixels.
@@ -47,7 +43,6 @@ pub enum DrawError {
         /// Height, pixels.
         height: usize,
     },
-    /// The camera's view frustum is empty or invalid.
     #[error("the camera's {what} is {value}: {needed}")]
     Camera {
         /// Name of the invalid camera parameter.
@@ -57,7 +52,6 @@ pub enum DrawError {
         /// Requirement that the value violates.
         needed: &'static str,
     },
-    /// Geom that refers to a mesh, plane or texture that the model does not have.
     #[error("geom {geom} names {what} {index}, and the model has {count}")]
     Missing {
         /// Index of the geom, in drawing order.
@@ -69,7 +63,6 @@ pub enum DrawError {
         /// Number of such items in the model.
         count: usize,
     },
-    /// Sky that refers to a texture that the model does not have.
     #[error("the sky names texture {index}, and the model has {count}")]
     MissingSky {
         /// Index of the missing texture.
@@ -77,13 +70,11 @@ pub enum DrawError {
         /// Number of textures in the model.
         count: usize,
     },
-    /// Shadow maps of invalid size.
     #[error("shadow maps of {size} × {size} texels cannot be drawn: give 3 to 16384 a side")]
     Shadows {
         /// Side of the maps, texels.
         size: usize,
     },
-    /// The bytes given for a texture are not as many as its largest level has.
     #[error(
         "texture {texture} was made from {needed} bytes, and {given} are given: give the bytes \
          that the texture was made from"

@@ -28,7 +28,6 @@ const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
 /// Triangles that span more pairs of pixels than this are filled part by part.
 const MAX_PAIRS: i32 = 16;
 
-/// Fills one triangle of a setup.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
     // `lane` is already below `LANES`; the remainder removes the bounds check of each read.

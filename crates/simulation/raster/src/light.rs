@@ -6,12 +6,10 @@ use crate::lanes::{F, Floats as _, I, Ints as _};
 use crate::matrix::{Vec3, dot};
 use crate::scene::{Light, LightKind, MAX_LIGHTS, Scene};
 
-/// Ambient light in a scene without lights.
 const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
 /// Largest exponent of a highlight.
 const MAX_SHININESS: f32 = 128.0;
 
-/// A light in the eye's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct EyeLight {
     /// Position of the light; for a directional light, the direction towards the light.
@@ -44,7 +42,6 @@ pub(crate) struct Lighting<'a> {
 }
 
 impl<'a> Lighting<'a> {
-    /// Returns the light of a scene with these lights.
     pub(crate) fn all(lights: &'a [EyeLight]) -> Self {
         Self {
             lights,

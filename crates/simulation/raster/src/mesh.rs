@@ -282,9 +282,6 @@ impl Mesh {
 
     /// Deserialises a mesh without copying its arrays out of the bytes of [`Mesh::to_bytes`], which
     /// must be aligned to four.
-    ///
-    /// # Errors
-    /// If the bytes are not a mesh.
     pub fn from_bytes(bytes: Bytes) -> Result<Self, ModelError> {
         Self::read(Blob::new(bytes)).ok_or(ModelError::Bytes)
     }
@@ -314,13 +311,11 @@ impl Mesh {
         (blob.is_empty() && mesh.clusters.iter().all(is_within_arrays)).then_some(mesh)
     }
 
-    /// Returns the number of triangles.
     pub fn triangles(&self) -> usize {
         let counts = self.clusters.iter().map(|cluster| cluster.triangles as usize);
         counts.sum()
     }
 
-    /// Returns a position of a cluster.
     pub(crate) fn position(&self, cluster: &Cluster, id: u8) -> Vec3 {
         let at = cluster.first_position as usize + usize::from(id);
         [self.xs[at], self.ys[at], self.zs[at]]

@@ -21,9 +21,6 @@ pub struct Model {
 
 impl Model {
     /// Creates a model with only built-in shapes.
-    ///
-    /// # Errors
-    /// If a number of pieces in `quality` is out of range.
     pub fn new(quality: Quality) -> Result<Self, ModelError> {
         let Quality { slices, stacks, quads } = quality;
         let is_in_range =

@@ -25,14 +25,12 @@ const EXACT: usize = 0;
 const SNAPPED: usize = 3;
 const BEYOND: usize = 5;
 
-/// Eight positions.
 pub(crate) struct EightPositions {
     pub(crate) exact: [F; 3],
     pub(crate) snapped: [I; 2],
     pub(crate) beyond: I,
 }
 
-/// The corners of eight triangles.
 pub(crate) struct EightTriangles([[F; LANES]; 3]);
 
 impl Default for Positions {

@@ -10,7 +10,6 @@ use crate::matrix::Matrix;
 pub(crate) struct Receiver([[f32; 4]; 4]);
 
 impl Receiver {
-    /// Creates the planes for an eye and the view from a light.
     pub(crate) fn new(eye: &View, light: &View) -> Self {
         let to_map = light.projection.times(&light.world_to_eye);
         // Maps columns and rows from the range -1 to 1 to the range 0 to 1.

@@ -68,7 +68,6 @@ pub struct Geom {
     pub segment: Option<u32>,
 }
 
-/// Kind of a light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LightKind {
     /// Light from infinitely far away.
@@ -84,10 +83,8 @@ pub enum LightKind {
     },
 }
 
-/// A light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
-    /// Kind of the light.
     pub kind: LightKind,
     /// Position, world frame.
     pub pos: [f32; 3],
@@ -115,7 +112,6 @@ pub struct Shadows {
     pub cone_share: f32,
 }
 
-/// A camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     /// Position, world frame.
@@ -147,7 +143,6 @@ pub struct Scene {
     pub geoms: Vec<Geom>,
     /// Lights; only the first eight are used.
     pub lights: Vec<Light>,
-    /// The camera.
     pub camera: Camera,
     /// Index of the sky texture, if there is one.
     pub sky: Option<usize>,

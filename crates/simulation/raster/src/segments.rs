@@ -14,10 +14,6 @@ use crate::window::Window;
 
 /// Draws the segmentation ids of geoms, row by row from the bottom; `None` where no geom with an id
 /// is visible. The size is the width and height in pixels.
-///
-/// # Errors
-/// If the size, the camera or the size of shadow maps is invalid, or the scene refers to items that
-/// the model lacks.
 pub fn segments(
     model: &Model,
     scene: &Scene,

@@ -215,13 +215,11 @@ impl Listing<'_> {
 /// Values of surfaces to compute.
 #[derive(Clone, Copy)]
 pub(crate) enum Content<'a> {
-    /// Colours in this light.
     Colours(Lighting<'a>),
     /// Places in a light's shadow map.
     Places(&'a Receiver),
 }
 
-/// Computes the listed surfaces.
 #[inline(always)]
 pub(crate) fn compute_surfaces(
     model: &Model,
@@ -267,7 +265,6 @@ pub(crate) fn compute_surfaces(
     }
 }
 
-/// Cached shading of the last instance.
 struct ShadingCache<'a> {
     content: Content<'a>,
     last: Option<(u32, Option<Shading<'a>>)>,

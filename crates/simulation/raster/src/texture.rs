@@ -163,9 +163,6 @@ pub(crate) struct Level {
 impl Texture {
     /// Creates a texture from its largest level, row by row, with 3 or 4 bytes per texel. A cube
     /// has either one square for all its faces, or six below one another.
-    ///
-    /// # Errors
-    /// If sizes, channels and the number of bytes do not match.
     pub fn new(
         kind: TextureKind,
         width: usize,
@@ -190,10 +187,6 @@ impl Texture {
     }
 
     /// Creates a texture from smaller levels that were computed earlier, without copying them.
-    ///
-    /// # Errors
-    /// If the sizes are not those of a texture, or the smaller levels do not have the number of
-    /// bytes that these sizes require.
     pub fn with_smaller(
         kind: TextureKind,
         [width, height, channels]: [usize; 3],
@@ -346,7 +339,6 @@ pub(crate) const SRGB_POLYNOMIAL: [f32; 4] =
     [0.0023, 0.0030 / 255.0, 0.6935 / (255.0 * 255.0), 0.3012 / (255.0 * 255.0 * 255.0)];
 /// Largest sRGB value that is decoded linearly, with [`SRGB_LINEAR_FACTOR`].
 pub(crate) const SRGB_LINEAR_TO: f32 = 15.0;
-/// Factor of sRGB values up to [`SRGB_LINEAR_TO`].
 pub(crate) const SRGB_LINEAR_FACTOR: f32 = 1.0 / (12.6 * 255.0);
 
 fn linear(value: u8) -> f32 {

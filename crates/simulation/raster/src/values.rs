@@ -8,7 +8,6 @@ use bytes::Bytes;
 /// An array that is owned while it is being built, or shared.
 #[derive(Debug, Clone)]
 pub(crate) enum Values<T> {
-    /// Owned values.
     Owned(Vec<T>),
     /// Shared bytes, whose alignment and length were checked once.
     Shared(Bytes),

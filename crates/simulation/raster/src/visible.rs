@@ -75,7 +75,6 @@ impl Visible {
         (self.width, self.height, self.stride) = (width, height, stride);
     }
 
-    /// Clears a window of a picture of this size.
     pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
         self.resize(size);
         let (stride, samples) = (self.stride, self.stride * self.height * SAMPLES);

@@ -75,7 +75,6 @@ pub fn category(name: &str) -> Option<&'static Category> {
     categories().find(|category| category.name.eq_ignore_ascii_case(name))
 }
 
-/// Returns the number of categories that [`category`] can find.
 pub fn category_count() -> usize {
     categories().count()
 }

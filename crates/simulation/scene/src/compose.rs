@@ -55,9 +55,6 @@ impl Scene {
 
     /// Verifies the meshes and textures that the MJCF references against the digests of
     /// LIBERO's files, if the pack is named `libero`. To be called before compiling.
-    ///
-    /// # Errors
-    /// If a file differs from LIBERO's.
     pub fn verify_files(&self, pack: &AssetPack) -> Result<(), SceneError> {
         let root = pack.root();
         let mut files = self.files_below(&root);

@@ -81,7 +81,6 @@ impl Element {
         self.get("name")
     }
 
-    /// Returns the first direct child with this tag.
     pub(crate) fn child(&self, tag: &str) -> Option<&Self> {
         self.children.iter().find(|child| child.tag == tag)
     }

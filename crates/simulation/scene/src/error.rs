@@ -16,7 +16,6 @@ pub enum SceneError {
         #[source]
         source: std::io::Error,
     },
-    /// The built-in asset pack cannot be unpacked into the sources.
     #[error(
         "write unpacked asset pack {}: make the sources folder writable, or point --sources \
          elsewhere",
@@ -34,7 +33,6 @@ pub enum SceneError {
         /// Defect, and its position if there is one.
         problem: String,
     },
-    /// A file of a pack named `libero` differs from LIBERO's.
     #[error(
         "use {what} {}: the file is not LIBERO's ({difference}). Run `worker assets fetch`, which \
          replaces it, or `worker assets verify`, which lists everything that differs",
@@ -48,10 +46,8 @@ pub enum SceneError {
     UnknownCategory { category: String, instance: String, known: usize },
     #[error("choose an arena for problem `{problem}`: the known problems are {}", known.join(", "))]
     UnknownProblem { problem: String, known: Vec<&'static str> },
-    /// No package index has the task files of LIBERO-Para.
     #[error("fetch LIBERO-Para's sentences: no package index has them; run `{FETCH}`")]
     NoWheel,
-    /// A folder is not the checkout of LIBERO-Para that this release uses.
     #[error("copy LIBERO-Para's sentences from {}: {problem}; run `{FETCH}`", path.display())]
     Checkout { path: PathBuf, problem: String },
     #[error(transparent)]

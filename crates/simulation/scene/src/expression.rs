@@ -1,7 +1,6 @@
 //! Parser of s-expressions: records line numbers, converts to lower case, drops `;` comments. The
 //! module `bddl` interprets them.
 
-/// Syntax error in a BDDL text.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error("line {line}: {problem}")]
 pub struct BddlError {

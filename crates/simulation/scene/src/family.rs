@@ -29,9 +29,6 @@ pub(crate) const MAX_FILE_BYTES: u64 = 4 << 20;
 
 /// Fetches the wheel of a benchmark's task files unless it is present, and unpacks it unless all
 /// task files of this wheel are already unpacked.
-///
-/// # Errors
-/// If there is no wheel, it cannot be fetched or is invalid, or its files cannot be written.
 pub fn fetch_task_files(
     benchmark: Benchmark,
     sources: &Sources,

@@ -13,9 +13,6 @@ const KNOWN: &str = "(on OBJECT OBJECT-OR-REGION), (in OBJECT REGION), (open X),
 
 /// Checks that every predicate of the goal can be evaluated: its name, its number of arguments,
 /// and the kind and category of each argument.
-///
-/// # Errors
-/// If one cannot.
 pub fn check_goal(problem: &Problem) -> Result<(), SceneError> {
     problem.goal.iter().try_for_each(|predicate| {
         let fault =

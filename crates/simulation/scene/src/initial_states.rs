@@ -23,6 +23,8 @@ pub struct InitialStates {
 const WHAT: &str = "initial states";
 /// Array name in LIBERO-PRO's files.
 const NPZ_MEMBER: &str = "states.npy";
+/// Remedy for a file of one's own.
+const SAVE: &str = "save states with `torch.save(numpy.array(states, dtype=\"float64\"), file)`";
 /// Limit on the size of a file; released files are far smaller.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
@@ -78,7 +80,12 @@ impl InitialStates {
 }
 
 /// Reads the states in a zip, one per row. Refuses an empty matrix and values that are not finite.
-fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
+fn read_archive(mut reader: impl Read + Seek) -> Result<Matrix, String> {
+    let mut start = [0; 64];
+    let length = reader.read(&mut start).map_err(|error| error.to_string())?;
+    if let Some(other) = other_file(&start[..length]) {
+        return Err(other.to_owned());
+    }
     let mut archive =
         zip::ZipArchive::new(reader).map_err(|error| format!("not a zip archive: {error}"))?;
     let name = archive
@@ -86,12 +93,18 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
         .filter_map(|name| name.ok().map(|name| name.into_owned()))
         .find(|name| name.ends_with("/data.pkl") || name == NPZ_MEMBER)
         .ok_or("neither `data.pkl` nor `states.npy` is in the zip")?;
-    let member = archive.by_name(&name).map_err(|error| error.to_string())?;
-    let bytes =
-        read_limited(member, MAX_FILE_BYTES).map_err(|error| format!("`{name}`: {error}"))?;
-    let matrix = match name == NPZ_MEMBER {
-        true => read_npy(&bytes)?,
-        false => read_matrix(&bytes)?,
+    let mut room = MAX_FILE_BYTES;
+    let mut read = |name: &str| {
+        let member = archive.by_name(name).map_err(|error| format!("`{name}`: {error}"))?;
+        let bytes = read_limited(member, room).map_err(|error| format!("`{name}`: {error}"))?;
+        room -= bytes.len() as u64;
+        Ok(bytes)
+    };
+    let bytes = read(&name)?;
+    let matrix = match name.strip_suffix("data.pkl") {
+        None => read_npy(&bytes)?,
+        Some(root) => read_matrix(&bytes, &mut |key| read(&format!("{root}data/{key}")))
+            .map_err(|problem| format!("{problem}; {SAVE}"))?,
     };
     if matrix.rows == 0 || matrix.columns == 0 {
         return Err("the file holds no numbers".to_owned());
@@ -101,6 +114,18 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
         return Err(format!("state {row} holds a number that is not finite"));
     }
     Ok(matrix)
+}
+
+/// Returns what a file is instead of states, if its start shows that.
+fn other_file(start: &[u8]) -> Option<&'static str> {
+    match start.trim_ascii_start() {
+        [] => Some("the file is empty; fetch or save it again"),
+        [b'<', ..] => Some("it is a web page; download the file that the page shows"),
+        start if start.starts_with(b"version https://git-lfs") => {
+            Some("it is a pointer of Git LFS; fetch the file with `git lfs pull`")
+        }
+        _ => None,
+    }
 }
 
 /// Parses NumPy's format 1.0: a row-major matrix of little-endian doubles.
@@ -140,6 +165,22 @@ mod tests {
         bytes.extend(header.as_bytes());
         values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
         bytes
+    }
+
+    #[test]
+    fn other_files_are_named() {
+        for (content, expected) in [
+            ("", "is empty"),
+            ("\n<!DOCTYPE html>", "web page"),
+            ("version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
+            ("PK", "not a zip archive"),
+        ] {
+            let states = InitialStates::from_reader(std::io::Cursor::new(content), Path::new("f"));
+            let SceneError::Malformed { problem, .. } = states.expect_err(expected) else {
+                panic!("{content}");
+            };
+            assert!(problem.contains(expected), "{problem}");
+        }
     }
 
     #[test]

@@ -6,7 +6,6 @@
 //! compares scenes and simulations with theirs.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod arena;
 pub mod bddl;

@@ -13,10 +13,6 @@ const TEXTURES: &str = "textures";
 
 /// Lists the files that [`compose`](fn@crate::compose) and MuJoCo read for a problem, sorted by
 /// path.
-///
-/// # Errors
-/// If the problem's arena or one of its categories is unknown, or LIBERO's assets do not include a
-/// required file.
 pub fn needed_files(problem: &Problem) -> Result<Vec<&'static FileFacts>, SceneError> {
     let arena = arena(&problem.name).ok_or_else(|| SceneError::UnknownProblem {
         problem: problem.name.clone(),

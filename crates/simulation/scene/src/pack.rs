@@ -112,9 +112,6 @@ impl AssetPack {
 
     /// Opens a folder that has LIBERO's files and other files, such as LIBERO-PRO's models. The
     /// pack's name is `custom`, and its digest covers all files.
-    ///
-    /// # Errors
-    /// If the folder cannot be read.
     pub fn open_whole(dir: &Path) -> Result<Self, SceneError> {
         let dir = existing_folder(dir)?;
         let digest = digest_of_folder(&dir)?;

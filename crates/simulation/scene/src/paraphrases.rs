@@ -15,14 +15,10 @@ use crate::family::{
 };
 use crate::sources::Sources;
 
-/// Folder of the BDDL files.
 const BDDL_FILES: &str = "bddl_files";
 
 /// Verifies the sentences and the metadata of a checkout of LIBERO-Para, and copies the sentences
 /// beside LIBERO's task files. Returns the folder of the copies.
-///
-/// # Errors
-/// If a file of the checkout is missing, unreadable or altered, or the copies cannot be written.
 pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, SceneError> {
     let refused = |problem: String| SceneError::Checkout { path: checkout.to_owned(), problem };
     let folder = Sources::family(sources.dir(), Benchmark::Para);

@@ -52,7 +52,6 @@ pub(crate) struct Part {
 }
 
 impl Part {
-    /// Reads `file` below `root`.
     pub(crate) fn load(root: &AssetRoot, file: &str, what: &str) -> Result<Self, SceneError> {
         let path = root.path(file);
         root.verify(file, what)?;

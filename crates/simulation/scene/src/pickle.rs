@@ -1,6 +1,6 @@
-//! Restricted unpickler for released initial states. It accepts only a NumPy array of little-endian
-//! doubles with one or two dimensions, and refuses every other opcode, global or shape, so that a
-//! file cannot execute code.
+//! Restricted unpickler for initial states. It accepts NumPy arrays and PyTorch tensors of
+//! little-endian doubles or floats with one or two dimensions, and lists of them, in protocols 2 to
+//! 5, and refuses every other opcode, global or shape, so that a file cannot execute code.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -25,7 +25,11 @@ enum Value {
     Tuple(Rc<[Value]>),
     Global(Global),
     Array(Option<Array>),
-    Dtype,
+    /// Rows of a list.
+    List(Vec<Array>),
+    /// Number of bytes of each number.
+    Dtype(usize),
+    Storage(usize, Rc<[u8]>),
     Mark,
 }
 
@@ -35,12 +39,90 @@ enum Global {
     Ndarray,
     Dtype,
     Encode,
+    FromBuffer,
+    Tensor,
+    /// A tensor's type of storage: number of bytes of each number.
+    Storage(usize),
+    /// Hooks of a tensor, which are empty.
+    OrderedDict,
 }
 
+/// Numbers with these strides, in numbers, in the data of an array or of a tensor's storage.
 #[derive(Clone)]
 struct Array {
     shape: [usize; 2],
+    strides: [usize; 2],
+    offset: usize,
+    /// Number of bytes of each number.
+    width: usize,
     data: Rc<[u8]>,
+}
+
+impl Array {
+    fn new(shape: &Value, is_fortran: bool, width: usize, data: Rc<[u8]>) -> Result<Self, String> {
+        let shape = sizes(shape)?;
+        let [rows, columns] = matrix_of(&shape, 1)?;
+        if rows.checked_mul(columns).and_then(|count| count.checked_mul(width)) != Some(data.len())
+        {
+            return Err(format!("{} bytes do not make {rows} × {columns} numbers", data.len()));
+        }
+        let strides = if is_fortran { [1, rows] } else { [columns, 1] };
+        Ok(Self { shape: [rows, columns], strides, offset: 0, width, data })
+    }
+
+    /// Appends the rows to a matrix; each number comes from bytes of its own.
+    fn append(&self, matrix: &mut Matrix) -> Result<(), String> {
+        let [rows, columns] = self.shape;
+        let needed = rows.checked_mul(columns).and_then(|count| count.checked_mul(self.width));
+        if needed.is_none_or(|needed| needed > self.data.len()) {
+            return Err(format!(
+                "{} bytes do not make {rows} × {columns} numbers",
+                self.data.len()
+            ));
+        }
+        if matrix.rows > 0 && matrix.columns != columns {
+            return Err(format!("states have {} and {columns} numbers", matrix.columns));
+        }
+        for index in 0..rows * columns {
+            let value = self.value(index / columns, index % columns);
+            matrix.values.push(value.ok_or("a tensor is larger than its storage")?);
+        }
+        matrix.rows += rows;
+        matrix.columns = columns;
+        Ok(())
+    }
+
+    fn value(&self, row: usize, column: usize) -> Option<f64> {
+        let [down, right] = self.strides;
+        let number = row.checked_mul(down)?.checked_add(column.checked_mul(right)?)?;
+        let start = number.checked_add(self.offset)?.checked_mul(self.width)?;
+        let bytes = self.data.get(start..start.checked_add(self.width)?)?;
+        match self.width {
+            4 => Some(f32::from_le_bytes(bytes.try_into().ok()?).into()),
+            _ => Some(f64::from_le_bytes(bytes.try_into().ok()?)),
+        }
+    }
+}
+
+/// Returns the sizes in a tuple.
+fn sizes(tuple: &Value) -> Result<Vec<usize>, String> {
+    let Value::Tuple(items) = tuple else {
+        return Err("a shape is not a tuple".to_owned());
+    };
+    let size = |item: &Value| match item {
+        Value::Int(size) => usize::try_from(*size).ok(),
+        _ => None,
+    };
+    items.iter().map(|item| size(item).ok_or_else(|| "a shape has no sizes".to_owned())).collect()
+}
+
+/// Returns sizes or strides of a matrix; a vector is one row, for which `of_row` is given.
+fn matrix_of(sizes: &[usize], of_row: usize) -> Result<[usize; 2], String> {
+    match *sizes {
+        [columns] => Ok([of_row, columns]),
+        [rows, columns] => Ok([rows, columns]),
+        _ => Err("the array has neither one nor two dimensions".to_owned()),
+    }
 }
 
 impl Value {
@@ -55,28 +137,40 @@ impl Value {
             Self::Tuple(_) => "a tuple",
             Self::Global(_) => "a function",
             Self::Array(_) => "an array",
-            Self::Dtype => "a dtype",
+            Self::List(_) => "a list",
+            Self::Dtype(_) => "a dtype",
+            Self::Storage(..) => "a storage",
             Self::Mark => "a mark",
         }
     }
 }
 
-/// Limit on the number of opcodes: four times as many as in a released file. Bounds the nesting of
-/// values and the number of decoded texts.
-const MAX_OPCODES: usize = 256;
+/// Limit on the number of opcodes: a list of states takes some 25 for each.
+const MAX_OPCODES: usize = 8_192;
+
+/// Reads a tensor's storage by its key.
+pub(crate) type ReadStorage<'a> = &'a mut dyn FnMut(&str) -> Result<Vec<u8>, String>;
 
 /// Unpickles a matrix.
-pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
-    let value = Machine { input: bytes, stack: Vec::new(), memo: HashMap::new() }.run()?;
-    let Value::Array(Some(Array { shape: [rows, columns], data })) = value else {
-        return Err("the pickle holds no array of doubles".to_owned());
+pub(crate) fn read_matrix(bytes: &[u8], read_storage: ReadStorage<'_>) -> Result<Matrix, String> {
+    let (stack, memo, storages) = (Vec::new(), HashMap::new(), HashMap::new());
+    let encodable = bytes.len();
+    let value = Machine { input: bytes, stack, memo, storages, read_storage, encodable }.run()?;
+    let arrays = match value {
+        Value::Array(Some(array)) => vec![array],
+        Value::List(arrays) => arrays,
+        _ => return Err("the pickle holds no array of numbers".to_owned()),
     };
-    if rows.checked_mul(columns).and_then(|count| count.checked_mul(8)) != Some(data.len()) {
-        return Err(format!("{} bytes do not make {rows} × {columns} doubles", data.len()));
+    let mut matrix = Matrix { rows: 0, columns: 0, values: Vec::new() };
+    // The rows of a list may share their data, and be far more than it.
+    let most = bytes.len() + arrays.iter().map(|array| array.data.len()).max().unwrap_or(0);
+    for array in &arrays {
+        array.append(&mut matrix)?;
+        if matrix.values.len() > most {
+            return Err("the states are larger than their data".to_owned());
+        }
     }
-    let values =
-        data.chunks_exact(8).map(|c| f64::from_le_bytes(c.try_into().expect("8 bytes"))).collect();
-    Ok(Matrix { rows, columns, values })
+    Ok(matrix)
 }
 
 /// Stack machine that executes a pickle's opcodes.
@@ -84,22 +178,41 @@ struct Machine<'a> {
     input: &'a [u8],
     stack: Vec<Value>,
     memo: HashMap<u32, Value>,
+    storages: HashMap<Rc<str>, Rc<[u8]>>,
+    read_storage: ReadStorage<'a>,
+    /// Bytes that may still be encoded: no more than the file has, however often it names a text.
+    encodable: usize,
 }
 
 impl Machine<'_> {
     /// Executes the opcodes up to `STOP` (`.`). Python's `pickletools` names the others: `PROTO`
-    /// (0x80), `GLOBAL` (c), `BINPUT` and `LONG_BINPUT` (q, r), `BINGET` and `LONG_BINGET` (h, j),
-    /// `BININT1`, `BININT2` and `BININT` (K, M, J), `BINUNICODE` (X), `NONE` (N), `NEWTRUE` and
-    /// `NEWFALSE` (0x88, 0x89), `MARK` (`(`), `TUPLE` and `EMPTY_TUPLE` (t, `)`), `TUPLE1` to
-    /// `TUPLE3` (0x85 to 0x87), `REDUCE` (R), `BUILD` (b).
+    /// and `FRAME` (0x80, 0x95), `GLOBAL` and `STACK_GLOBAL` (c, 0x93), `BINPUT`, `LONG_BINPUT` and
+    /// `MEMOIZE` (q, r, 0x94), `BINGET` and `LONG_BINGET` (h, j), `BININT1`, `BININT2` and `BININT`
+    /// (K, M, J), `BINUNICODE` and `SHORT_BINUNICODE` (X, 0x8c), `BINBYTES`, `SHORT_BINBYTES`,
+    /// `BINBYTES8` and `BYTEARRAY8` (B, C, 0x8e, 0x96), `NONE` (N), `NEWTRUE` and `NEWFALSE` (0x88,
+    /// 0x89), `MARK` (`(`), `TUPLE` and `EMPTY_TUPLE` (t, `)`), `TUPLE1` to `TUPLE3` (0x85 to
+    /// 0x87), `EMPTY_LIST`, `APPEND` and `APPENDS` (], a, e), `BINPERSID` (Q), `REDUCE` (R),
+    /// `BUILD` (b).
     fn run(mut self) -> Result<Value, String> {
         for _ in 0..MAX_OPCODES {
             let opcode = self.take(1)?[0];
             match opcode {
                 0x80 => drop(self.take(1)?),
+                0x95 => drop(self.take(8)?),
                 b'c' => {
-                    let global = self.global()?;
-                    self.stack.push(Value::Global(global));
+                    let (module, name) = (self.line()?, self.line()?);
+                    self.stack.push(Value::Global(global(&module, &name)?));
+                }
+                0x93 => {
+                    let (Value::Text(name), Value::Text(module)) = (self.pop()?, self.pop()?)
+                    else {
+                        return Err("a function's name is not a text".to_owned());
+                    };
+                    self.stack.push(Value::Global(global(&module, &name)?));
+                }
+                0x94 => {
+                    let slot = u32::try_from(self.memo.len()).unwrap_or(u32::MAX);
+                    self.memoize(slot)?;
                 }
                 b'q' => {
                     let slot = u32::from(self.take(1)?[0]);
@@ -130,17 +243,45 @@ impl Machine<'_> {
                     let value = i64::from(self.u32()? as i32);
                     self.stack.push(Value::Int(value));
                 }
-                b'X' => {
-                    let text = self.text()?;
+                b'X' | 0x8c => {
+                    let text =
+                        std::str::from_utf8(self.counted(if opcode == b'X' { 4 } else { 1 })?);
+                    let text = text.map(Rc::from).map_err(|_| "a text is not UTF-8")?;
                     self.stack.push(Value::Text(text));
                 }
+                b'C' | b'B' | 0x8e | 0x96 => {
+                    let size = match opcode {
+                        b'C' => 1,
+                        b'B' => 4,
+                        _ => 8,
+                    };
+                    let bytes = self.counted(size)?.into();
+                    self.stack.push(Value::Bytes(bytes));
+                }
+                b']' => self.stack.push(Value::List(Vec::new())),
+                b'a' => {
+                    let item = self.pop()?;
+                    self.append([item])?;
+                }
+                b'e' => {
+                    let items = self.since_mark()?;
+                    self.append(items)?;
+                }
+                b'Q' => self.storage()?,
                 b'N' => self.stack.push(Value::None),
                 0x88 => self.stack.push(Value::Bool(true)),
                 0x89 => self.stack.push(Value::Bool(false)),
                 b'(' => self.stack.push(Value::Mark),
-                b't' => self.tuple_to_mark()?,
+                b't' => {
+                    let items = self.since_mark()?;
+                    self.tuple(items)?;
+                }
                 b')' => self.stack.push(Value::Tuple(Rc::new([]))),
-                0x85..=0x87 => self.tuple(usize::from(opcode - 0x84))?,
+                0x85..=0x87 => {
+                    let start = self.stack.len().checked_sub(usize::from(opcode - 0x84));
+                    let items = self.stack.split_off(start.ok_or("the stack has too few values")?);
+                    self.tuple(items)?;
+                }
                 b'R' => self.reduce()?,
                 b'b' => self.build()?,
                 b'.' => return self.pop(),
@@ -163,10 +304,11 @@ impl Machine<'_> {
         Ok(u32::from_le_bytes(self.take(4)?.try_into().expect("4 bytes")))
     }
 
-    fn text(&mut self) -> Result<Rc<str>, String> {
-        let length = self.u32()? as usize;
-        let text = std::str::from_utf8(self.take(length)?);
-        text.map(Rc::from).map_err(|_| "a text is not UTF-8".to_owned())
+    /// Returns bytes that follow their number, which has `size` bytes itself.
+    fn counted(&mut self, size: usize) -> Result<&[u8], String> {
+        let mut count = [0; 8];
+        count[..size].copy_from_slice(self.take(size)?);
+        self.take(usize::try_from(u64::from_le_bytes(count)).unwrap_or(usize::MAX))
     }
 
     fn pop(&mut self) -> Result<Value, String> {
@@ -174,7 +316,11 @@ impl Machine<'_> {
     }
 
     fn memoize(&mut self, slot: u32) -> Result<(), String> {
-        let value = self.stack.last().cloned().ok_or("the stack is empty")?;
+        let value = match self.stack.last().ok_or("the stack is empty")? {
+            // Nothing refers to a list of states, which grows after this.
+            Value::List(_) => Value::None,
+            value => value.clone(),
+        };
         self.memo.insert(slot, value);
         Ok(())
     }
@@ -193,32 +339,52 @@ impl Machine<'_> {
         Ok(line)
     }
 
-    fn global(&mut self) -> Result<Global, String> {
-        let (module, name) = (self.line()?, self.line()?);
-        match (module.as_str(), name.as_str()) {
-            ("numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct") => {
-                Ok(Global::Reconstruct)
-            }
-            ("numpy", "ndarray") => Ok(Global::Ndarray),
-            ("numpy", "dtype") => Ok(Global::Dtype),
-            ("_codecs", "encode") => Ok(Global::Encode),
-            _ => Err(format!("`{module}.{name}` is not allowed")),
-        }
+    fn since_mark(&mut self) -> Result<Vec<Value>, String> {
+        let mark = self.stack.iter().rposition(|value| matches!(value, Value::Mark));
+        let items = self.stack.split_off(mark.ok_or("values have no start mark")? + 1);
+        self.stack.pop();
+        Ok(items)
     }
 
-    fn tuple(&mut self, count: usize) -> Result<(), String> {
-        let start = self.stack.len().checked_sub(count).ok_or("the stack has too few values")?;
-        let items = self.stack.split_off(start);
+    /// Pushes a tuple. Deeper ones than an array needs could exhaust the memory or the stack.
+    fn tuple(&mut self, items: Vec<Value>) -> Result<(), String> {
+        let is_tuple = |value: &Value| matches!(value, Value::Tuple(_));
+        let nests =
+            |value: &Value| matches!(value, Value::Tuple(items) if items.iter().any(is_tuple));
+        if items.iter().any(nests) {
+            return Err("its tuples are nested deeper than an array needs".to_owned());
+        }
         self.stack.push(Value::Tuple(items.into()));
         Ok(())
     }
 
-    fn tuple_to_mark(&mut self) -> Result<(), String> {
-        let mark = self.stack.iter().rposition(|value| matches!(value, Value::Mark));
-        let mark = mark.ok_or("a tuple has no start mark")?;
-        let items = self.stack.split_off(mark + 1);
-        self.stack.pop();
-        self.stack.push(Value::Tuple(items.into()));
+    fn append(&mut self, items: impl IntoIterator<Item = Value>) -> Result<(), String> {
+        let Some(Value::List(list)) = self.stack.last_mut() else {
+            return Err("values are appended to something that is not a list".to_owned());
+        };
+        for item in items {
+            let Value::Array(Some(array)) = item else {
+                return Err(format!("the list holds {}, not only arrays", item.kind()));
+            };
+            list.push(array);
+        }
+        Ok(())
+    }
+
+    /// Replaces the persistent id of a tensor's storage by the storage.
+    fn storage(&mut self) -> Result<(), String> {
+        let Value::Tuple(id) = self.pop()? else {
+            return Err("a persistent id is not a tuple".to_owned());
+        };
+        let [Value::Text(_), Value::Global(Global::Storage(width)), Value::Text(key), ..] = &*id
+        else {
+            return Err("a persistent id is not that of a storage of numbers".to_owned());
+        };
+        if !self.storages.contains_key(key) {
+            let data = (self.read_storage)(key)?.into();
+            self.storages.insert(Rc::clone(key), data);
+        }
+        self.stack.push(Value::Storage(*width, Rc::clone(&self.storages[key])));
         Ok(())
     }
 
@@ -230,15 +396,31 @@ impl Machine<'_> {
             (Value::Global(Global::Reconstruct), [Value::Global(Global::Ndarray), ..]) => {
                 Value::Array(None)
             }
-            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) if &**kind == "f8" => {
-                Value::Dtype
-            }
-            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) => {
-                return Err(format!("the numbers are `{kind}`, not doubles (`f8`)"));
-            }
+            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) => match &**kind {
+                "f8" => Value::Dtype(8),
+                "f4" => Value::Dtype(4),
+                _ => return Err(format!("the numbers are `{kind}`, not `f8` or `f4`")),
+            },
+            (
+                Value::Global(Global::FromBuffer),
+                [Value::Bytes(data), Value::Dtype(width), shape, Value::Text(order)],
+            ) => Value::Array(Some(Array::new(shape, &**order == "F", *width, data.clone())?)),
+            (
+                Value::Global(Global::Tensor),
+                [Value::Storage(width, data), Value::Int(offset), shape, strides, ..],
+            ) => Value::Array(Some(Array {
+                shape: matrix_of(&sizes(shape)?, 1)?,
+                strides: matrix_of(&sizes(strides)?, 0)?,
+                offset: usize::try_from(*offset).map_err(|_| "a tensor's offset is negative")?,
+                width: *width,
+                data: data.clone(),
+            })),
+            (Value::Global(Global::OrderedDict), []) => Value::None,
             (Value::Global(Global::Encode), [Value::Text(text), Value::Text(encoding)])
                 if &**encoding == "latin1" =>
             {
+                let rest = self.encodable.checked_sub(text.len());
+                self.encodable = rest.ok_or("it requests more bytes than it has")?;
                 Value::Bytes(latin1(text)?.into())
             }
             (called, _) => {
@@ -257,27 +439,37 @@ impl Machine<'_> {
             return Err("the state of an object is not a tuple".to_owned());
         };
         let built = match (self.pop()?, &*state) {
-            (Value::Dtype, [_, Value::Text(order), ..]) if &**order == "<" => Value::Dtype,
-            (Value::Dtype, _) => return Err("the doubles are not little-endian".to_owned()),
+            (Value::Dtype(width), [_, Value::Text(order), ..]) if &**order == "<" => {
+                Value::Dtype(width)
+            }
+            (Value::Dtype(_), _) => return Err("the numbers are not little-endian".to_owned()),
             (
                 Value::Array(None),
-                [_, Value::Tuple(shape), Value::Dtype, Value::Bool(false), Value::Bytes(data)],
-            ) => match &**shape {
-                [Value::Int(rows), Value::Int(columns)] if *rows >= 0 && *columns >= 0 => {
-                    let shape = [*rows as usize, *columns as usize];
-                    Value::Array(Some(Array { shape, data: data.clone() }))
-                }
-                [Value::Int(columns)] if *columns >= 0 => {
-                    Value::Array(Some(Array { shape: [1, *columns as usize], data: data.clone() }))
-                }
-                _ => return Err("the array has neither one nor two dimensions".to_owned()),
-            },
+                [_, shape, Value::Dtype(width), Value::Bool(is_fortran), Value::Bytes(data)],
+            ) => Value::Array(Some(Array::new(shape, *is_fortran, *width, data.clone())?)),
             (value, _) => {
                 return Err(format!("setting this state of {} is not allowed", value.kind()));
             }
         };
         self.stack.push(built);
         Ok(())
+    }
+}
+
+fn global(module: &str, name: &str) -> Result<Global, String> {
+    match (module, name) {
+        ("numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct") => {
+            Ok(Global::Reconstruct)
+        }
+        ("numpy.core.numeric" | "numpy._core.numeric", "_frombuffer") => Ok(Global::FromBuffer),
+        ("numpy", "ndarray") => Ok(Global::Ndarray),
+        ("numpy", "dtype") => Ok(Global::Dtype),
+        ("_codecs", "encode") => Ok(Global::Encode),
+        ("torch._utils", "_rebuild_tensor_v2") => Ok(Global::Tensor),
+        ("torch", "DoubleStorage") => Ok(Global::Storage(8)),
+        ("torch", "FloatStorage") => Ok(Global::Storage(4)),
+        ("collections", "OrderedDict") => Ok(Global::OrderedDict),
+        _ => Err(format!("`{module}.{name}` is not allowed")),
     }
 }
 
@@ -291,17 +483,73 @@ fn latin1(text: &str) -> Result<Vec<u8>, String> {
 mod tests {
     use super::*;
 
+    fn no_storage(key: &str) -> Result<Vec<u8>, String> {
+        Err(format!("no storage {key}"))
+    }
+
     #[test]
     fn anything_but_an_array_is_refused() {
         let check = |bytes: &[u8], expected: &str| {
-            let problem = read_matrix(bytes).unwrap_err();
+            let problem = read_matrix(bytes, &mut no_storage).unwrap_err();
             assert!(problem.contains(expected), "{problem}");
         };
         check(b"\x80\x02cos\nsystem\nq\x00.", "`os.system` is not allowed");
-        check(b"\x80\x02]q\x00.", "opcode 0x5d is not allowed");
-        check(b"\x80\x02K\x01.", "holds no array of doubles");
+        check(b"\x80\x02}q\x00.", "opcode 0x7d is not allowed");
+        check(b"\x80\x02]K\x01a.", "the list holds an integer");
+        check(b"\x80\x02K\x01.", "holds no array of numbers");
         check(b"\x80\x02X\xff\xff\xff\x7f", "truncated");
         check(b"", "truncated");
+    }
+
+    /// The same matrix, as users' scripts save it with NumPy 2 and PyTorch.
+    #[test]
+    fn arrays_tensors_and_lists_of_every_protocol_are_read() {
+        let forms: [(&str, &[u8]); 4] = [
+            (
+                "floats, protocol 3",
+                b"\x80\x03cnumpy._core.multiarray\n_reconstruct\nq\0cnumpy\nndarray\nq\x01K\0\
+                  \x85q\x02C\x01bq\x03\x87q\x04Rq\x05(K\x01K\x02K\x03\x86q\x06cnumpy\ndtype\nq\
+                  \x07X\x02\0\0\0f4q\x08\x89\x88\x87q\x09Rq\n(K\x03X\x01\0\0\0<q\x0bNNNJ\xff\xff\
+                  \xff\xffJ\xff\xff\xff\xffK\0tq\x0cb\x89C\x18\0\0\x80?\0\0\0@\0\0@@\0\0\x80@\0\
+                  \0\xa0@\0\0\xd0@q\x0dtq\x0eb.",
+            ),
+            (
+                "a list, protocol 4",
+                b"\x80\x04\x95\xdb\0\0\0\0\0\0\0]\x94(\x8c\x16numpy._core.multiarray\x94\x8c\x0c\
+                  _reconstruct\x94\x93\x94\x8c\x05numpy\x94\x8c\x07ndarray\x94\x93\x94K\0\x85\
+                  \x94C\x01b\x94\x87\x94R\x94(K\x01K\x03\x85\x94h\x04\x8c\x05dtype\x94\x93\x94\
+                  \x8c\x02f8\x94\x89\x88\x87\x94R\x94(K\x03\x8c\x01<\x94NNNJ\xff\xff\xff\xffJ\
+                  \xff\xff\xff\xffK\0t\x94b\x89C\x18\0\0\0\0\0\0\xf0?\0\0\0\0\0\0\0@\0\0\0\0\0\0\
+                  \x08@\x94t\x94bh\x03h\x06K\0\x85\x94h\x08\x87\x94R\x94(K\x01K\x03\x85\x94h\x10\
+                  \x89C\x18\0\0\0\0\0\0\x10@\0\0\0\0\0\0\x14@\0\0\0\0\0\0\x1a@\x94t\x94be.",
+            ),
+            (
+                "Fortran order, protocol 5",
+                b"\x80\x05\x95\xa6\0\0\0\0\0\0\0\x8c\x13numpy._core.numeric\x94\x8c\x0b_frombuff\
+                  er\x94\x93\x94(\x960\0\0\0\0\0\0\0\0\0\0\0\0\0\xf0?\0\0\0\0\0\0\x10@\0\0\0\0\0\
+                  \0\0@\0\0\0\0\0\0\x14@\0\0\0\0\0\0\x08@\0\0\0\0\0\0\x1a@\x94\x8c\x05numpy\x94\
+                  \x8c\x05dtype\x94\x93\x94\x8c\x02f8\x94\x89\x88\x87\x94R\x94(K\x03\x8c\x01<\
+                  \x94NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\0t\x94bK\x02K\x03\x86\x94\x8c\x01F\
+                  \x94t\x94R\x94.",
+            ),
+            (
+                "a tensor",
+                b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\nq\0((X\x07\0\0\0storageq\x01ctorch\
+                  \nDoubleStorage\nq\x02X\x01\0\0\00q\x03X\x03\0\0\0cpuq\x04K\x06tq\x05QK\0K\x02\
+                  K\x03\x86q\x06K\x03K\x01\x86q\x07\x89ccollections\nOrderedDict\nq\x08)Rq\x09tq\
+                  \nRq\x0b.",
+            ),
+        ];
+        let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5];
+        let mut storage = |key: &str| match key {
+            "0" => Ok(values.iter().copied().flat_map(f64::to_le_bytes).collect()),
+            _ => no_storage(key),
+        };
+        for (form, bytes) in forms {
+            let read = read_matrix(bytes, &mut storage).expect(form);
+            let expected = Matrix { rows: 2, columns: 3, values: values.to_vec() };
+            assert_eq!(read, expected, "{form}");
+        }
     }
 
     #[test]
@@ -312,10 +560,10 @@ mod tests {
             bytes.extend(b"h\x00h\x00\x86q\x00");
         }
         bytes.extend(b"R");
-        let problem = read_matrix(&bytes).unwrap_err();
-        assert!(problem.contains("not allowed"), "{problem}");
-        let endless = [b")".as_slice(), &b"\x85".repeat(100_000)].concat();
-        let problem = read_matrix(&endless).unwrap_err();
+        let problem = read_matrix(&bytes, &mut no_storage).unwrap_err();
+        assert!(problem.contains("nested deeper"), "{problem}");
+        let endless = [b")".as_slice(), &b"N".repeat(100_000)].concat();
+        let problem = read_matrix(&endless, &mut no_storage).unwrap_err();
         assert!(problem.contains("more opcodes"), "{problem}");
     }
 }

@@ -71,7 +71,6 @@ pub struct PoseSampler {
     pub target: PoseTarget,
 }
 
-/// Target of a sampled pose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PoseTarget {
     FreeJoint(String),
@@ -126,9 +125,6 @@ impl Samplers {
     /// Draws all poses, in the order of [`poses`](Self::poses). `site_positions` are the positions
     /// of [`sites`](Self::sites), world frame, m, after the joints were set and before anything was
     /// placed.
-    ///
-    /// # Errors
-    /// [`SceneError::NoRoom`] if there is no room for an object.
     pub fn sample_poses(
         &self,
         rng: &mut LegacyRng,
@@ -257,7 +253,6 @@ impl PoseSampler {
     }
 }
 
-/// Rotates a vector by a quaternion w x y z.
 fn rotate(quat: [f64; 4], [x, y, z]: [f64; 3]) -> [f64; 3] {
     single_precision_matrix(quat).map(|row| row[0] * x + row[1] * y + row[2] * z)
 }

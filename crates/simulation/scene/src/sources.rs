@@ -53,15 +53,7 @@ impl Sources {
 
     /// Returns `rollout/sources` in the user's cache folder.
     fn in_cache() -> PathBuf {
-        Self::cache_folder().join("sources")
-    }
-
-    /// Returns `rollout` in the user's cache folder.
-    pub fn cache_folder() -> PathBuf {
-        let cache = std::env::var_os("XDG_CACHE_HOME")
-            .map(PathBuf::from)
-            .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
-        cache.unwrap_or_default().join("rollout")
+        terminal::cache_folder().join("sources")
     }
 
     /// Returns the folder into which LIBERO's assets are fetched: `packs/libero` in the sources. A

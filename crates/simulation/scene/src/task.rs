@@ -79,7 +79,6 @@ impl TaskFiles {
         }
     }
 
-    /// Returns the files of a suite file's task.
     pub fn of_suite_file(sources: &Sources, task: &OwnTask) -> Self {
         let folder = Sources::suite_folder(sources.dir(), &task.folder);
         Self { bddl: folder.join(&task.bddl), init: folder.join(&task.states) }
@@ -90,9 +89,6 @@ impl TaskFiles {
     }
 
     /// Returns the instruction of the BDDL file, in lower case as in the original.
-    ///
-    /// # Errors
-    /// If the file cannot be read or has no instruction.
     pub fn instruction(&self) -> Result<String, SceneError> {
         let instruction = self.problem()?.language;
         if instruction.is_empty() {

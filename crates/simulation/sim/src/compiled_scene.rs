@@ -45,17 +45,12 @@ pub(crate) struct Burner {
     pub(crate) on_threshold: f64,
     /// Current opacity.
     pub(crate) opacity: f32,
-    /// Opacity that the last observation shows.
     pub(crate) observed_opacity: f32,
 }
 
 impl CompiledScene {
     /// Compiles a scene and places its fixtures at the scene's poses. If this machine has compiled
     /// the scene before, maps the stored model into memory instead.
-    ///
-    /// # Errors
-    /// If a file of the pack `libero` is altered, MuJoCo rejects the scene, the model lacks an
-    /// element that the scene names or every LIBERO scene has, or the goal cannot be evaluated.
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let compile = || {
             scene.verify_files(pack)?;
@@ -74,7 +69,7 @@ impl CompiledScene {
         }
         hide_marker_sites(&scene, &mut model);
         Ok(Self {
-            goal: Goal::resolve(&scene, &model)?,
+            goal: Goal::resolve(&scene.goal, &scene, &model)?,
             burners: find_burners(&scene, &model)?,
             resets,
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,

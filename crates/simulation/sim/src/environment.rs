@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use libero_ctrl::Predicate;
 use scene::{AssetPack, Scene, Sources};
 
 use crate::compiled_scene::{Burner, CompiledScene, DISABLE_CONSTRAINT};
@@ -10,6 +11,7 @@ use crate::controller::{ARM_JOINTS, ActionFrame, Controller, RESET_JOINTS, SUBST
 use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
+use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
 
 /// Index of the fingers' first position in qpos.
@@ -70,9 +72,6 @@ impl Environment {
     /// Creates an environment that must be loaded or reset before use. Computes the home pose of
     /// the arm but no contacts: unplaced objects overlap, and solving their contacts would take
     /// most of the time and allocate megabytes that the environment keeps.
-    ///
-    /// # Errors
-    /// If the model lacks a joint of the arm, or memory is exhausted.
     pub fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
@@ -96,9 +95,6 @@ impl Environment {
     /// Changes the arm's posture at resets, for the robots of LIBERO-Plus. The controller keeps
     /// this posture even when a state is loaded afterwards. The environment must be loaded or reset
     /// before use.
-    ///
-    /// # Errors
-    /// If the model lacks a joint of the arm.
     pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
         if joints != self.reset_joints {
             self.data.reset(&self.model);
@@ -172,9 +168,6 @@ impl Environment {
 
     /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
     /// after the step.
-    ///
-    /// # Errors
-    /// If the simulation becomes unstable, or the controller has to invert a singular matrix.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }
@@ -217,6 +210,15 @@ impl Environment {
         self.compiled.goal.holds(&self.model, &self.data)
     }
 
+    /// Returns true if a predicate holds, which need not be in the goal.
+    ///
+    /// # Errors
+    /// If there is no such predicate, or the scene has no such object.
+    pub fn holds(&self, predicate: Predicate) -> Result<bool, SimError> {
+        let predicate = Goal::resolve(&[predicate], self.scene(), &self.model)?;
+        Ok(predicate.holds(&self.model, &self.data))
+    }
+
     pub fn goal_truths(&self) -> Vec<bool> {
         self.compiled.goal.truths(&self.model, &self.data)
     }
@@ -255,9 +257,6 @@ impl Environment {
     }
 
     /// Renders a camera's frame at the observed instant of the last step.
-    ///
-    /// # Errors
-    /// If the scene has no such camera, or the renderer fails.
     pub fn draw(
         &mut self,
         drawer: &Drawer,
@@ -272,9 +271,6 @@ impl Environment {
     /// Renders a camera's depths at the observed instant of the last step, as in OpenGL: 0 at the
     /// near plane, 1 at the far plane, hyperbolic in between; rows from bottom to top. Translucent
     /// geoms are ignored.
-    ///
-    /// # Errors
-    /// As [`Environment::draw`].
     pub fn depth(
         &mut self,
         drawer: &Drawer,
@@ -286,9 +282,6 @@ impl Environment {
 
     /// Renders the object at the centre of each pixel at the observed instant of the last step;
     /// rows from bottom to top. Translucent geoms count as opaque.
-    ///
-    /// # Errors
-    /// As [`Environment::draw`].
     pub fn segmentation(
         &mut self,
         drawer: &Drawer,

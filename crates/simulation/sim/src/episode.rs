@@ -31,7 +31,6 @@ pub const NUDGE_M: f64 = 1e-6;
 /// Damping of the least squares of a nudge, in units of the squared Jacobian, m².
 const NUDGE_DAMPING: f64 = 1e-9;
 
-/// Camera on the hand.
 const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 
 /// Digests that identify a rollout's circumstances; each is hexadecimal SHA-256.
@@ -69,9 +68,6 @@ pub struct Episode<'a> {
 impl Conditions {
     /// Loads a row's initial state into an environment of the row's scene, and perturbs the
     /// environment.
-    ///
-    /// # Errors
-    /// If the task does not have the initial state; otherwise as [`begin_at`](Self::begin_at).
     pub fn begin(
         ready: &ReadyScene,
         environment: &mut Environment,
@@ -84,9 +80,6 @@ impl Conditions {
 
     /// As [`begin`](Self::begin), but loads `state` (time, qpos, qvel) instead of the row's initial
     /// state.
-    ///
-    /// # Errors
-    /// If an element to be perturbed is missing from the scene.
     pub fn begin_at(
         mut state: Vec<f64>,
         ready: &ReadyScene,
@@ -140,9 +133,6 @@ impl Conditions {
 
     /// Resets the environment to the start of a LIBERO-family variant. Uses only the row's initial
     /// state and number of settling steps, and ignores its perturbation.
-    ///
-    /// # Errors
-    /// If there is no such initial state, or the scene cannot be reset.
     pub fn begin_variant(
         ready: &ReadyScene,
         environment: &mut Environment,
@@ -163,9 +153,6 @@ impl Conditions {
     }
 
     /// Lets the scene settle, since objects float in the released states.
-    ///
-    /// # Errors
-    /// As [`Environment::step`].
     pub fn settle(&self, environment: &mut Environment) -> Result<(), SimError> {
         for _ in 0..self.settle_steps {
             environment.step(&NO_OP)?;
@@ -187,10 +174,6 @@ impl Conditions {
 
     /// Simulates one control step with the policy's action, which the actuation axis distorts.
     /// Returns true if the goal holds after the step.
-    ///
-    /// # Errors
-    /// [`SimError::DistortedPose`] if the action is a pose and actuation is perturbed; the state is
-    /// then unchanged. Otherwise as [`Environment::step`].
     pub fn step(
         &mut self,
         environment: &mut Environment,
@@ -279,9 +262,6 @@ impl<'a> Episode<'a> {
 
     /// Simulates one control step with a policy's action, or with the command derived from the
     /// action. Returns true if the goal holds after the step.
-    ///
-    /// # Errors
-    /// As [`Environment::step`].
     pub fn step(&mut self, policy_action: &[f64; 7]) -> Result<bool, SimError> {
         let conditions = &mut self.conditions;
         conditions.step(self.environment, policy_action, ActionFrame::Relative)

@@ -40,7 +40,6 @@ pub enum SimError {
     },
     #[error("evaluate the goal {predicate}: {problem}")]
     Predicate { predicate: String, problem: String },
-    /// An action is a pose, but the rollout distorts displacements.
     #[error(
         "command a pose while actuation is perturbed: the distortion acts on displacements; \
          command displacements (control=\"relative\"), or leave the actuation axis out"

@@ -30,9 +30,6 @@ const DETUNING: f64 = 0.37;
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
 
 /// Returns the fingerprint of this process with a renderer and a look: SHA-256, hex.
-///
-/// # Errors
-/// If the renderer fails, or MuJoCo rejects the scene.
 pub fn fingerprint(drawer: &Drawer, look: Look) -> Result<String, SimError> {
     let mut model = Model::compile(SCENE)?;
     model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);

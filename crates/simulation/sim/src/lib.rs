@@ -7,8 +7,6 @@
 //! [`mujoco`], in the OpenGL calls and thread-bound values of [`render`], and in the mapping of
 //! scene files. It is behind safe types, and every block states why it is sound.
 
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
-
 mod captured_view;
 mod compiled_scene;
 pub mod controller;

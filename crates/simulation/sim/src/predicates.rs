@@ -62,7 +62,11 @@ const ON_SITE_ABOVE: f64 = 0.10;
 const IN_SITE_BELOW: f64 = 0.01;
 
 impl Goal {
-    pub fn resolve(scene: &Scene, model: &Model) -> Result<Self, SimError> {
+    pub fn resolve(
+        predicates: &[Predicate],
+        scene: &Scene,
+        model: &Model,
+    ) -> Result<Self, SimError> {
         let mut owner_of_geom = vec![None; model.count(ObjectKind::Geom)];
         for (index, instance) in scene.instances.iter().enumerate() {
             for geom in &instance.contact_geoms {
@@ -70,7 +74,7 @@ impl Goal {
             }
         }
         let resolver = Resolver { scene, model };
-        let checks = scene.goal.iter().map(|predicate| resolver.check(predicate));
+        let checks = predicates.iter().map(|predicate| resolver.check(predicate));
         Ok(Self { checks: checks.collect::<Result<_, _>>()?, owner_of_geom })
     }
 

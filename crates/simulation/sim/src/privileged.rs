@@ -14,9 +14,6 @@ const FREE_JOINT: i32 = 0;
 impl Environment {
     /// Returns the current poses of instances, regions and gripper, the joints of the instances,
     /// and the goal.
-    ///
-    /// # Errors
-    /// If an element that the scene names is missing from the model.
     pub fn privileged(&self) -> Result<Privileged, SimError> {
         let (scene, model, data) = (self.scene(), self.model(), self.data());
         let instances =

@@ -30,15 +30,10 @@ pub struct ReadyScene {
     /// Pose of the perturbed camera as written in the arena, before MuJoCo normalises it.
     pub(crate) written_camera: Option<WrittenPose>,
     pub(crate) files: TaskFiles,
-    /// Stamps of the files when they were read.
     pub(crate) stamps: FileStamps,
 }
 
 impl ReadyScene {
-    /// Compiles the scene of a task's files.
-    ///
-    /// # Errors
-    /// If a file is missing or invalid, or MuJoCo rejects the scene.
     pub fn compile(
         files: TaskFiles,
         pack: &AssetPack,

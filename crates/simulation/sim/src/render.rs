@@ -78,10 +78,6 @@ pub enum Drawer {
 }
 
 impl Drawer {
-    /// Opens a renderer.
-    ///
-    /// # Errors
-    /// If OpenGL is requested and no device provides a context.
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
             Renderer::Software => Ok(Self::Software),

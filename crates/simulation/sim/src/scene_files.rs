@@ -91,9 +91,6 @@ impl SceneFolder {
 
     /// Maps the scene with this name, or compiles it and stores it for other processes. Only one
     /// process at a time compiles a scene; others wait for its file.
-    ///
-    /// # Errors
-    /// If the scene cannot be compiled. Failures of scene files are not errors.
     pub(crate) fn obtain(
         &self,
         name: &Name,
@@ -190,7 +187,7 @@ fn from_setting(setting: Option<&OsStr>) -> Option<SceneFolder> {
     match setting.filter(|setting| !setting.is_empty()) {
         Some(setting) if setting == OFF => None,
         Some(folder) => Some(SceneFolder::new(Path::new(folder))),
-        None => Some(SceneFolder::new(&Sources::cache_folder().join("scenes"))),
+        None => Some(SceneFolder::new(&terminal::cache_folder().join("scenes"))),
     }
 }
 

@@ -38,9 +38,6 @@ impl Environment {
     /// wrapper of environments; in a hard reset, each repetition counts as another hard reset.
     /// Returns the number of rounds after this reset, to which the caller adds 1 for a next hard
     /// reset.
-    ///
-    /// # Errors
-    /// [`NoRoom`](scene::SceneError::NoRoom) if a thousand attempts find no room.
     pub fn reset(
         &mut self,
         rng: &mut LegacyRng,
@@ -129,9 +126,6 @@ impl Environment {
     }
 
     /// Captures everything that the next step depends on.
-    ///
-    /// # Errors
-    /// If memory is exhausted.
     pub fn snapshot(&self) -> Result<Snapshot, SimError> {
         let copy = |source: &Data| {
             let mut data = Data::new(&self.model)?;

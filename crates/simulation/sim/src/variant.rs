@@ -91,9 +91,6 @@ impl VariantStart {
 impl Environment {
     /// Moves `agentview` until a hard reset or [`load`](Self::load). The orientation is normalised,
     /// as when `MuJoCo` compiles a model.
-    ///
-    /// # Errors
-    /// If the scene has no such camera.
     pub fn place_camera(&mut self, pose: CameraPose) -> Result<(), SimError> {
         let length = pose.quat.iter().map(|part| part * part).sum::<f64>().sqrt();
         let model = self.model_mut();

@@ -27,19 +27,16 @@ const KEYFRAME_EVERY: u32 = 40;
 /// Reason why a video could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// A frame does not have [`PANE_SIDE`]² pixels of three bytes.
     #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
     PaneSize {
         /// Size of the given frame, bytes.
         given: usize,
     },
-    /// The H.264 encoder failed.
     #[error("encode a video: OpenH264 fails with code {code}")]
     Encode {
         /// OpenH264's return value.
         code: i64,
     },
-    /// The MP4 writer failed.
     #[error("write a video as MP4")]
     Mux(#[from] MuxerError),
 }
@@ -60,9 +57,6 @@ pub struct VideoEncoder {
 
 impl VideoEncoder {
     /// Starts a video.
-    ///
-    /// # Errors
-    /// If the encoder cannot be started.
     pub fn new() -> Result<Self, VideoError> {
         let config = EncoderConfig::new()
             .skip_frames(false)
@@ -86,9 +80,6 @@ impl VideoEncoder {
     /// Adds a frame of the video, which shows the picture of the first camera on the left and that
     /// of the second on the right. Pictures are RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom,
     /// as the simulator renders them.
-    ///
-    /// # Errors
-    /// If a pane has another size, or the encoder fails.
     pub fn add(&mut self, panes: [&[u8]; 2]) -> Result<(), VideoError> {
         if let Some(pane) = panes.iter().find(|pane| pane.len() != PANE_BYTES) {
             return Err(VideoError::PaneSize { given: pane.len() });
@@ -103,9 +94,6 @@ impl VideoEncoder {
     }
 
     /// Finishes the video and returns the MP4 file.
-    ///
-    /// # Errors
-    /// If the MP4 file cannot be built, for example because it would exceed 4 GiB.
     pub fn finish(mut self) -> Result<Vec<u8>, VideoError> {
         self.muxer.finish_in_place()?;
         Ok(self.muxer.into_writer())

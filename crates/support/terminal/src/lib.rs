@@ -2,7 +2,6 @@
 //! and parsers of option values.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod environment;
 mod manual;
@@ -11,7 +10,7 @@ mod parent;
 mod printable;
 mod values;
 
-pub use environment::{parse, read, with_variables};
+pub use environment::{cache_folder, parse, read, with_variables};
 pub use manual::write_manual;
 pub use output::{clear_lines, complain, counted, log, print, print_line, reader_is_gone, wrapped};
 pub use parent::{PARENT_VARIABLE, end_with_parent};

@@ -5,9 +5,6 @@ use std::path::Path;
 
 /// Writes the manual pages of a program and its subcommands, such as
 /// `coordinator-campaign-create.1`, into a folder, which is created if necessary.
-///
-/// # Errors
-/// If a page cannot be written.
 pub fn write_manual(program: clap::Command, folder: &Path) -> io::Result<()> {
     std::fs::create_dir_all(folder)?;
     // The `help` subcommand needs no page.

@@ -30,18 +30,12 @@ fn in_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
 }
 
 /// Prints a line to standard output.
-///
-/// # Errors
-/// If the line cannot be written; see [`reader_is_gone`].
 pub fn print_line(text: &str) -> io::Result<()> {
     print(&format!("{text}\n"))
 }
 
 /// Prints to standard output, without terminal control sequences (see [`printable`]). Unlike
 /// `print!`, this function does not panic when the pipe is closed.
-///
-/// # Errors
-/// If the text cannot be written; see [`reader_is_gone`].
 pub fn print(text: &str) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
     stdout.write_all(printable(text).as_bytes())?;
@@ -50,9 +44,6 @@ pub fn print(text: &str) -> io::Result<()> {
 
 /// Moves the terminal's cursor up by `count` lines and clears everything below. Takes effect with
 /// the next output.
-///
-/// # Errors
-/// If the control sequence cannot be written; see [`reader_is_gone`].
 pub fn clear_lines(count: usize) -> io::Result<()> {
     write!(io::stdout().lock(), "\x1b[{count}A\r\x1b[J")
 }

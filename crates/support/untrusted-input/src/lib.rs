@@ -5,7 +5,6 @@
 //! whether an input is interpreted correctly. No program depends on this package.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod call;
 mod coordinator;

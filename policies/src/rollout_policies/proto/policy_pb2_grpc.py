@@ -78,7 +78,7 @@ class PolicyServicer(object):
 
     def End(self, request, context):
         """Ends an episode, so that the server can drop its session. Optional: a server that
-        answers UNIMPLEMENTED drops sessions by itself. Sent at most once and never retried,
+        answers UNIMPLEMENTED drops sessions by itself. Not retried after a failure,
         so a server must bound its stored sessions in any case. Ending a session that is not
         open is no error.
         """

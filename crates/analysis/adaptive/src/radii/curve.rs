@@ -54,7 +54,6 @@ pub struct Curve {
     /// Number of excluded configurations: a rollout of the grid is missing, or the nominal rollout
     /// has no outcome.
     pub left_out: u64,
-    /// Configurations that fail nominally.
     pub nominal_fails: u64,
     /// Configurations that survive up to the largest radius, where their threshold is
     /// censored.

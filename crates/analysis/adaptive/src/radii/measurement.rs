@@ -92,7 +92,6 @@ impl Measurement {
         self.rays.len()
     }
 
-    /// Returns the search of each measured condition.
     pub fn searches(&self) -> impl Iterator<Item = (Condition, &Search)> {
         self.searches.iter().map(|(&condition, search)| (condition, search))
     }

@@ -10,9 +10,7 @@ use crate::outcomes::Outcomes;
 pub struct Ray {
     /// Condition: the perturbed axes.
     pub condition: Condition,
-    /// The task.
     pub task: TaskRef,
-    /// The configuration's number.
     pub config: u16,
 }
 
@@ -25,7 +23,6 @@ impl Outcomes<Level> {
         outcomes
     }
 
-    /// Returns the outcome of the nominal rollout.
     pub fn nominal(&self) -> Outcome {
         self.at(Level::L0).unwrap_or_default()
     }

@@ -20,11 +20,6 @@ use crate::source::decisive;
 /// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
 /// sample, all replicates of the explained campaign select configurations, and only the replicates
 /// of the explaining campaign decide.
-///
-/// # Errors
-/// If the explained campaign runs fewer than two axes alone, `explained` has the same replicate of
-/// a rollout twice, or `explaining` perturbs an axis that the explained campaign does not run
-/// alone.
 pub fn configurations(
     explained: &[Record],
     explaining: &[Record],
@@ -63,10 +58,6 @@ fn simultaneous(task: TaskRef, level: Level, config: u16) -> Option<RolloutId> {
 
 /// Returns the lattice of replicate 0 of each configuration of a campaign that runs subsets of
 /// the axes itself.
-///
-/// # Errors
-/// If the campaign runs fewer than two axes alone, runs a subset with an axis that it does not run
-/// alone, or has replicate 0 of a rollout twice; a rollout under a subset may occur twice.
 pub fn own_configurations(
     records: &[Record],
 ) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {

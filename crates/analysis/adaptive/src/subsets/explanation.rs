@@ -90,29 +90,19 @@ pub struct NonMonotone {
 /// Reason why there is nothing to explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
-    /// The transition is unknown because outcomes are missing.
     #[error("an axis alone or all axes together have no outcome")]
     Incomplete,
-    /// The simultaneous outcome equals the conjunction of the single-axis outcomes.
     #[error("simultaneous perturbation changes nothing: the rollout {}", .0.name())]
     Unchanged(Transition),
-    /// The nominal rollout fails, while each axis alone succeeds: there is no
-    /// success that perturbation could have turned into a failure.
     #[error("the nominal rollout fails already")]
     NominalFails,
-    /// The outcomes that selected the configuration form a transition, and the verdicts of its
-    /// repeats are open.
     #[error("the repeats have not confirmed the transition yet")]
     AwaitsRepeats,
-    /// The repeats do not show the transition that the selecting outcomes form.
     #[error("the repeats do not confirm the transition")]
     NotConfirmed,
 }
 
 /// Finds the minimal subsets that explain a configuration's transition.
-///
-/// # Errors
-/// If the configuration has no transition to explain.
 pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
     let transition = selected(lattice)?;
     confirm(lattice)?;
@@ -125,9 +115,6 @@ pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
 /// transition only selects the configuration for a test: see [`Repeats`](super::Repeats). The
 /// nominal rollout counts by the majority of its replicates, because no further replicate of it is
 /// ever run.
-///
-/// # Errors
-/// If these outcomes form no transition to explain.
 pub fn selected(lattice: &Lattice) -> Result<Transition, Unexplained> {
     let mut conjunction = true;
     for single in lattice.singles() {

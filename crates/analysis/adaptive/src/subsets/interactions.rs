@@ -36,9 +36,6 @@ pub struct IncompleteLattice {
 impl CompleteLattice {
     /// Creates the lattice of a configuration of `task` from the outcomes under every
     /// subset of `full`.
-    ///
-    /// # Errors
-    /// If a subset has no outcome.
     pub fn new(
         task: TaskRef,
         full: AxisSet,
@@ -199,7 +196,6 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
     rows
 }
 
-/// Sets the simultaneous intervals of a family of estimates.
 fn set_simultaneous_intervals(
     estimates: &mut [Estimate],
     deviations: &[Vec<f64>],

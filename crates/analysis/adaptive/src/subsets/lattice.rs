@@ -22,10 +22,8 @@ pub struct Lattice {
 /// Reason why the configurations of a campaign cannot be explained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LatticeError {
-    /// The campaign has fewer than two axes.
     #[error("explain axes {0}: an interaction needs at least two axes")]
     TooFewAxes(AxisSet),
-    /// The subset has an axis that the campaign lacks.
     #[error("explain axes {full}: {set} is not a subset of them")]
     OtherAxes {
         /// The subset.
@@ -33,10 +31,8 @@ pub enum LatticeError {
         /// The campaign's axes.
         full: AxisSet,
     },
-    /// The explained campaign has a rollout and replicate twice.
     #[error("explain {}: replicate {} is recorded twice; keep one record", .0.id, .0.replicate)]
     Duplicate(DuplicateRecord),
-    /// The allowed replicates are too few to reach a verdict about every subset.
     #[error(
         "explain with {repeats} repeats: too few to decide about subsets of {axes} axes with an \
          overall error of 5 %; allow {fewest} or more"
@@ -53,9 +49,6 @@ pub enum LatticeError {
 
 impl Lattice {
     /// Creates a configuration's lattice, without outcomes, in a campaign with the axes `full`.
-    ///
-    /// # Errors
-    /// If there are fewer than two axes.
     pub fn new(full: AxisSet, evidence: Evidence) -> Result<Self, LatticeError> {
         match full.len() < 2 {
             true => Err(LatticeError::TooFewAxes(full)),
@@ -66,9 +59,6 @@ impl Lattice {
     /// Adds the outcomes of one replicate of the explained campaign: under each axis alone, under
     /// all axes, and nominally. A missing nominal rollout is skipped, because no decision waits for
     /// it.
-    ///
-    /// # Errors
-    /// If the replicate has an axis that the campaign lacks.
     pub fn add_replicate(&mut self, matched: &Matched) -> Result<(), LatticeError> {
         for (&axis, &outcome) in &matched.alone {
             self.record_source(AxisSet::of(axis), outcome)?;
@@ -82,9 +72,6 @@ impl Lattice {
 
     /// Adds one rollout of the explained campaign. For a deterministic policy its outcome is
     /// evidence; with repeats the outcome only selects the configuration.
-    ///
-    /// # Errors
-    /// If `set` has an axis that the campaign lacks.
     pub fn record_source(&mut self, set: AxisSet, outcome: Outcome) -> Result<(), LatticeError> {
         self.check(set)?;
         self.outcomes.record_source(set, outcome);
@@ -93,9 +80,6 @@ impl Lattice {
 
     /// Adds one rollout as evidence, with [`Outcome::Missing`] if it was requested and has no
     /// result.
-    ///
-    /// # Errors
-    /// If `set` has an axis that the campaign lacks.
     pub fn record(&mut self, set: AxisSet, outcome: Outcome) -> Result<(), LatticeError> {
         self.check(set)?;
         self.outcomes.record(set, outcome);

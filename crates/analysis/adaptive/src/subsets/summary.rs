@@ -52,9 +52,6 @@ pub struct SubsetOutcome {
 
 impl Explained {
     /// Explains a configuration, identified by its simultaneous rollout.
-    ///
-    /// # Errors
-    /// If the configuration has no transition to explain, or its repeats have not confirmed it.
     pub fn of(configuration: RolloutId, lattice: &Lattice) -> Result<Self, Unexplained> {
         let explanation = explain(lattice)?;
         Ok(Self {

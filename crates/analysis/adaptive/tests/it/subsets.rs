@@ -6,7 +6,6 @@ mod repeats;
 
 use libero_ctrl::{Axis, AxisSet};
 
-/// The first `axes` axes.
 fn full(axes: usize) -> AxisSet {
     Axis::ALL.into_iter().take(axes).collect()
 }

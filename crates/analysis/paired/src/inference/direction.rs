@@ -10,6 +10,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
+use crate::count::Count;
 use crate::outcomes::Matched;
 
 /// Number of random permutations; the smallest p-value is 1 / (`PERMUTATIONS` + 1).
@@ -29,8 +30,9 @@ pub struct DirectionTest {
 
 impl DirectionTest {
     /// Runs the permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)² over the
-    /// directions c, with n_c outcomes and the success rate s̄_c. Outcomes are permuted within each
-    /// task, which preserves each task's difficulty. The seed is fixed. `None` with fewer than two
+    /// directions c, with n_c outcomes and the success rate s̄_c. Configurations, with the outcomes of
+    /// all their replicates, are permuted within each task, which preserves each task's
+    /// difficulty. The seed is fixed. `None` with fewer than two
     /// directions or tasks, or if directions are not shared.
     ///
     /// Source: W. G. Cochran, The comparison of percentages in matched samples, Biometrika
@@ -39,12 +41,10 @@ impl DirectionTest {
         if directions == Directions::Own {
             return None;
         }
-        let mut tasks: BTreeMap<TaskRef, Vec<(u16, bool)>> = BTreeMap::new();
-        for matched in matched {
-            if let Some(success) = matched.simultaneous.success() {
-                let outcomes = tasks.entry(matched.task).or_default();
-                outcomes.push((matched.config, success));
-            }
+        let mut tasks: BTreeMap<TaskRef, BTreeMap<u16, Count>> = BTreeMap::new();
+        for matched in matched.iter().filter(|matched| matched.simultaneous.success().is_some()) {
+            let configurations = tasks.entry(matched.task).or_default();
+            configurations.entry(matched.config).or_default().add(matched.simultaneous);
         }
         let mut numbers: Vec<u16> = tasks.values().flatten().map(|(c, _)| *c).collect();
         numbers.sort_unstable();
@@ -53,25 +53,27 @@ impl DirectionTest {
             return None;
         }
         let index_of = |number: u16| numbers.binary_search(&number).expect("one of the numbers");
-        let successes = tasks.values().flatten().filter(|(_, success)| *success);
-        let trials: usize = tasks.values().map(Vec::len).sum();
+        let counts = || tasks.values().flatten().map(|(_, count)| count);
+        let successes: u64 = counts().map(|count| count.successes).sum();
+        let trials: u64 = counts().map(|count| count.n).sum();
         // The outcome, true or false, that occurs less often. Only the rarer outcome is permuted,
         // because Σ (n − s)² / n and Σ s² / n differ by a constant.
-        let rarer = 2 * successes.count() <= trials;
+        let rarer = 2 * successes <= trials;
         let mut sizes = vec![0.0; numbers.len()];
         let mut rare = vec![0.0; numbers.len()];
-        // Per task, the indices of its directions and the number of rarer outcomes.
-        let mut indices: Vec<(Vec<usize>, usize)> = Vec::new();
-        for outcomes in tasks.values() {
-            let task_indices = outcomes.iter().map(|(number, _)| index_of(*number));
-            indices.push((
-                task_indices.clone().collect(),
-                outcomes.iter().filter(|(_, success)| *success == rarer).count(),
-            ));
-            for (direction_index, (_, success)) in task_indices.zip(outcomes) {
-                sizes[direction_index] += 1.0;
-                rare[direction_index] += f64::from(u8::from(*success == rarer));
+        // Per task, the indices of its directions, and the rarer outcomes of each configuration
+        // that has any.
+        let mut indices: Vec<(Vec<usize>, Vec<f64>)> = Vec::new();
+        for configurations in tasks.values() {
+            let (mut task_indices, mut task_rare) = (Vec::new(), Vec::new());
+            for (number, Count { successes, n }) in configurations {
+                let count = if rarer { *successes } else { n - successes } as f64;
+                task_indices.push(index_of(*number));
+                task_rare.extend((count > 0.0).then_some(count));
+                sizes[index_of(*number)] += *n as f64;
+                rare[index_of(*number)] += count;
             }
+            indices.push((task_indices, task_rare));
         }
         let spread = |rare: &[f64]| -> f64 {
             let squares = rare.iter().zip(&sizes);
@@ -88,11 +90,11 @@ impl DirectionTest {
         let mut at_least_as_far = 0_u32;
         for _ in 0..PERMUTATIONS {
             rare.fill(0.0);
-            for (indices, count) in &mut indices {
-                for drawn in 0..*count {
+            for (indices, counts) in &mut indices {
+                for (drawn, count) in counts.iter().enumerate() {
                     let remaining = indices.len() - drawn;
                     indices.swap(drawn, drawn + random_below(remaining, &mut rng));
-                    rare[indices[drawn]] += 1.0;
+                    rare[indices[drawn]] += count;
                 }
             }
             at_least_as_far += u32::from(spread(&rare) >= observed);

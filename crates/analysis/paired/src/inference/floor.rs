@@ -82,7 +82,7 @@ impl Excess {
                 let row = row.or_insert_with(|| vec![0.0; 6]);
                 for (column, value) in columns[source].into_iter().zip([1.0, emergent, compensated])
                 {
-                    row[column] = value;
+                    row[column] += value;
                 }
                 counts[source] += 1;
             }

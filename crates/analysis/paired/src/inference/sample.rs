@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{Directions, Suite, TaskRef};
 
-/// One configuration as a row of addends.
+/// One configuration of one replicate as a row of addends.
 #[derive(Clone, Debug)]
 pub(crate) struct Row {
     pub(crate) task: TaskRef,
@@ -67,12 +67,20 @@ pub(crate) struct Variances {
 }
 
 impl Sample {
-    /// Sums the rows by group; `None` if there are no rows.
+    /// Sums the rows by group; `None` if there are no rows. The replicates of a configuration are
+    /// one row, because their outcomes depend on one another.
     pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
         if rows.is_empty() {
             return None;
         }
-        let in_suites = tasks_in_suites(rows);
+        let mut units: BTreeMap<(TaskRef, u16), Row> = BTreeMap::new();
+        for row in rows {
+            let add = |unit: &mut Row| unit.values = sums([&unit.values, &row.values].into_iter());
+            let unit = units.entry((row.task, row.direction));
+            unit.and_modify(add).or_insert_with(|| row.clone());
+        }
+        let rows: Vec<Row> = units.into_values().collect();
+        let in_suites = tasks_in_suites(&rows);
         let values = |row: &&Row| row.values.clone();
         let total = |task: &Vec<&Row>| sums(task.iter().map(|row| &row.values));
         let tasks_in_suites = in_suites.iter();
@@ -85,7 +93,7 @@ impl Sample {
         let rows_in_tasks =
             rows_in_tasks.map(|task| Stratum::new(task.iter().map(values).collect()));
         let mut by_direction: BTreeMap<u16, Vec<&Row>> = BTreeMap::new();
-        for row in rows {
+        for row in &rows {
             by_direction.entry(row.direction).or_default().push(row);
         }
         Some(Self {

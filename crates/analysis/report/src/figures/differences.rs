@@ -20,11 +20,10 @@ const LEVEL_GAP: f64 = 10.0;
 const TICK_STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
 const MAX_TICKS: f64 = 3.0;
 
-/// Draws the panel of two policies, replicate 0; `None` if no rollout has an outcome for both
+/// Draws the panel of two policies; `None` if no rollout has an outcome for both
 /// policies.
 pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let cells = comparison.statistics.cells.iter();
-    let cells = cells.filter(|cell| cell.replicate == 0);
     let rows: Vec<(&ComparedCell, &Difference)> =
         cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?))).collect();
     if rows.is_empty() {
@@ -38,7 +37,7 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let fits = |step: &&f64| largest / **step <= MAX_TICKS;
     let step = *TICK_STEPS.iter().find(fits).unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
     let end = (largest / step - 1e-9).ceil() * step;
-    let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 14.0]);
+    let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 20.0]);
     let mut y = HEAD + 22.0;
     let mut previous = None;
     let mut body = Vec::new();

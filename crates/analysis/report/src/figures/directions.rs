@@ -7,7 +7,6 @@ use paired::Measures;
 
 use super::svg::{AXIS, HEAD, MARGIN, Scale, line, percent_ticks, rect, shortened, text, whisker};
 use super::{Figure, WIDTH};
-use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::words;
 
@@ -51,7 +50,7 @@ pub fn directions(document: &Document, level: Level) -> Option<Figure> {
 /// Returns the largest upper bound of R_e and R_c in the document; all panels share one
 /// scale.
 fn largest_rate(document: &Document) -> f64 {
-    let cells = document.analyses.iter().flat_map(Analysis::cells);
+    let cells = document.analyses.iter().flat_map(|analysis| &analysis.report.cells);
     let measures = cells.filter_map(|cell| cell.paired.as_ref());
     let ends = measures.flat_map(|m| {
         let high = |interval: Option<[f64; 2]>| interval.map_or(0.0, |[_, high]| high);

@@ -21,7 +21,7 @@ const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
 const BLOCK_HEAD_HEIGHT: f64 = 36.0;
 const LEGEND_HEIGHT: f64 = 58.0;
 
-/// Draws the matrix of a level in replicate 0, with its squares linked by `link` if given; `None`
+/// Draws the matrix of a level, of the first seed if there are several, with its squares linked by `link` if given; `None`
 /// if the campaign lacks the level or runs no simultaneous rollouts.
 pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
     analysis.cell(level)?.simultaneous?;
@@ -51,7 +51,8 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
         all if complete < all => format!("n = {complete} of {all}"),
         all => format!("n = {all}"),
     };
-    let heading = format!("{}, {level}", super::svg::shortened(&analysis.label, 36));
+    let seed = if analysis.report.flips.is_empty() { "" } else { ", first seed" };
+    let heading = format!("{}, {level}{seed}", super::svg::shortened(&analysis.label, 36));
     let body = html! {
         (text(0.0, 15.0, "head", &heading))
         (text(WIDTH, 15.0, "small muted end", &shown))

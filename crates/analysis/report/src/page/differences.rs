@@ -83,11 +83,10 @@ fn cells(comparison: &Comparison) -> Markup {
     let (only_a, only_b) = (format!("only {a}"), format!("only {b}"));
     let mut heads =
         vec!["rollouts", "n", &rate_a, &rate_b, "A − B points", &only_a, &only_b, "Holm p"];
-    let cells = comparison.statistics.cells.iter();
-    let cells: Vec<&ComparedCell> = cells.filter(|cell| cell.replicate == 0).collect();
+    let cells = &comparison.statistics.cells;
     let has_bounds = cells.iter().any(|cell| cell.bounds.is_some());
     heads.extend(has_bounds.then_some("worst to best points"));
-    let rows = cells.into_iter().map(|cell| {
+    let rows = cells.iter().map(|cell| {
         let mut values = row(cell);
         values.extend(has_bounds.then(|| or_dash(bounds(cell))));
         values
@@ -203,9 +202,7 @@ fn progress(comparison: &Comparison) -> Markup {
             or_dash(mean.holm_p.map(words::p_value)),
         ]
     };
-    let cells = comparison.statistics.cells.iter();
-    let cells = cells.filter(|cell| cell.replicate == 0);
-    let rows = cells.flat_map(|cell| {
+    let rows = comparison.statistics.cells.iter().flat_map(|cell| {
         let progress = cell.progress.as_ref();
         let goal = progress.and_then(|progress| progress.goal.as_ref());
         let steps = progress.and_then(|progress| progress.steps.as_ref());
@@ -228,11 +225,9 @@ fn progress(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Returns the cells of replicate 0 with a difference.
+/// Returns the cells with a difference.
 fn compared(comparison: &Comparison) -> impl Iterator<Item = (&ComparedCell, &Difference)> {
-    let cells = comparison.statistics.cells.iter();
-    let cells = cells.filter(|cell| cell.replicate == 0);
-    cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
+    comparison.statistics.cells.iter().filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
 }
 
 fn task_change((task, change): (TaskRef, f64)) -> String {
@@ -274,7 +269,7 @@ fn bounds(cell: &ComparedCell) -> Option<String> {
 fn explanation() -> Markup {
     html! {
         p.muted {
-            "n: rollouts with an outcome of both policies, replicate 0; all rates and differences \
+            "n: rollouts with an outcome of both policies, of all seeds; all rates and differences \
             are over these. A is the policy that is named first. In brackets, 95 % intervals that \
             resample whole tasks, both policies of a task together. Only: rollouts that one policy \
             alone solves. Holm p: exact two-sided sign-flip test over tasks, corrected for the \

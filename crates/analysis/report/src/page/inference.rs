@@ -16,7 +16,7 @@ pub(super) fn tables(document: &Document) -> Markup {
         .analyses
         .iter()
         .flat_map(|analysis| {
-            let cells = analysis.cells();
+            let cells = analysis.report.cells.iter();
             cells.filter_map(|cell| Some((analysis.label.as_str(), cell, cell.inference.as_ref()?)))
         })
         .collect();

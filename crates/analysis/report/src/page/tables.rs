@@ -1,12 +1,13 @@
 //! Tables of the page. A table wider than the page scrolls in its own box.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 
 use libero_ctrl::{Axis, Condition, Measure};
 use maud::{Markup, Render, html};
 use paired::{
     Bounds, Cell, Count, Gap, GateVerdict, Interval, Measures, NoInterval, Nominal, NominalSource,
+    SuiteRow, TaskSuccess,
 };
 
 use crate::analysis::Analysis;
@@ -26,7 +27,7 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
         let policy = analysis.label.as_str();
         let overstated = &analysis.report.overstated;
         let row = move |cell| Row { policy, cell, overstated };
-        analysis.cells().map(row)
+        analysis.report.cells.iter().map(row)
     })
 }
 
@@ -154,11 +155,11 @@ pub(super) fn paired(document: &Document) -> Markup {
 /// Renders the table of nominal success with the verdict of the reproduction gate.
 pub(super) fn nominal(document: &Document) -> Markup {
     let values = |analysis: &Analysis| {
-        let nominal = analysis.report.nominal.iter().find(|n| n.replicate == 0)?;
+        let nominal = analysis.report.nominal.as_ref()?;
         let gate = analysis.report.gate.as_ref();
         Some(vec![
             plain(&analysis.label),
-            or_dash(nominal.count.rate().map(percent)),
+            with_seeds(nominal.count.rate().map(percent), &nominal.by_replicate),
             nominal_counts(nominal),
             or_dash(gate.map(|gate| percent(gate.published))),
             plain(match gate.map(|gate| gate.verdict) {
@@ -219,7 +220,8 @@ pub(super) fn single_axes(document: &Document) -> Markup {
             let count = latency.map(|latency| latency.count);
             success(cell, Condition::Latency, count, loss)
         }));
-        values.push(success(cell, Condition::Combination, cell.simultaneous, None));
+        let simultaneous = success(cell, Condition::Combination, cell.simultaneous, None);
+        values.push(with_seeds(Some(simultaneous), &cell.by_replicate));
         values
     };
     html! {
@@ -227,6 +229,52 @@ pub(super) fn single_axes(document: &Document) -> Markup {
         p.muted {
             "Success over all rollouts that have a result, also of incomplete configurations. \
             Loss: 1 − success / nominal success, in percent."
+        }
+    }
+}
+
+/// Renders a rate with those of the single seeds below it.
+fn with_seeds(value: Option<impl Render>, by_replicate: &BTreeMap<u32, Count>) -> Markup {
+    let rates = by_replicate.values().map(|count| count.rate().map_or("–".to_owned(), percent));
+    let rates: Vec<String> = rates.collect();
+    html! {
+        (or_dash(value))
+        @if !rates.is_empty() { small { (rates.len()) " seeds: " (rates.join(", ")) } }
+    }
+}
+
+/// Renders success by suite, and by task in a folded table.
+pub(super) fn suites(analysis: &Analysis) -> Markup {
+    let (report, suites) = (&analysis.report, analysis.report.suites());
+    let mut heads = vec!["condition"];
+    heads.extend(suites.iter().map(|suite| suite.name()));
+    heads.push("mean of suites");
+    let row = |row: SuiteRow| {
+        let rates = row.suites.into_iter().chain([row.mean]);
+        let rates = rates.map(|rate| or_dash(rate.map(percent)));
+        [plain(row.name)].into_iter().chain(rates).collect()
+    };
+    let by_task: Vec<Vec<Markup>> = report
+        .by_task
+        .iter()
+        .map(|row| {
+            let TaskSuccess { level, condition, task, count } = row;
+            let rate = or_dash(count.rate().map(percent));
+            let counts = format!("{}/{}", count.successes, count.n);
+            vec![plain(task), plain(level), plain(condition.label()), rate, plain(counts)]
+        })
+        .collect();
+    html! {
+        @if suites.len() > 1 {
+            (table(&format!("{}: success by suite, %", analysis.label), &heads,
+                report.suite_rows().into_iter().map(row).collect()))
+        }
+        @if !by_task.is_empty() {
+            details {
+                summary { (analysis.label) ": success by task" }
+                (table("Success by task", &["task", "level.", "condition.", "success %", "counts"],
+                    by_task))
+            }
         }
     }
 }
@@ -268,52 +316,6 @@ fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option
         @if let Some(loss) = loss { small { "loss " (percent(loss)) } }
         @if missing > 0 { small { (missing) " missing" } }
         @if quarantined > 0 { small { (quarantined) " quarantined" } }
-    }
-}
-
-/// Renders the table of changes between replicates, which differ in the policy's seed.
-pub(super) fn replication(analysis: &Analysis) -> Markup {
-    let heads = [
-        "replicate",
-        "level",
-        "n",
-        "ΔI points",
-        "ΔR_e points",
-        "ΔR_c points",
-        "same transition %",
-        "changes that recur %",
-    ];
-    let mut rows = Vec::new();
-    let mut flips = Vec::new();
-    for replication in &analysis.report.replication {
-        let rate = replication.flips.rate().map_or_else(|| "–".to_owned(), percent);
-        let (compared, replicate) = (replication.flips.compared, replication.replicate);
-        flips.push(format!("{rate} % of {compared} in replicate {replicate}"));
-        for (level, change) in &replication.changes {
-            let recurrence = (change.changed > 0).then(|| {
-                let share = change.changed_again as f64 / change.changed as f64;
-                let counts = format!("{}/{}", change.changed_again, change.changed);
-                with_note(percent(share), &counts)
-            });
-            rows.push(vec![
-                plain(format!("{replicate} against 0")),
-                plain(level),
-                plain(change.n),
-                difference(change.i, change.i_ci95, change.no_interval),
-                difference(change.r_e, change.r_e_ci95, change.no_interval),
-                difference(change.r_c, change.r_c_ci95, change.no_interval),
-                plain(percent(change.same_transition as f64 / change.n as f64)),
-                or_dash(recurrence),
-            ]);
-        }
-    }
-    html! {
-        (table("Replication", &heads, rows))
-        p.muted {
-            "Rollouts whose outcome differs from that in replicate 0: " (flips.join("; ")) ". \
-            Changes that recur: share of the emergent failures and compensated successes of \
-            replicate 0 that occur again."
-        }
     }
 }
 

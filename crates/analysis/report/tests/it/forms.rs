@@ -108,7 +108,7 @@ fn figures_are_well_formed_files_with_counts() {
     for expected in ["single-axis-l1", "decomposition-l2", "directions-l3", "reproduction-gate"] {
         assert!(names.contains(&expected), "{names:?}");
     }
-    for kind in ["matrix-", "replicates-", "flips-"] {
+    for kind in ["matrix-", "flips-"] {
         assert!(names.iter().any(|name| name.starts_with(kind)), "{names:?}");
     }
     for figure in &figures {
@@ -120,10 +120,34 @@ fn figures_are_well_formed_files_with_counts() {
         assert!(!figure.title.is_empty());
         assert!(texts.contains("n = ") || texts.contains(" of "), "{}", figure.name);
         assert!(!file.contains("NaN"), "{}", figure.name);
+        // Literal colours, which every converter knows, and one scheme.
+        assert!(!file.contains("--") && !file.contains("@media"), "{}", figure.name);
+        assert!(file.contains(".ground{fill:#fff}"), "{}", figure.name);
     }
     names.sort_unstable();
     names.dedup();
     assert_eq!(names.len(), figures.len(), "no file overwrites another");
+}
+
+/// The table of every paper about LIBERO.
+#[test]
+fn success_by_suite_and_task_is_in_every_form() {
+    let document = document(vec![example()]);
+    for text in [document.brief(), document.text()] {
+        assert!(text.contains("success by suite"), "{text}");
+        let row = text.lines().find(|line| line.starts_with("L3 simultaneous")).expect("a row");
+        let numbers: Vec<f64> =
+            row.split_whitespace().skip(2).map(|number| number.parse().expect("a rate")).collect();
+        let mean = numbers[..4].iter().sum::<f64>() / 4.0;
+        assert!(numbers.len() == 5 && (numbers[4] - mean).abs() < 0.1, "{row}");
+    }
+    let page = page(&document);
+    assert!(page.contains("mean of suites") && page.contains("success by task"));
+    let json: serde_json::Value =
+        serde_json::from_str(&document.json().expect("written")).expect("JSON");
+    let rows = json["reports"][0]["by_task"].as_array().expect("rows");
+    assert_eq!(rows.len(), 3 * 7 * 40);
+    assert!(rows.iter().all(|row| row["n"] == 10));
 }
 
 #[test]

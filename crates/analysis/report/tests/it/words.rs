@@ -3,7 +3,7 @@
 use libero_ctrl::Directions;
 use paired::Outcome;
 use report::{Subject, figures, page};
-use rollout_types::{TAUGHT_ON, TAUGHT_ON_LOOK};
+use rollout_types::{CONNECTED_SINCE, TAUGHT_ON, TAUGHT_ON_LOOK};
 use serde_json::Value;
 
 use crate::subjects::{broken, document, example, provenance, replicated};
@@ -161,6 +161,30 @@ fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
     for part in [expected, "`policy-gateway doctor`"] {
         assert!(text.contains(part), "{part} in {text}");
     }
+}
+
+/// A server behind the same address may have been replaced whenever no connection to it was open.
+#[test]
+fn a_policy_without_an_identity_is_said_to_have_none_and_its_connections_are_counted() {
+    let warnings = |name: &str, connections: &[&str]| {
+        let provenances = connections.iter().map(|since| {
+            let mut provenance = provenance("3.3.7", "single, unseeded");
+            provenance.policy_checkpoint = name.to_owned();
+            provenance.policy_checkpoint_digest.clear();
+            provenance.policy_settings.insert(CONNECTED_SINCE.to_owned(), (*since).to_owned());
+            provenance
+        });
+        let document = document(vec![Subject { provenances: provenances.collect(), ..example() }]);
+        let notes = document.analyses[0].report.notes.join(" ");
+        assert!(notes.is_empty() || page(&document).contains("not "), "{notes}");
+        notes
+    };
+    let unnamed = "not named by its server, whose metadata are sha256 00…";
+    let once = warnings(unnamed, &["a since 1"]);
+    assert!(once.contains("names no checkpoint and takes no seed"), "{once}");
+    assert!(!once.contains("connections"), "{once}");
+    let twice = warnings("pi05_libero, as its route names it", &["a since 1", "a since 2"]);
+    assert!(twice.contains("are of 2 connections") && !twice.contains("names no"), "{twice}");
 }
 
 #[test]

@@ -64,7 +64,6 @@ fn an_execution_model_other_than_wait_is_written_and_changes_the_version() {
     assert!(error.to_string().contains("overlap:N"), "{error}");
 }
 
-/// Returns the specification of a campaign that imports these rows.
 fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, SpecError> {
     let mut json = serde_json::json!({
         "name": "imported",
@@ -349,4 +348,31 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     assert!(error.to_string().contains("`suite_file`: remove the row"), "{error}");
     let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
     assert!(error.to_string().contains("`worker variants --suite-file`"), "{error}");
+}
+
+#[test]
+fn an_endpoint_is_the_address_of_a_server_and_holds_no_password() {
+    let check = |endpoint: &str| {
+        let json = serde_json::json!({
+            "name": "a", "policy": {"name": "expert", "endpoint": endpoint},
+            "tasks": ["libero_object/0"], "axes": ["camera"], "levels": ["L1"], "configs": [0],
+        });
+        CampaignSpec::from_json(&json.to_string())
+    };
+    for valid in ["http://h:1", "grpc://h", "https://[::1]:7/", "grpcs://a-b.c_d:1"] {
+        check(valid).expect(valid);
+    }
+    for invalid in [
+        "h:1",
+        "://h",
+        "ftp://h",
+        "file:///etc/passwd",
+        "http://",
+        "http://h:1\r\nX: y",
+        "http://h/path",
+        "http://me:secret@h:1",
+    ] {
+        let error = check(invalid).expect_err(invalid).to_string();
+        assert!(error.contains("grpc://HOST:PORT") && !error.contains("secret"), "{error}");
+    }
 }

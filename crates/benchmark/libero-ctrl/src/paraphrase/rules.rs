@@ -78,7 +78,6 @@ pub(super) enum Entries {
 }
 
 impl Entries {
-    /// Returns the entry of a variant.
     pub(super) fn entry(&self, variant: usize) -> &str {
         match self {
             Self::Same(entry) => entry,

@@ -24,7 +24,6 @@ pub enum Wording {
     Permission,
     /// A question in place of an order.
     Question,
-    /// A hint.
     Hint,
 }
 
@@ -93,9 +92,7 @@ impl Wording {
 /// `comp_lexical+pragmatical_same_polarity_habitual+hint`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// Other words for the object.
     Object(Wording),
-    /// Other words for the action.
     Action(Wording),
     /// Other words for the object and for the action.
     Both(Wording, Wording),

@@ -27,10 +27,6 @@ pub struct BddlPath {
 }
 
 impl BddlPath {
-    /// Parses a path.
-    ///
-    /// # Errors
-    /// If the path encodes changes that the benchmark's environments do not know.
     pub fn parse(path: &str) -> Result<Self, InvalidBddlPath> {
         if !(path.contains(VIEW) && path.contains(ROBOT)) {
             return Ok(Self {

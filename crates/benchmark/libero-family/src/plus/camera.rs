@@ -7,7 +7,6 @@ use std::fmt;
 /// Height of the pivot, m: that of the table, also used in scenes without a table.
 const PIVOT_HEIGHT: f64 = 0.8;
 
-/// Pose of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraPose {
     /// Position, world frame, m.

@@ -15,7 +15,6 @@ const FIGURES: &str = include_str!("../../data/plus.txt");
 /// Entry of a variant in the benchmark.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
-    /// The variant.
     pub variant: Variant,
     /// Position in the suite, from 1: `id` in `task_classification.json`.
     pub id: u16,
@@ -101,9 +100,6 @@ pub fn entry(variant: &Variant) -> Option<&'static Entry> {
 /// Returns the problem class with the given name. Parsers of BDDL turn the name to lower case,
 /// which loses the spelling of the file names in it; the returned class has the spelling of the
 /// benchmark's variants.
-///
-/// # Errors
-/// If the name does not have the form of LIBERO's and LIBERO-Plus' names.
 pub fn problem_class(name: &str) -> Result<ProblemClass, ProblemError> {
     static CLASSES: OnceLock<HashMap<FileNames, &'static ProblemClass>> = OnceLock::new();
     let classes = CLASSES.get_or_init(|| {

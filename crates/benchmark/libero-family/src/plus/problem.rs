@@ -51,7 +51,6 @@ pub struct Style {
     pub is_liberos: bool,
 }
 
-/// A problem class.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProblemClass {
     /// LIBERO's class, in lower case.
@@ -143,9 +142,6 @@ pub struct ProblemError(String);
 impl ProblemClass {
     /// Parses a class's name, as written in BDDL files. Textures and scenes that LIBERO-Plus does
     /// not have are accepted.
-    ///
-    /// # Errors
-    /// If the name does not have the form of LIBERO's and LIBERO-Plus' names.
     pub fn parse(name: &str) -> Result<Self, ProblemError> {
         let lower = name.to_lowercase();
         let unknown = || ProblemError(name.to_owned());

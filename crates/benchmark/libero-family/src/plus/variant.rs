@@ -28,7 +28,6 @@ pub enum Dimension {
     Noise,
     /// Positions of the objects, and additional objects.
     Layout,
-    /// Lights.
     Light,
 }
 
@@ -103,7 +102,6 @@ pub enum Change {
     Noise(u8),
     /// Sentence.
     Language(u8),
-    /// Lights.
     Light(u8),
     /// Texture of the table, or of the floor in scenes without a table.
     Table(u8),
@@ -115,7 +113,6 @@ pub enum Change {
     Level {
         /// Size of the displacement, 1 to 5.
         level: u8,
-        /// Number of the sample.
         sample: u8,
     },
 }
@@ -243,7 +240,6 @@ fn level(text: &str) -> Option<Change> {
 pub struct Variant {
     /// LIBERO's task.
     pub task: TaskRef,
-    /// The change.
     pub change: Change,
 }
 
@@ -361,21 +357,17 @@ impl FromStr for Variant {
 /// Error: LIBERO-Plus has no variant of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
-    /// The name is empty.
     #[error("read a variant: its name is empty; give a name of LIBERO-Plus' task map")]
     Empty,
-    /// The name does not start with a task.
     #[error(
         "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of \
          LIBERO-Plus' task map"
     )]
     Task(String),
-    /// The name is that of a task of LIBERO.
     #[error(
         "read variant `{0}`: it is a task of LIBERO, without a change; append one, such as _light_1"
     )]
     Unchanged(String),
-    /// The suffix is not a change.
     #[error(
         "read variant `{name}`: it ends in `{suffix}`, which is not a change; valid are, \
          with numbers for the capital letters, _view_H_V_S_R_T_initstate_N, …_noise_K, \

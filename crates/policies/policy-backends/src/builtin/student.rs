@@ -6,7 +6,6 @@ use std::{
     sync::{Arc, LazyLock},
 };
 
-use libero_ctrl::Look;
 use policy_protocol::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use rollout_types::{TAUGHT_ON, TAUGHT_ON_LOOK};
@@ -24,8 +23,6 @@ const STATE: [StateField; 3] =
 pub enum Weights {
     /// Trained in unperturbed scenes of LIBERO's own assets.
     Libero,
-    /// Trained in randomly perturbed scenes of LIBERO's own assets.
-    LiberoRandomised,
     /// Trained in unperturbed scenes of the built-in assets.
     Boxes,
 }
@@ -35,7 +32,6 @@ impl Weights {
     pub fn name(self) -> &'static str {
         match self {
             Self::Libero => "student",
-            Self::LiberoRandomised => "student-randomised",
             Self::Boxes => "student-boxes",
         }
     }
@@ -43,7 +39,7 @@ impl Weights {
     /// Returns the name of the asset pack used in training, as in the provenance of results.
     fn training_pack(self) -> &'static str {
         match self {
-            Self::Libero | Self::LiberoRandomised => "libero",
+            Self::Libero => "libero",
             Self::Boxes => "primitives",
         }
     }
@@ -51,12 +47,9 @@ impl Weights {
     /// Returns the network with these weights, loaded once.
     pub(crate) fn network(self) -> &'static Arc<Network> {
         static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::LIBERO));
-        static LIBERO_RANDOMISED: LazyLock<Arc<Network>> =
-            LazyLock::new(|| shipped(student::LIBERO_RANDOMISED));
         static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::BOXES));
         match self {
             Self::Libero => &LIBERO,
-            Self::LiberoRandomised => &LIBERO_RANDOMISED,
             Self::Boxes => &BOXES,
         }
     }
@@ -107,10 +100,7 @@ pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
     // file's digest is published, so the file must not change.
     policy.described.name = weights.name().to_owned();
-    // Files of students that were taught before there were looks do not name one.
-    let look = weights.network().look().unwrap_or(Look::Mujoco333.name());
-    policy.described.settings =
-        vec![setting(TAUGHT_ON, weights.training_pack()), setting(TAUGHT_ON_LOOK, look)];
+    policy.described.settings.push(setting(TAUGHT_ON, weights.training_pack()));
     policy
 }
 
@@ -270,22 +260,22 @@ mod tests {
 
     #[test]
     fn the_built_in_weights_declare_their_training_assets() {
-        for (weights, pack) in [
-            (Weights::Libero, "libero"),
-            (Weights::LiberoRandomised, "libero"),
-            (Weights::Boxes, "primitives"),
+        // The built-in assets have no texture files, so that they look the same in both looks.
+        for (weights, expected) in [
+            (Weights::Libero, &[(TAUGHT_ON_LOOK, "mujoco-3.3.2"), (TAUGHT_ON, "libero")][..]),
+            (Weights::Boxes, &[(TAUGHT_ON, "primitives")]),
         ] {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             let settings = described.settings.iter();
             let settings: Vec<_> =
                 settings.map(|setting| (&*setting.name, &*setting.value)).collect();
-            assert_eq!(settings, [(TAUGHT_ON, pack), (TAUGHT_ON_LOOK, "mujoco-3.3.3")]);
+            assert_eq!(settings, expected);
         }
     }
 
     #[test]
     fn every_built_in_network_has_its_own_name_and_digest() {
-        let all = [Weights::Libero, Weights::LiberoRandomised, Weights::Boxes];
+        let all = [Weights::Libero, Weights::Boxes];
         for weights in all {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             assert_eq!(described.name, weights.name());

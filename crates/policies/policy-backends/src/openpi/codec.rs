@@ -1,23 +1,23 @@
 //! Messages of openpi's protocol: msgpack maps with NumPy arrays (module `msgpack_numpy` of
 //! openpi-client). Pure functions.
 
+use rmpv::Value;
 use thiserror::Error;
 
-use crate::numpy::{self, Array, ArrayError, Keys, array, lookup, map};
+use crate::numpy::{self, Array, ArrayError, Keys, array, lookup};
 
 /// Observation as openpi's LIBERO client sends it.
 #[derive(Clone, Copy, Debug)]
 pub struct ClientObservation<'a> {
     /// Height and width of both frames, pixels.
     pub side: usize,
-    /// Scene camera's frame, RGB, row by row, row 0 at the top.
-    pub image: &'a [u8],
-    /// Wrist camera's frame, in the same layout.
-    pub wrist_image: &'a [u8],
-    /// Eight numbers: position (m), axis-angle (rad) and finger joints (m).
-    pub state: &'a [f64],
-    /// Instruction of the episode.
-    pub prompt: &'a str,
+    /// Frames with their keys, RGB, row by row, row 0 at the top.
+    pub images: &'a [(&'a str, Vec<u8>)],
+    /// Robot readings with their key, for example position (m), axis-angle (rad) and finger
+    /// joints (m).
+    pub state: Option<(&'a str, &'a [f64])>,
+    /// Instruction of the episode with its key.
+    pub prompt: (&'a str, &'a str),
 }
 
 /// A chunk of actions.
@@ -32,13 +32,15 @@ pub struct Chunk {
 /// Encodes an observation.
 pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
     let frame = |rgb: &[u8]| array(Keys::Bytes, "|u1", &[input.side, input.side, 3], rgb.to_vec());
-    let state = input.state.iter().flat_map(|number| number.to_le_bytes()).collect();
-    numpy::encode(&map([
-        ("observation/image", frame(input.image)),
-        ("observation/wrist_image", frame(input.wrist_image)),
-        ("observation/state", array(Keys::Bytes, "<f8", &[input.state.len()], state)),
-        ("prompt", input.prompt.into()),
-    ]))
+    let mut entries: Vec<(Value, Value)> =
+        input.images.iter().map(|(key, rgb)| (Value::from(*key), frame(rgb))).collect();
+    entries.extend(input.state.map(|(key, numbers)| {
+        let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        (key.into(), array(Keys::Bytes, "<f8", &[numbers.len()], bytes))
+    }));
+    let (key, prompt) = input.prompt;
+    entries.push((key.into(), prompt.into()));
+    numpy::encode(&Value::Map(entries))
 }
 
 /// Decodes the actions of an answer; its other entries are ignored.
@@ -77,11 +79,9 @@ pub enum AnswerError {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-    use rmpv::Value;
-
     use super::*;
-    use crate::observations::rotated;
+    use crate::{numpy::map, observations::rotated};
+    use proptest::prelude::*;
 
     /// Output of `packb` of openpi-client 0.1.2 for the observation in the test below.
     const OBSERVATION: &str = "84b16f62736572766174696f6e2f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c000102030405060708090a0bc4056474797065a37c7531c405736861706593020203b76f62736572766174696f6e2f77726973745f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c090a0b060708030405000102c4056474797065a37c7531c405736861706593020203b16f62736572766174696f6e2f737461746584c40b5f5f6e6461727261795f5fc3c40464617461c440000000000000e03f000000000000f0bf00000000000000000000000000000000000000000000000000000000000000007b14ae47e17aa43f7b14ae47e17aa4bfc4056474797065a33c6638c40573686170659108a670726f6d7074a77069636b207570";
@@ -100,10 +100,12 @@ mod tests {
         let image: Vec<u8> = (0..12).collect();
         let encoded = observation(&ClientObservation {
             side: 2,
-            image: &image,
-            wrist_image: &rotated(&image),
-            state: &[0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04],
-            prompt: "pick up",
+            images: &[
+                ("observation/image", image.clone()),
+                ("observation/wrist_image", rotated(&image)),
+            ],
+            state: Some(("observation/state", &[0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04])),
+            prompt: ("prompt", "pick up"),
         });
         assert_eq!(encoded, bytes(OBSERVATION));
     }

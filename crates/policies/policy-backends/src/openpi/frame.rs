@@ -1,17 +1,12 @@
-//! Prepares frames as openpi's LIBERO client does: resizes them to 224 × 224, bit for bit like
-//! Pillow's bilinear filter. Pure functions.
+//! Resizes frames as openpi's LIBERO client does, bit for bit like Pillow's bilinear filter. Pure
+//! functions.
 //!
 //! The client would pad a frame that is not square, but the simulator's frames are square.
 
-/// Side of a prepared frame, pixels.
+/// Side of the frames that openpi's LIBERO client sends, pixels.
 pub const SIDE: usize = 224;
 /// Fractional bits of Pillow's fixed-point weights.
 const WEIGHT_BITS: u32 = 22;
-
-/// Resizes a square RGB frame of `side` pixels to [`SIDE`].
-pub fn prepare(rgb: &[u8], side: usize) -> Vec<u8> {
-    resize(rgb, [side; 2], [SIDE; 2])
-}
 
 /// Input pixels that contribute to one output pixel.
 struct Window {
@@ -90,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_prepared_frame_equals_that_of_openpis_client_bit_for_bit() {
-        let prepared = prepare(&rotated(&pattern(256)), 256);
+        let prepared = resize(&rotated(&pattern(256)), [256; 2], [SIDE; 2]);
         let at = |x: usize, y: usize| &prepared[3 * (y * SIDE + x)..][..3];
         assert_eq!(at(0, 0), [45, 88, 138]);
         assert_eq!(at(100, 100), [105, 55, 105]);
@@ -117,6 +112,6 @@ mod tests {
 
     #[test]
     fn a_frame_of_the_right_size_is_unchanged() {
-        assert_eq!(prepare(&[7; 3 * SIDE * SIDE], SIDE), vec![7; 3 * SIDE * SIDE]);
+        assert_eq!(resize(&[7; 3 * SIDE * SIDE], [SIDE; 2], [SIDE; 2]), vec![7; 3 * SIDE * SIDE]);
     }
 }

@@ -4,6 +4,7 @@
 
 use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
+use rollout_types::UNNAMED_CHECKPOINT;
 use sha2::{Digest, Sha256};
 
 use super::{address::VlaEvalAddress, message::VERSION};
@@ -104,7 +105,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
             "" => "vla-eval".to_owned(),
             name => name.to_owned(),
         },
-        checkpoint: format!("not named by its server, whose HELLO is sha256 {}…", digest(hello)),
+        checkpoint: format!("{UNNAMED_CHECKPOINT}, whose HELLO is sha256 {}…", digest(hello)),
         cameras: cameras.iter().map(|(name, _)| camera(name)).collect(),
         state: match state {
             true => STATE.map(i32::from).into(),

@@ -2,10 +2,6 @@
 
 use std::fmt;
 
-use image::{
-    ExtendedColorType, ImageEncoder, ImageError,
-    codecs::{jpeg::JpegEncoder, png::PngEncoder},
-};
 use rmpv::Value;
 
 use crate::numpy::{Keys, array, map};
@@ -46,15 +42,24 @@ impl fmt::Display for ImageFormat {
 ///
 /// # Errors
 /// If the image encoder fails.
-pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, ImageError> {
+pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, String> {
     let shape = [side as usize, side as usize, 3];
     let mut data = vec![];
-    let color = ExtendedColorType::Rgb8;
     match format {
         ImageFormat::Raw => return Ok(array(Keys::Text, "|u1", &shape, rgb.to_vec())),
-        ImageFormat::Png => PngEncoder::new(&mut data).write_image(rgb, side, side, color)?,
-        ImageFormat::Jpeg => JpegEncoder::new_with_quality(&mut data, JPEG_QUALITY)
-            .write_image(rgb, side, side, color)?,
+        ImageFormat::Png => {
+            let mut png = png::Encoder::new(&mut data, side, side);
+            png.set_color(png::ColorType::Rgb);
+            let writer = png.write_header();
+            let written = writer.and_then(|mut writer| writer.write_image_data(rgb));
+            written.map_err(|error| error.to_string())?;
+        }
+        ImageFormat::Jpeg => {
+            let side = u16::try_from(side).map_err(|error| error.to_string())?;
+            jpeg_encoder::Encoder::new(&mut data, JPEG_QUALITY)
+                .encode(rgb, side, side, jpeg_encoder::ColorType::Rgb)
+                .map_err(|error| error.to_string())?;
+        }
     }
     Ok(map([
         ("__image__", Value::Boolean(true)),

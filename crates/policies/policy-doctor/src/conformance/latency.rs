@@ -54,14 +54,14 @@ pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
     for _ in 0..ROUNDS {
         let round = probe.concurrent_episodes(CONCURRENCY).await;
         let (_, round) = round.map_err(|status| ConformanceError::Episode {
-            url: target.url.clone(),
+            url: target.shown.clone(),
             status: status.into(),
         })?;
         latencies.extend(round);
     }
     let described = probe.described();
     Ok(Latency {
-        server: target.url.clone(),
+        server: target.shown.clone(),
         policy: described.name.clone(),
         checkpoint: described.checkpoint.clone(),
         real_time_chunking: described.real_time_chunking,

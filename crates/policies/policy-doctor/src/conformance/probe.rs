@@ -67,7 +67,7 @@ impl Probe {
     /// If the URL is invalid, the server cannot be reached, or it does not describe itself.
     pub(super) async fn connect(target: &Target) -> Result<Self, ConformanceError> {
         let endpoint = parse_endpoint(&target.url)
-            .map_err(|_| ConformanceError::Url { url: target.url.clone() })?
+            .map_err(|_| ConformanceError::Url { url: target.shown.clone() })?
             .connect_timeout(CONNECT_TIMEOUT)
             .timeout(DEFAULT_ANSWER_WITHIN)
             .tcp_nodelay(true)
@@ -82,7 +82,7 @@ impl Probe {
         let described = match described {
             Ok(response) => response.into_inner(),
             Err(status) => {
-                let url = target.url.clone();
+                let url = target.shown.clone();
                 return Err(match peer.diagnose(&status).await {
                     Some(trouble) => ConformanceError::Connect { url, trouble: trouble.into() },
                     None => ConformanceError::Describe { url, status: status.into() },

@@ -12,6 +12,8 @@ pub(super) const QUERIES: u32 = 5;
 pub struct Target {
     /// `grpc://HOST:PORT` or `http://HOST:PORT`; over TLS, `https://HOST:PORT`.
     pub url: String,
+    /// Address as the user gave it, for messages.
+    pub shown: String,
     /// Name of the policy; empty selects the only policy of the server.
     pub policy: String,
     /// Suite of the synthetic task, one of `scene::TASKS`.

@@ -7,6 +7,7 @@ use policy_protocol::ActionFault;
 use proto::policy::{InferResponse, Observation};
 
 use crate::{
+    randomness::{REPEATABLE, SEEDS_PER_MEAN},
     server::{Action, ExaminationError, Server},
     server_pair::SEED,
     situation::Situation,
@@ -23,6 +24,8 @@ pub(super) struct DiagnosedServer<'a> {
     server: &'a Server,
     situations: &'a [Situation],
     observations: Vec<Observation>,
+    /// Number of answers to a query whose mean counts as its answer: several if they differ.
+    answers_per_mean: usize,
     /// Latency of every query, in order.
     pub(super) latencies: Vec<Duration>,
 }
@@ -54,6 +57,7 @@ impl<'a> DiagnosedServer<'a> {
             server,
             situations,
             observations: observations.map_err(|missing| server.lacks(missing))?,
+            answers_per_mean: 1,
             latencies: vec![],
         })
     }
@@ -68,16 +72,25 @@ impl<'a> DiagnosedServer<'a> {
     }
 
     /// Queries each situation in an episode of its own, repeats some of these queries, then queries
-    /// all situations in one shared episode. The instruction is always the same.
+    /// all situations in one shared episode. The instruction is always the same. If a repeated
+    /// query gets another answer, the server samples, and every answer is a mean from then on.
     pub(super) async fn answer_all(&mut self) -> Result<Answered, ExaminationError> {
         let mut answered = Answered::default();
         let mut first: Vec<Vec<Action>> = vec![];
         let situation = &self.situations[0];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
+        let mut twice = vec![];
+        for _ in 0..2 {
+            let observation = self.observations[0].clone();
+            twice.push(self.query(0, observation, Some(instruction)).await?.actions);
+        }
+        let pairs = twice[0].iter().zip(&twice[1]);
+        let noise = pairs.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+        if noise > REPEATABLE {
+            self.answers_per_mean = SEEDS_PER_MEAN;
+        }
         for index in 0..self.situations.len() {
-            let observation = self.observations[index].clone();
-            let response = self.query(index, observation, Some(instruction)).await?;
-            let actions = answered.record(self.server, &response);
+            let actions = self.recorded(index, instruction, &mut answered).await?;
             for earlier in &first {
                 let difference = largest_difference(earlier, &actions);
                 answered.between_situations = answered.between_situations.max(difference);
@@ -85,9 +98,7 @@ impl<'a> DiagnosedServer<'a> {
             first.push(actions);
         }
         for (index, earlier) in first.iter().enumerate().take(self.tried_situations()) {
-            let observation = self.observations[index].clone();
-            let response = self.query(index, observation, Some(instruction)).await?;
-            let repeated = answered.record(self.server, &response);
+            let repeated = self.recorded(index, instruction, &mut answered).await?;
             let difference = largest_difference(earlier, &repeated);
             answered.noise = answered.noise.max(difference);
         }
@@ -176,12 +187,32 @@ impl<'a> DiagnosedServer<'a> {
         observation: Observation,
         instruction: Option<&str>,
     ) -> Result<Vec<Action>, ExaminationError> {
-        let response = self.query(index, observation, instruction).await?;
-        let actions = self.server.actions(&response);
-        actions.map_err(|fault| ExaminationError::InvalidActions {
-            url: self.server.url.clone(),
-            fault,
-        })
+        let mut answers = vec![];
+        for _ in 0..self.answers_per_mean {
+            let response = self.query(index, observation.clone(), instruction).await?;
+            let actions = self.server.actions(&response);
+            answers.push(actions.map_err(|fault| ExaminationError::InvalidActions {
+                url: self.server.url.clone(),
+                fault,
+            })?);
+        }
+        Ok(mean(&answers))
+    }
+
+    /// Queries an unchanged situation, and counts the answers.
+    async fn recorded(
+        &mut self,
+        index: usize,
+        instruction: &str,
+        answered: &mut Answered,
+    ) -> Result<Vec<Action>, ExaminationError> {
+        let mut answers = vec![];
+        for _ in 0..self.answers_per_mean {
+            let observation = self.observations[index].clone();
+            let response = self.query(index, observation, Some(instruction)).await?;
+            answers.push(answered.record(self.server, &response));
+        }
+        Ok(mean(&answers))
     }
 
     /// Sends one query in its own episode.
@@ -216,6 +247,15 @@ impl Answered {
             }
         }
     }
+}
+
+/// Returns the mean of answers, as long as the shortest of them.
+fn mean(answers: &[Vec<Action>]) -> Vec<Action> {
+    let length = answers.iter().map(Vec::len).min().unwrap_or(0);
+    let at = |action: usize, number: usize| {
+        answers.iter().map(|answer| answer[action][number]).sum::<f64>() / answers.len() as f64
+    };
+    (0..length).map(|action| std::array::from_fn(|number| at(action, number))).collect()
 }
 
 fn largest_difference(first: &[Action], second: &[Action]) -> f64 {

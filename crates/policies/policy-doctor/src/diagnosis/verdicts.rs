@@ -9,12 +9,14 @@ use proto::policy::{DescribeResponse, Language};
 use crate::{
     conformance::verdict::{LARGEST_PLAUSIBLE, Verdict, fail, pass, skip},
     fit::GRIPPER,
-    randomness::REPEATABLE,
+    randomness::{REPEATABLE, SEEDS_PER_MEAN},
     server::Action,
 };
 
 /// Largest difference between values that count as equal.
 const SAME: f64 = 1e-6;
+/// Factor by which a change exceeds the noise if it has an effect.
+const BEYOND_NOISE: f64 = 1.5;
 /// Growth of memory per episode that is ignored, bytes; logs and allocators cause that much.
 const IGNORED_GROWTH_BYTES: u64 = 200 << 10;
 /// Slowdown that indicates growing memory: the median episode of the second third takes longer than
@@ -23,7 +25,8 @@ const MIN_SLOWDOWN: f64 = 1.25;
 /// Smallest slowdown from the first to the last third that indicates growing memory.
 const MIN_TOTAL_SLOWDOWN: Duration = Duration::from_millis(50);
 
-/// Variation of answers with a change of the input, and without.
+/// Variation of answers with a change of the input, and without. The answers of a server that
+/// samples are means.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Change {
     /// Largest difference that the change causes.
@@ -33,18 +36,23 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// Returns true if the change affects answers, by more than three times the noise; `None` if
-    /// noise hides the effect.
-    fn has_effect(self) -> Option<bool> {
-        let has_effect = self.largest > SAME.max(3.0 * self.noise);
-        (has_effect || self.noise <= REPEATABLE).then_some(has_effect)
+    /// Returns true if the change affects answers, by more than the noise of means explains:
+    /// among as many changed as repeated answers, the largest difference varies by less than
+    /// [`BEYOND_NOISE`].
+    fn has_effect(self) -> bool {
+        self.largest > SAME.max(BEYOND_NOISE * self.noise)
     }
 
-    fn hidden_by_noise(self) -> Verdict {
-        skip(format!(
-            "answers to the same query differ by {:.1e}, which hides any effect",
-            self.noise
-        ))
+    /// Describes the noise, if there is any.
+    fn beside_noise(self) -> String {
+        match self.noise > REPEATABLE {
+            false => String::new(),
+            true => format!(
+                " (means of {SEEDS_PER_MEAN} answers, which differ by {:.2} with the change and by \
+                 {:.2} without)",
+                self.largest, self.noise
+            ),
+        }
     }
 }
 
@@ -121,41 +129,35 @@ pub(super) fn observations(
         return skip("it requests no observation");
     }
     match change.has_effect() {
-        None => change.hidden_by_noise(),
-        Some(true) => pass(""),
-        Some(false) => fail(format!(
-            "{situations} observations get the same answer, within {:.1e}. Usually the answer to \
+        true => pass(""),
+        false => fail(format!(
+            "{situations} observations get the same answer, within {:.1e}{}. Usually the answer to \
              the first query is cached, or the inputs do not reach the network: log the network's \
              inputs.",
-            change.largest
+            change.largest,
+            change.beside_noise()
         )),
     }
 }
 
 /// Checks that each camera's frames affect the answers.
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
-    let cameras_with = |effect: Option<bool>| {
-        let with_effect = changes.iter().filter(|(_, change)| change.has_effect() == effect);
-        let cameras: Vec<&str> = with_effect.map(|(camera, _)| camera.as_str()).collect();
-        cameras.join(" and ")
+    let unused = changes.iter().filter(|(_, change)| !change.has_effect());
+    let names = unused.clone().map(|(camera, change)| format!("{camera}{}", change.beside_noise()));
+    let names: Vec<String> = names.collect();
+    if names.is_empty() {
+        return pass("");
+    }
+    let other_cameras = match names.len() < changes.len() {
+        true => "; frames of the other cameras do",
+        false => "",
     };
-    let [unused, hidden, used] = [Some(false), None, Some(true)].map(cameras_with);
-    if !unused.is_empty() {
-        let other_cameras = match (hidden.as_str(), used.as_str()) {
-            ("", "") => String::new(),
-            ("", _) => "; frames of the other cameras do".to_owned(),
-            _ => format!("; noise hides any effect of frames of {hidden}"),
-        };
-        return fail(format!(
-            "frames of {unused} that are flipped vertically, or black, change no \
-             action{other_cameras}. Usually an image slot of the network stays empty: compare the \
-             names of cameras and slots, or do not request these frames."
-        ));
-    }
-    match changes.iter().find(|(_, change)| change.has_effect().is_none()) {
-        Some((_, change)) => change.hidden_by_noise(),
-        None => pass(""),
-    }
+    fail(format!(
+        "frames of {} that are flipped vertically, or black, change no action{other_cameras}. \
+         Usually an image slot of the network stays empty: compare the names of cameras and slots, \
+         or do not request these frames.",
+        names.join(" and ")
+    ))
 }
 
 /// Checks that the policy declares that it reads instructions.
@@ -173,9 +175,13 @@ pub(super) fn reads_language(described: &DescribeResponse) -> Result<(), &'stati
 /// Checks that the instruction affects the answers.
 pub(super) fn instructions(change: Change, count: usize) -> Verdict {
     match change.has_effect() {
-        None => change.hidden_by_noise(),
-        Some(true) => pass(""),
-        Some(false) => fail(format!(
+        true => pass(""),
+        // An instruction changes the first actions less than a frame does.
+        false if change.noise > REPEATABLE => skip(format!(
+            "no effect of {count} other instructions is seen beside the noise{}",
+            change.beside_noise()
+        )),
+        false => fail(format!(
             "{count} other instructions change no action. Usually the text does not reach the \
              network, or it was tuned on one task: log the prompt. If it reads no instruction, \
              declare its language as ignored."
@@ -317,25 +323,30 @@ mod tests {
     }
 
     #[test]
-    fn a_change_hidden_by_noise_is_neither_confirmed_nor_denied() {
+    fn a_change_has_an_effect_if_it_exceeds_the_noise() {
         let change = |largest, noise| Change { largest, noise }.has_effect();
-        assert_eq!(change(0.1, 0.0), Some(true));
-        assert_eq!(change(0.0, 0.0), Some(false));
-        assert_eq!(change(2e-5, 1e-5), Some(false));
-        assert_eq!(change(0.1, 0.05), None);
-        assert_eq!(change(0.5, 0.05), Some(true));
+        for (largest, noise, has_effect) in
+            [(0.1, 0.0, true), (0.0, 0.0, false), (1e-5, 1e-5, false), (0.06, 0.05, false)]
+        {
+            assert_eq!(change(largest, noise), has_effect, "{largest} {noise}");
+        }
+        assert!(change(0.5, 0.05));
+        let hidden = instructions(Change { largest: 0.06, noise: 0.05 }, 8);
+        assert!(
+            matches!(&hidden, Verdict::Skip { reason } if reason.contains("0.06")),
+            "{hidden:?}"
+        );
     }
 
     #[test]
-    fn frames_of_other_cameras_have_an_effect_unless_noise_hides_it() {
+    fn frames_without_an_effect_beyond_the_noise_fail() {
         let verdict = |largest, noise| {
             let unused = Change { largest: 0.0, noise: 0.0 };
             let other = Change { largest, noise };
             frames(&[("a".to_owned(), unused), ("b".to_owned(), other)])
         };
         assert!(fails(&verdict(0.5, 0.0), "frames of the other cameras do"));
-        let hidden = "noise hides any effect of frames of b";
-        assert!(fails(&verdict(0.1, 0.05), hidden));
+        assert!(fails(&verdict(0.06, 0.05), "frames of a and b (means of 8 answers"));
     }
 
     #[test]

@@ -11,7 +11,11 @@ use policy_doctor::{
 };
 use proto::policy::{Language, StateField};
 
-use crate::{compare::SOUND, planted::Planted, scripted::serve};
+use crate::{
+    compare::SOUND,
+    planted::{NetworkInput, Planted},
+    scripted::serve,
+};
 
 const MEASURES: Measures = Measures { answer_within: Duration::from_secs(50), episodes: 3 };
 
@@ -98,6 +102,26 @@ async fn ignored_instructions_are_found_unless_declared() {
 #[tokio::test]
 async fn answers_that_ignore_all_observations_are_found() {
     let absent = Planted::sound().preparing(|input| {
+        input.frames.clear();
+        input.state.clear();
+    });
+    let points = [Point::Observations, Point::Frames];
+    finds(absent, &points, "8 observations get the same answer").await;
+}
+
+#[tokio::test]
+async fn a_server_that_samples_is_judged_by_means_of_its_answers() {
+    let sampling = |change: fn(&mut NetworkInput)| {
+        let mut policy = Planted::drawing(0.1);
+        policy.described.unseeded = true;
+        policy.preparing(move |input| {
+            input.seed = input.earlier_queries;
+            change(input);
+        })
+    };
+    let without_frames = sampling(|input| input.frames.clear());
+    finds(without_frames, &[Point::Frames], "means of 8 answers").await;
+    let absent = sampling(|input| {
         input.frames.clear();
         input.state.clear();
     });

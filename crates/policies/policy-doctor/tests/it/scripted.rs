@@ -220,6 +220,7 @@ pub(crate) fn stochastic() -> DescribeResponse {
 pub(crate) async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     let target = Target {
         url: format!("grpc://{}", server.address),
+        shown: "the server".to_owned(),
         policy: policy.to_owned(),
         suite: "libero_object".to_owned(),
         access: transport::Access::none(),

@@ -149,7 +149,7 @@ impl Cache {
     }
 
     /// Returns the origin of a result of the campaign, or of its source, in a suite, which
-    /// identifies the policy that was measured; `None` if no result reports the policy's settings.
+    /// identifies the policy that was measured; `None` without a result.
     pub(super) async fn measured(
         &mut self,
         tx: &mut SqliteConnection,
@@ -165,8 +165,7 @@ impl Cache {
         })
     }
 
-    /// Caches the origin of a campaign's result in a suite, unless one is cached or the origin does
-    /// not report the policy's settings, by which policies are compared.
+    /// Caches the origin of a campaign's result in a suite, unless one is cached.
     pub(super) fn add_measured(
         &mut self,
         campaign: CampaignId,
@@ -174,9 +173,7 @@ impl Cache {
         origin: &Arc<Provenance>,
     ) {
         let cached = self.measured.entry((campaign, suite)).or_default();
-        if cached.is_none() && !origin.policy_settings.is_empty() {
-            *cached = Some(origin.clone());
-        }
+        cached.get_or_insert_with(|| origin.clone());
     }
 
     /// Counts a turn of the campaign, which has received leases.

@@ -181,7 +181,7 @@ impl<'a> Context<'a> {
             }
         } else if !reason.is_charged() {
             // The job may be leased again at once.
-            self.shared.work.notify_waiters();
+            self.shared.wake_one();
         }
         self.set_health(&campaign, &after).await?;
         let policy_wait = match after.state {

@@ -13,7 +13,7 @@ use sqlx::SqliteConnection;
 
 use super::derive::{on_blocking_thread, records, specification};
 use super::error::QueueError;
-use crate::ids::{CampaignId, JobId};
+use crate::ids::{CampaignId, CampaignName, JobId};
 use crate::queue::Queue;
 use crate::rules::explanation;
 use crate::store::films::{self, FilmableRow};
@@ -22,17 +22,22 @@ use crate::store::{Doing, StoreError, campaigns, undecodable};
 pub use crate::store::films::Film;
 
 impl Queue {
-    /// Returns a rollout to film with this asset pack and simulator, and the number of such
-    /// rollouts without a video, including those being filmed; `None` if none is left to assign.
+    /// Returns a rollout to film with this asset pack and simulator, of `only` if given, and the
+    /// number of such rollouts without a video, including those being filmed; `None` if none is
+    /// left to assign.
     ///
     /// # Errors
     /// If the database fails.
-    pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
+    pub async fn next_film(
+        &self,
+        pin: &Pin,
+        only: Option<&CampaignName>,
+    ) -> Result<Option<(Film, u64)>, QueueError> {
         let films = &self.shared.films;
         let scanning = films.scanning.lock().await;
         films.scan_begins();
         let mut view = self.shared.store.read().await?;
-        let campaigns = films::filmed_campaigns(&mut view, pin).await?;
+        let mut campaigns = films::filmed_campaigns(&mut view, pin).await?;
         for outdated in films.outdated(&campaigns, Instant::now()) {
             let (began, campaign) = (Instant::now(), outdated.campaign);
             let rows = films::filmable(&mut view, campaign).await?;
@@ -43,6 +48,7 @@ impl Queue {
             films.scanned(outdated, unfilmed, began, began.elapsed());
         }
         drop(scanning);
+        campaigns.retain(|campaign| only.is_none_or(|only| campaign.name == *only));
         let Some((job, unfilmed)) = films.assign(&campaigns, self.now()) else {
             return Ok(None);
         };

@@ -124,9 +124,12 @@ impl Films {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::CampaignName;
 
     fn campaign(revision: i64) -> FilmedCampaign {
-        FilmedCampaign { campaign: CampaignId(1), revision, source: None, source_revision: None }
+        let name = CampaignName::parse("one").expect("a name");
+        let (source, source_revision) = (None, None);
+        FilmedCampaign { campaign: CampaignId(1), name, revision, source, source_revision }
     }
 
     #[test]

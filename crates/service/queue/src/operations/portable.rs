@@ -442,7 +442,7 @@ impl Context<'_> {
 }
 
 /// Copies a campaign from a database into a new database in an empty folder.
-pub(super) async fn copy_into(
+async fn copy_into(
     database: &Path,
     campaign: &Campaign,
     target: &CopyTarget,
@@ -460,7 +460,7 @@ pub(super) async fn copy_into(
 }
 
 /// Returns the name of the campaign that a specification derives from, if there is one.
-pub(super) fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
+fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     let spec = CampaignSpec::from_json(spec).map_err(undecodable);
     let spec = spec.doing("read a campaign's specification")?;
     let name = spec.rollouts.source().map(CampaignName::parse).transpose();

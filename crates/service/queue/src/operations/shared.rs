@@ -1,5 +1,6 @@
 //! State that every operation of a queue shares.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rand_chacha::ChaCha8Rng;
@@ -33,6 +34,8 @@ pub(crate) struct Shared {
     pub(crate) remote_storage: Option<Arc<dyn RemoteStorage>>,
     /// Notified when jobs may have become leasable.
     pub(crate) work: Notify,
+    /// True if waiting claims were not notified of a job.
+    pub(super) passed_over: AtomicBool,
     /// Notified when jobs are settled, since further jobs may derive from their outcomes, or a
     /// campaign's stop rule may be met.
     pub(crate) settled: Arc<SettlementWatch>,
@@ -61,10 +64,18 @@ impl Shared {
             lacking: Arc::default(),
             remote_storage,
             work: Notify::new(),
+            passed_over: AtomicBool::new(false),
             settled: Arc::new(SettlementWatch::new()),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }
+    }
+
+    /// Wakes one waiting claim for one job, and the others at the next sweep, in case that claim
+    /// cannot run it. Thousands of claims would cost more than the job if each looked for it.
+    pub(super) fn wake_one(&self) {
+        self.work.notify_one();
+        self.passed_over.store(true, Ordering::Relaxed);
     }
 
     pub(crate) fn now(&self) -> UnixMillis {

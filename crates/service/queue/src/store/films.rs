@@ -41,6 +41,7 @@ pub(crate) struct FilmableRow {
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct FilmedCampaign {
     pub(crate) campaign: CampaignId,
+    pub(crate) name: CampaignName,
     pub(crate) revision: i64,
     /// Source of a derived campaign.
     pub(crate) source: Option<CampaignId>,
@@ -54,7 +55,7 @@ pub(crate) async fn filmed_campaigns(
     pin: &Pin,
 ) -> Result<Vec<FilmedCampaign>, StoreError> {
     sqlx::query_as(
-        "SELECT c.id AS campaign, own.revision, d.source_id AS source,
+        "SELECT c.id AS campaign, c.name, own.revision, d.source_id AS source,
              its.revision AS source_revision
          FROM campaign c JOIN tally own ON own.campaign_id = c.id
          LEFT JOIN derivation d ON d.campaign_id = c.id

@@ -329,38 +329,6 @@ async fn copy_row(
     Ok(new)
 }
 
-/// Replaces jobs of this campaign by those of the same rollouts in the schema `source`, with their
-/// dependent rows.
-pub(crate) async fn replace(
-    tx: &mut SqliteConnection,
-    (campaign, old): (CampaignId, CampaignId),
-    jobs: &[(String, u32)],
-) -> Result<(), StoreError> {
-    begin(tx, old).await?;
-    sqlx::query(
-        "UPDATE temp.moved SET new = ?1,
-             folder = (SELECT coalesce(folder, name) FROM main.campaign WHERE id = ?1)",
-    )
-    .bind(campaign)
-    .execute(&mut *tx)
-    .await
-    .doing("copy a campaign")?;
-    sqlx::query(
-        "INSERT INTO temp.moved_job SELECT s.id, j.id
-         FROM json_each(?) w JOIN source.job s ON s.rollout_id = w.value ->> 0
-             AND s.replicate = w.value ->> 1 AND s.campaign_id = (SELECT old FROM temp.moved)
-         JOIN main.job j ON j.rollout_id = s.rollout_id AND j.replicate = s.replicate
-             AND j.campaign_id = (SELECT new FROM temp.moved)",
-    )
-    .bind(super::json(jobs))
-    .execute(&mut *tx)
-    .await
-    .doing("copy a campaign")?;
-    run(tx, "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)").await?;
-    copy_rows(tx, campaign, |_| true).await?;
-    end(tx).await
-}
-
 /// Creates temporary tables that map old row numbers to new ones.
 async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreError> {
     run(

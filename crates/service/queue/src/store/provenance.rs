@@ -28,8 +28,7 @@ macro_rules! provenance {
 }
 pub(crate) use provenance;
 
-/// Returns the provenance of a result in a suite, of a campaign or of its source campaign; only
-/// results that report the policy's settings are considered.
+/// Returns the provenance of a result in a suite, of a campaign or of its source campaign.
 pub(crate) async fn of_suite(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -43,7 +42,7 @@ pub(crate) async fn of_suite(
          JOIN job j ON j.id = r.job_id
          WHERE r.campaign_id IN
                  (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
-             AND v.policy_settings <> '{}' AND j.task GLOB ?2 || '/*'
+             AND j.task GLOB ?2 || '/*'
          LIMIT 1",
     ))
     .bind(campaign)

@@ -36,7 +36,6 @@ pub(super) struct Receiver<'a> {
     done: usize,
     /// False once the server has answered a range request with the whole parcel.
     supports_ranges: bool,
-    /// Bytes received so far.
     received_bytes: u64,
     /// Number of corrupted receptions, by file.
     corruptions: HashMap<&'static str, u32>,

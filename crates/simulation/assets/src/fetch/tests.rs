@@ -405,18 +405,6 @@ fn a_busy_index_is_retried_and_a_refusing_index_is_not() {
 }
 
 #[test]
-fn the_error_of_a_refusing_hub_names_the_options_that_choose_another_source() {
-    let (_folder, into) = temporary_pack();
-    let index = TestIndex::start(Fault::None);
-    let origin = Origin::hub(&index.url(), deadlines()).expect("a URL");
-    let error = fetch_from(&origin, index.table(), &into).error();
-    for words in ["answers 404", "--hub"] {
-        assert!(error.contains(words), "{error}");
-    }
-    assert!(!error.contains("ROLLOUT_INDEX_URL"), "{error}");
-}
-
-#[test]
 fn the_error_names_the_index_that_lacks_the_package_and_pypi() {
     for fault in [Fault::NoProject, Fault::NoWheel] {
         let (_folder, into) = temporary_pack();

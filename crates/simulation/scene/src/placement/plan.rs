@@ -34,11 +34,6 @@ enum Place<'a> {
 
 impl Samplers {
     /// Plans the samplers of a problem.
-    ///
-    /// # Errors
-    /// [`SceneError::Inconsistent`] where LIBERO fails too: for example, if `:init` places an
-    /// object twice, places it on an instance that is not placed, or opens an instance that cannot
-    /// be opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,

@@ -35,7 +35,6 @@ pub(super) struct Compilation {
     serial: u64,
 }
 
-/// Owner of a compilation's memory.
 pub(super) enum MemoryOwner {
     /// MuJoCo owns structure and arrays.
     Compiled,
@@ -252,12 +251,10 @@ impl Model {
         arrays::array(self.raw(), name)
     }
 
-    /// Returns the headlight's ambient colour.
     pub fn headlight_ambient(&self) -> [f32; 3] {
         self.raw().vis.headlight.ambient
     }
 
-    /// Sets the headlight's ambient colour.
     pub fn set_headlight_ambient(&mut self, rgb: [f32; 3]) {
         self.raw.vis.headlight.ambient = rgb;
     }
@@ -328,7 +325,6 @@ impl Model {
         body_pos: f64 = nbody * 3;
         /// Body orientations in their parents' frames, w x y z.
         body_quat: f64 = nbody * 4;
-        /// Body of each geom.
         geom_bodyid: i32 = ngeom * 1;
         /// Bounding boxes in geom frames: centre, half extents, m.
         geom_aabb: f64 = ngeom * 6;
@@ -342,7 +338,6 @@ impl Model {
         light_dir: f64 = nlight * 3;
         /// Light colours.
         light_diffuse: f32 = nlight * 3;
-        /// Light specular colours.
         light_specular: f32 = nlight * 3;
         /// Site colours.
         site_rgba: f32 = nsite * 4;

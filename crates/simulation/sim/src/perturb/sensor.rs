@@ -28,7 +28,6 @@ const TRUNCATE_SIGMAS: f64 = 4.0;
 /// Camera of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FrameSource {
-    /// `agentview`.
     Agentview,
     /// `robot0_eye_in_hand`.
     Wrist,

@@ -25,7 +25,6 @@ type GetString = unsafe extern "system" fn(u32) -> *const c_char;
 const PLATFORM_DEVICE: egl::Enum = 0x313F;
 /// `EGL_PLATFORM_SURFACELESS_MESA` (EGL_MESA_platform_surfaceless).
 const PLATFORM_SURFACELESS: egl::Enum = 0x31DD;
-/// `GL_RENDERER`.
 const GL_RENDERER: u32 = 0x1F01;
 /// Maximum number of listed devices, more than any machine has.
 const MAX_DEVICES: usize = 32;

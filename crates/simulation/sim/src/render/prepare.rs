@@ -56,9 +56,6 @@ pub(crate) struct PreparedBytes {
 
 impl Prepared {
     /// Prepares a model.
-    ///
-    /// # Errors
-    /// If the software renderer cannot draw the model.
     pub(crate) fn from_model(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
         let largest_levels: Vec<Bytes> =
@@ -83,11 +80,6 @@ impl Prepared {
     }
 
     /// Restores data that was prepared earlier for the same model, without copying its bytes.
-    ///
-    /// # Errors
-    /// If the bytes of a mesh are malformed, a texture's smaller levels have another size than the
-    /// model requires, or the model's quality of built-in shapes is out of range. Bytes of another
-    /// model that pass these checks are not detected.
     pub(crate) fn from_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
         let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
         let textures = model.textures().zip(&bytes.textures);

@@ -116,9 +116,6 @@ impl SceneFolder {
 
     /// Creates the folder, or checks that it is trusted. The folder may be read-only: another user
     /// may have filled it.
-    ///
-    /// # Errors
-    /// If the folder cannot be created or is not trusted, or the limit of its size is not a number.
     pub fn check(&self) -> Result<(), SceneFileError> {
         limit(given_limit().as_deref())?;
         if self.exists_and_is_trusted()? {
@@ -130,9 +127,6 @@ impl SceneFolder {
     }
 
     /// Maps a scene; `None` if one of its files is missing, incomplete or not trusted.
-    ///
-    /// # Errors
-    /// If the folder is not trusted, or a file cannot be read.
     pub(super) fn load(&self, name: &Name) -> Result<Option<LoadedScene>, SceneFileError> {
         if !self.exists_and_is_trusted()? {
             return Ok(None);
@@ -181,10 +175,6 @@ impl SceneFolder {
     }
 
     /// Stores a scene and its missing textures; evicts other scenes if there is no room.
-    ///
-    /// # Errors
-    /// If the model's arrays have an unexpected layout, the lock is not released in time, or files
-    /// cannot be written; no incomplete file is left under a final name.
     pub(super) fn store(
         &self,
         name: &Name,

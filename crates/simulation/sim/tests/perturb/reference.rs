@@ -22,7 +22,6 @@ pub(crate) fn folder(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// Returns the thirty presets of an axis.
 pub(crate) fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbation)> {
     let levels = Level::PERTURBED.into_iter();
     levels.flat_map(move |level| {
@@ -89,7 +88,6 @@ pub(crate) fn models(folder: &Path) -> Vec<(String, PathBuf)> {
     models
 }
 
-/// Returns the `index`-th group of `N` values.
 pub(crate) fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
     let group = &values[N * index..N * (index + 1)];
     group.try_into().expect("a group of N values")

@@ -43,7 +43,6 @@ pub(crate) fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// Reads a BDDL file of the sources.
 pub(crate) fn bddl(file: &str) -> String {
     let path = Sources::default_dir().join("libero/bddl_files").join(file);
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))

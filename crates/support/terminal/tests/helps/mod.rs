@@ -14,7 +14,6 @@ pub(crate) struct Help {
     pub(crate) long: String,
 }
 
-/// Checks and returns the help of a program and of all its commands.
 pub(crate) fn check(program: clap::Command) -> Vec<Help> {
     let mut program = terminal::with_variables(program);
     program.build();

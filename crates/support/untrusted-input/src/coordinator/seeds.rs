@@ -60,6 +60,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         asset_pack_digest: digest(),
         mujoco_version: "3.3.7".into(),
         look: "mujoco-3.3.2".into(),
+        campaign: "c".into(),
     };
     let single_calls = [
         ("WorkerService/NextFilm", film.encode_to_vec()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -228,6 +229,9 @@ class BDDLBaseDomain:
 
     def _check_success(self) -> bool:
         return self._handle.get().success()
+
+    def _eval_predicate(self, state: Sequence[str]) -> bool:
+        return self._handle.get().predicate(list(state))
 
     def _post_process(self) -> None:
         self._handle.get().post_process()

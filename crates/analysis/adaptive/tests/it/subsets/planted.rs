@@ -158,7 +158,6 @@ impl Rule {
     }
 }
 
-/// Cost and result of a search.
 #[derive(Debug)]
 pub(crate) struct SearchResult {
     /// Number of subsets that were run beyond those of a campaign.

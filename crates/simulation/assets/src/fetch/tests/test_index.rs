@@ -18,7 +18,6 @@ use crate::verify::hex;
 pub(super) const LARGE: &str = "scenes/large texture.png";
 /// A small file, the last one in the first wheel.
 pub(super) const SMALL: &str = "scenes/room.xml";
-/// A file in the second wheel.
 pub(super) const IN_SECOND_WHEEL: &str = "textures/wall.png";
 /// A file between [`LARGE`] and [`SMALL`] in the first wheel; no test requests the file.
 pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
@@ -55,7 +54,6 @@ pub(super) enum Fault {
     SlowPages,
     /// Wheels arrive byte by byte: no single read times out, but the next mebibyte does.
     SlowWheels,
-    /// The wheels have the wrong size.
     WrongSize,
     /// Requests without credentials are refused.
     NeedsCredentials,
@@ -172,7 +170,6 @@ impl TestIndex {
         self.server.requests.lock().expect("not poisoned").clone()
     }
 
-    /// Returns the requests for wheels.
     pub(super) fn wheel_requests(&self) -> Vec<String> {
         let mut requests = self.requests();
         requests.retain(|request| request.contains(".whl"));
@@ -314,7 +311,6 @@ impl Server {
         }
     }
 
-    /// Returns the number of requests for wheels so far.
     fn wheel_request_count(&self) -> usize {
         let requests = self.requests.lock().expect("not poisoned");
         requests.iter().filter(|request| request.contains(".whl")).count()

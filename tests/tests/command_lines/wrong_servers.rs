@@ -1,0 +1,161 @@
+//! Clients against unexpected servers: the message names the address, the finding and the remedy,
+//! and the client retries only if a retry can help. Real programs on real sockets.
+
+use std::path::Path;
+use std::process::Command;
+
+use tests::programs::{Process, program};
+
+use crate::servers::{Authority, authority, coordinator, gateway, serve_text, unused_address};
+use crate::{compare, grpc};
+
+/// What a client meets.
+struct Case {
+    name: &'static str,
+    /// `HOST:PORT`.
+    at: String,
+    scheme: &'static str,
+}
+
+fn case(name: &'static str, scheme: &'static str, at: impl ToString) -> Case {
+    Case { name, at: at.to_string(), scheme }
+}
+
+fn cases_for_any_client() -> Vec<Case> {
+    let web = serve_text("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
+    vec![
+        case("nothing", "http", unused_address()),
+        case("an unknown host", "http", "no-such-host.invalid:7411"),
+        case("an SSH server", "http", serve_text("SSH-2.0-OpenSSH_9.6\r\n", "")),
+        case("a mail server", "http", serve_text("220 mail.example ESMTP\r\n", "")),
+        case("a web server", "http", web),
+        case("a server that closes every connection", "http", serve_text("", "")),
+        case("a web server without TLS", "https", web),
+    ]
+}
+
+/// Returns cases at servers of the right kind that use TLS, with the processes of the servers. The
+/// host in the cases is a name, since the certificates are issued for names.
+fn over_tls(
+    serve: impl Fn([String; 4]) -> Process,
+    trusted: &Authority,
+) -> (Vec<Process>, Vec<Case>) {
+    let untrusted = Authority::new();
+    let servers = [
+        ("a server with TLS", "http", trusted.arguments("localhost", 2099)),
+        ("a certificate of another authority", "https", untrusted.arguments("localhost", 2099)),
+        ("an expired certificate", "https", trusted.arguments("localhost", 2020)),
+        ("a certificate for another host", "https", trusted.arguments("gpu-3.example", 2099)),
+        ("an authority's own certificate", "https", untrusted.own_arguments()),
+    ];
+    let pair = |(name, scheme, arguments)| {
+        let process = serve(arguments);
+        let url = authority(&process);
+        let (_, port) = url.rsplit_once(':').expect("a port");
+        let case = case(name, scheme, format!("localhost:{port}"));
+        (process, case)
+    };
+    servers.map(pair).into_iter().unzip()
+}
+
+/// Runs a client in every case, and returns what it prints, with the addresses replaced.
+fn sessions(cases: &[Case], client: impl Fn(&str) -> Command) -> String {
+    let mut sessions = String::new();
+    for case in cases {
+        let output = client(&format!("{}://{}", case.scheme, case.at)).output();
+        let output = output.expect("the program runs");
+        let printed = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        let text = printed.concat();
+        assert_eq!(output.status.code(), Some(1), "{}: {text}", case.name);
+        assert!(text.contains(&case.at), "the address is missing: {text}");
+        let (host, port) = case.at.rsplit_once(':').expect("a port");
+        let text = text.replace(&case.at, &format!("{host}:[port]")).replace(port, "[port]");
+        let text = match text.split_once(" days ago") {
+            Some((before, after)) => {
+                let before = before.trim_end_matches(|digit: char| digit.is_ascii_digit());
+                format!("{before}[n] days ago{after}")
+            }
+            None => text,
+        };
+        sessions.push_str(&format!("{}, called as {}://:\n{text}\n", case.name, case.scheme));
+    }
+    sessions
+}
+
+/// Returns the command of a worker with simulated slots, which `timeout` ends after 10 s with the
+/// exit code 124, because it retries a temporary failure for ever.
+fn worker(url: &str, ca: &Path) -> Command {
+    let mut command = Command::new("timeout");
+    command.arg("10").arg(program("worker"));
+    command.args(["--connect", url, "--assets", "primitives"]);
+    command.arg("--slot-program").arg(program("simulated_slot")).arg("--ca").arg(ca);
+    command
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn clients_of_a_coordinator_explain_unexpected_servers() {
+    let data = tempfile::tempdir().expect("a temporary folder");
+    let trusted = Authority::new();
+    let other_server = gateway(&[]);
+    let clear = coordinator(&data.path().join("clear"), &[]);
+    let numbers = std::cell::Cell::new(0);
+    let serve = |arguments: [String; 4]| {
+        numbers.set(numbers.get() + 1);
+        coordinator(&data.path().join(numbers.get().to_string()), &arguments)
+    };
+    let (_processes, encrypted) = over_tls(serve, &trusted);
+    let mut servers = grpc::Servers::new();
+    let mut cases = cases_for_any_client();
+    cases.extend(encrypted);
+    cases.push(case("a policy server", "http", authority(&other_server)));
+    cases.push(case("a coordinator without TLS", "https", authority(&clear)));
+    let foreign = grpc::serve_path("/none", &mut servers).await;
+    cases.push(case("another gRPC server", "http", foreign));
+    let client = |words: &[&str], url: &str| {
+        let mut command = Command::new(program("coordinator"));
+        command.args(words).args(["--retry-secs", "0", "--connect", url]);
+        command.arg("--ca").arg(trusted.file());
+        command
+    };
+    let mut found = sessions(&cases, |url| client(&["campaign", "list"], url));
+    // It implements only the call that lists campaigns.
+    let old = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
+    let old = [case("an older coordinator", "http", grpc::serve_path(old, &mut servers).await)];
+    found += &sessions(&old, |url| client(&["workers"], url));
+    compare("server-coordinator", &found);
+
+    let sources = scene::Sources::open(&scene::Sources::default_dir());
+    if let Err(error) = &sources {
+        println!("skipped the worker: failed to {error}");
+        return;
+    }
+    for case in cases.iter().chain(&old) {
+        let temporary = ["nothing", "an unknown host", "a server that closes every connection"];
+        let expected = if temporary.contains(&case.name) { 124 } else { 1 };
+        let url = format!("{}://{}", case.scheme, case.at);
+        let output = worker(&url, &trusted.file()).output().expect("the program runs");
+        assert_eq!(output.status.code(), Some(expected), "{}: {output:?}", case.name);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn clients_of_a_policy_explain_unexpected_servers() {
+    let data = tempfile::tempdir().expect("a temporary folder");
+    let trusted = Authority::new();
+    let other_server = coordinator(data.path(), &[]);
+    let clear = gateway(&[]);
+    let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &trusted);
+    let mut servers = grpc::Servers::new();
+    let mut cases = cases_for_any_client();
+    cases.extend(encrypted);
+    cases.push(case("a coordinator", "http", authority(&other_server)));
+    cases.push(case("a policy server without TLS", "https", authority(&clear)));
+    let foreign = grpc::serve_path("/none", &mut servers).await;
+    cases.push(case("another gRPC server", "http", foreign));
+    let found = sessions(&cases, |url| {
+        let mut command = Command::new(program("policy-gateway"));
+        command.args(["check", &url.replacen("http", "grpc", 1), "--ca"]).arg(trusted.file());
+        command
+    });
+    compare("server-policy", &found);
+}
