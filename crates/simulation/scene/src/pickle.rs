@@ -535,7 +535,7 @@ mod tests {
             (
                 "a tensor",
                 b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\nq\0((X\x07\0\0\0storageq\x01ctorch\
-                  \nDoubleStorage\nq\x02X\x01\0\0\00q\x03X\x03\0\0\0cpuq\x04K\x06tq\x05QK\0K\x02\
+                  \nDoubleStorage\nq\x02X\x01\0\0\x000q\x03X\x03\0\0\0cpuq\x04K\x06tq\x05QK\0K\x02\
                   K\x03\x86q\x06K\x03K\x01\x86q\x07\x89ccollections\nOrderedDict\nq\x08)Rq\x09tq\
                   \nRq\x0b.",
             ),
