@@ -317,6 +317,7 @@ def test_the_description_has_resolved_settings_and_the_address_takes_precedence(
     assert description.stateful and description.stochastic and description.unseeded
     assert description.batch_mode == "single, unseeded"
     settings = {setting.name: setting.value for setting in description.settings}
+    assert settings.pop("connected since").startswith("127.0.0.1:")
     assert settings == {
         "server": "Policy of vla-eval 0.8.0",
         "observation parameters": 'send_state=true, env_seed=0, success_mode="truncation"',
