@@ -95,7 +95,7 @@ SIZES = {
 
 
 class Meter:
-    """What a process has done so far, in a file that the measuring process reads."""
+    """Counts of a process, in a file that the measuring process reads."""
 
     def __init__(self, path: Path | None = None) -> None:
         self.path = path

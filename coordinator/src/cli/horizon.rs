@@ -22,7 +22,7 @@ const SETTINGS: Settings =
 /// its policy is served.
 const DEADLINE: Duration = Duration::from_secs(3);
 
-/// What the endpoint of a campaign's policy is asked for.
+/// Question to the endpoint of a campaign's policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Asks {
     /// The policy and, if an execution model depends on it, the length of its answers.

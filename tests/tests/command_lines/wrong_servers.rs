@@ -9,7 +9,7 @@ use tests::programs::{Process, program};
 use crate::servers::{Authority, authority, coordinator, gateway, serve_text, unused_address};
 use crate::{compare, grpc};
 
-/// What a client meets.
+/// Server that a client meets.
 struct Case {
     name: &'static str,
     /// `HOST:PORT`.

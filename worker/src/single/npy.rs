@@ -9,7 +9,7 @@ const MAGIC: &[u8; 6] = b"\x93NUMPY";
 /// NumPy pads headers such that the values begin at a multiple of this.
 const ALIGNMENT: usize = 64;
 
-/// What precedes the values of an array.
+/// Header of an array file: type, order and shape of the values that follow.
 pub(super) struct Header {
     /// Type of the values, such as `<f8`.
     descr: String,

@@ -84,7 +84,7 @@ fn let_go(world: &World, motion: &Motion) -> Option<Command> {
     })
 }
 
-/// What the expert knows when it takes over from another controller.
+/// Knowledge of an expert that takes over from another controller.
 #[derive(Clone, Copy)]
 struct Takeover<'a> {
     motion: &'a Motion,
