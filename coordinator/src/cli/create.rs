@@ -307,6 +307,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_stop(&spec, &campaign)?;
         print_execution(&spec, unknown.as_deref())?;
         print_line(&forecast::describe(&answer, &campaign.policy))?;
+        print_line(&forecast::describe_paper(&campaign))?;
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }

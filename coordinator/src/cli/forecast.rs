@@ -5,10 +5,13 @@ use std::collections::BTreeMap;
 
 use coordinator::client::{Client, Service};
 use coordinator::forecast;
+use coordinator::words::duration_text;
+use libero_ctrl::{Condition, RolloutId};
 use proto::coordinator::speed::Bottleneck;
 use proto::coordinator::{self as wire, ForecastRequest, ForecastResponse, SuiteRollouts};
-use queue::expand::NewCampaign;
+use queue::expand::{NewCampaign, NewJob};
 use serde::Serialize;
+use terminal::wrapped;
 
 use super::command::CommandError;
 use super::json;
@@ -47,12 +50,46 @@ pub(super) async fn request_for_suites(
     answer.map_err(|error| format!("failed to {error}"))
 }
 
+/// Hours that the rollouts of LIBERO-CTRL v0.1 took in the paper (arXiv 2609.15940): policy, 2,000
+/// nominal rollouts, 8,400 perturbed rollouts.
+const PAPER_HOURS: [(&str, f64, f64); 6] = [
+    ("MINERVA", 2.5, 13.4),
+    ("VLA-JEPA", 5.4, 18.0),
+    ("π0.5", 4.8, 19.6),
+    ("OpenVLA-OFT", 4.5, 21.7),
+    ("UniVLA", 19.9, 159.0),
+    ("SmolVLA", 54.0, 294.0),
+];
+
+/// Returns the hours that each of the paper's policies needed for as many nominal and perturbed
+/// rollouts as the campaign has.
+fn paper_hours(campaign: &NewCampaign) -> impl Iterator<Item = (&'static str, f64)> {
+    let is_nominal = |job: &&NewJob| {
+        job.rollout_id.parse().is_ok_and(|id: RolloutId| id.condition() == Condition::Clean)
+    };
+    let nominal = campaign.jobs.iter().filter(is_nominal).count();
+    let perturbed = campaign.jobs.len() - nominal;
+    PAPER_HOURS.into_iter().map(move |(policy, of_nominal, of_perturbed)| {
+        let hours =
+            of_nominal * nominal as f64 / 2_000.0 + of_perturbed * perturbed as f64 / 8_400.0;
+        (policy, hours)
+    })
+}
+
 /// Describes a forecast, or the error that prevented it, for a terminal.
 pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
     match answer {
         Ok(forecast) => forecast::describe(forecast, policy),
         Err(problem) => format!("no forecast of its duration: {problem}"),
     }
+}
+
+/// Describes the paper's hours for a terminal.
+pub(super) fn describe_paper(campaign: &NewCampaign) -> String {
+    let hours: Vec<String> = paper_hours(campaign)
+        .map(|(policy, hours)| format!("{policy} {}", duration_text(3_600.0 * hours)))
+        .collect();
+    wrapped("", 2, &format!("as many rollouts took in the paper: {}", hours.join(", ")))
 }
 
 /// Prints a dry run as JSON: the campaign, its forecast and its planning.
@@ -75,6 +112,7 @@ struct DryRun<'a> {
     planning: &'a Planning,
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
+    paper_hours: BTreeMap<&'static str, f64>,
 }
 
 json::forms! {
@@ -127,6 +165,7 @@ impl<'a> DryRun<'a> {
             planning,
             forecast,
             no_forecast,
+            paper_hours: paper_hours(campaign).collect(),
         }
     }
 }
