@@ -139,8 +139,8 @@ def test_grasping_gives_the_originals_success_and_positions_within_rounding(
 
 def permitted_error(task: Path, step: int) -> float:
     """Returns the permitted error of positions at a step in contact: a hundred times the original's
-    response to noise of 1e-14 in its torques, as in docs/FIDELITY.md; infinite if the response was
-    not measured."""
+    response to noise of 1e-14 in its torques, as in docs/dev/FIDELITY.md; infinite if the
+    response was not measured."""
     measured = SENSITIVITY.get(f"{task.parent.name}/{int(task.name[:2])}", {}).get("contact")
     if measured is None:
         return np.inf
