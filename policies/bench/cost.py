@@ -246,7 +246,7 @@ def summary(result: dict, arguments: argparse.Namespace) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bin", type=Path, help="folder of coordinator, worker, policy-gateway")
+    parser.add_argument("--bin", type=Path, help="folder of the programs; only prints without")
     parser.add_argument("--output", type=Path, required=True, help="folder of the results")
     parser.add_argument("--sizes", default="smolvla,pi05", help="sizes of the policy")
     parser.add_argument("--arms", default=",".join(ARMS))
@@ -272,6 +272,8 @@ def main() -> None:
     for size in arguments.sizes.split(","):
         for name in arguments.arms.split(","):
             path = arguments.output / f"{name}-{size}.json"
+            if arguments.bin is None and not path.exists():
+                continue
             began = time.monotonic()
             try:
                 if not path.exists():
