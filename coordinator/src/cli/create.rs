@@ -42,7 +42,7 @@ pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"]
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
 const DIRECTIONS: [&str; 2] = ["shared", "own"];
-const STRATA: [&str; 3] = ["suites", "tasks", "whole_tasks"];
+const STRATA: [&str; 2] = ["suites", "tasks"];
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -215,7 +215,7 @@ struct StopFlags {
     /// fraction, such as 0.08 for 8 points. The rule concerns only the configurations of this
     /// campaign: `I excludes 0` is evidence that a complete run of these configurations would have
     /// unequal numbers of emergent failures and compensated successes. It is no evidence about
-    /// other tasks or directions. `M excludes X for new tasks` concerns tasks that were never run.
+    /// other tasks or directions.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
     /// Seed of the random order in which a campaign with --stop runs its configurations.
@@ -223,7 +223,7 @@ struct StopFlags {
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
     /// Strata of the random order: `suites` or `tasks`, one configuration of each stratum per
-    /// round; for rules about new tasks `whole_tasks`, one whole task of every suite per round.
+    /// round.
     #[arg(long, requires = "stop", value_parser = enum_parser::<Strata>(STRATA),
         hide_short_help = true)]
     stop_strata: Option<Strata>,
@@ -430,7 +430,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             look: arguments.flags.look,
         },
         stop: arguments.stop.stop.clone().map(|rule| Stop {
-            strata: arguments.stop.stop_strata.unwrap_or_else(|| Strata::default_for(&rule)),
+            strata: arguments.stop.stop_strata.unwrap_or_default(),
             rule,
             seed: arguments.stop.stop_seed,
         }),

@@ -58,9 +58,7 @@ fn fixed_n(population: &Population, rule: &StopRule) -> usize {
     let mean = |measure| population.total(measure) as f64 / units as f64;
     let holds = |clause: &Clause, n| match *clause {
         Clause::Width(measure, width) => 2.0 * half_width(n, measure) < width,
-        Clause::Excludes(measure, value) | Clause::ExcludesForNewTasks(measure, value) => {
-            half_width(n, measure) < (mean(measure) - value).abs()
-        }
+        Clause::Excludes(measure, value) => half_width(n, measure) < (mean(measure) - value).abs(),
     };
     let meets_rule = |n: &usize| rule.clauses().iter().all(|clause| holds(clause, *n));
     (1..=units).find(meets_rule).unwrap_or(units)
@@ -133,7 +131,7 @@ fn main() {
 }
 
 fn print_coverage(replayed: &[[Replayed; 3]; 3]) {
-    let measures = Measure::OF_ONE_POLICY.map(Measure::name).join(", ");
+    let measures = Measure::ALL.map(Measure::name).join(", ");
     println!("OpenVLA-OFT's 400 configurations per level, in random orders");
     println!("\n{measures}: all intervals hold at all looks");
     println!("{:<16}{:>20}{:>20}{:>20}", "", "L1", "L2", "L3");

@@ -75,8 +75,8 @@ pub use progress::{MeanDifference, Progress, ProgressDifference};
 pub use replication::Flips;
 pub use report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
 pub use sequential::{
-    CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,
-    SEQUENTIAL_ALPHA, SequentialDifference, SequentialMeasures, Unit, compared_looks, drawn_order,
+    CampaignLook, Drawn, Look, Order, RateInterval, SEQUENTIAL_ALPHA, SequentialMeasures, Unit,
+    drawn_order,
 };
 pub use table::{gate_lines, table};
 pub use text::push_wrapped;

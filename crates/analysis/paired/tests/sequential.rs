@@ -1,12 +1,9 @@
 //! Confidence sequences hold at all looks: for every order of small populations, exactly, and for
 //! random orders of published outcomes.
 
-use std::collections::BTreeMap;
-
 use libero_ctrl::{Axis, Level, Measure, StopRule, TaskRef};
 use paired::{
-    Bootstrap, Configuration, Matched, Measures, Order, Outcome, RateInterval,
-    SequentialDifference, SequentialMeasures, Transition,
+    Bootstrap, Configuration, Matched, Measures, Order, Outcome, SequentialMeasures, Transition,
 };
 use proptest::prelude::*;
 
@@ -81,7 +78,7 @@ fn fixed_size_interval_holds(
 #[test]
 fn intervals_for_a_fixed_sample_size_do_not_hold_at_all_looks() {
     let missed = misses(ORDERS, Design::Tasks, |population, order| {
-        let mut measures = Measure::OF_ONE_POLICY.into_iter();
+        let mut measures = Measure::ALL.into_iter();
         measures.all(|measure| fixed_size_interval_holds(population, order, measure))
     });
     assert!(missed > most_misses(ORDERS), "{missed}");
@@ -94,16 +91,16 @@ fn after_all_configurations_an_interval_is_the_exact_measure() {
         let order = population.order(1, Design::Tasks);
         let mut sequential = SequentialMeasures::new(&order, ALPHA);
         let mut configurations = Vec::new();
-        for (unit, transition) in &population.units {
-            let result = sequential.complete(unit, &[*transition]);
-            result.expect("a configuration of the order");
-            configurations.push(configuration(unit.0, *transition));
+        for unit in order.units() {
+            let transition = population.transition(unit);
+            sequential.complete(&[transition]);
+            configurations.push(configuration(unit.0, transition));
         }
         let look = sequential.look();
         let measures = Measures::of(&configurations, &Bootstrap::default()).expect("not empty");
         let expected = [measures.s_sim, measures.r_e, measures.r_c, measures.r_d, measures.i];
-        assert_eq!((look.used, look.waiting, look.units), (400, 0, 400));
-        for (measure, expected) in Measure::OF_ONE_POLICY.iter().zip(expected) {
+        assert_eq!((look.used, look.units), (400, 400));
+        for (measure, expected) in Measure::ALL.iter().zip(expected) {
             let interval = look.intervals[measure];
             assert_eq!(interval.width(), 0.0, "{measure}");
             assert!((interval.low() - expected).abs() < 1e-12, "{measure}");
@@ -145,8 +142,7 @@ fn triples() -> Vec<[Transition; 3]> {
 fn all_hold(order: &Order<SmallUnit>, strata: &[[Transition; 3]], alpha: f64) -> bool {
     let mut sequential = SequentialMeasures::new(order, alpha);
     order.units().all(|unit| {
-        let result = sequential.complete(unit, &[strata[unit.0][unit.1]]);
-        result.expect("a unit of the order");
+        sequential.complete(&[strata[unit.0][unit.1]]);
         let look = sequential.look();
         look.intervals.iter().all(|(&measure, interval)| {
             let total = strata.iter().flatten().map(|&transition| value(measure, transition)).sum();
@@ -181,41 +177,8 @@ fn the_five_intervals_hold_together_over_all_orders_of_all_small_populations() {
     }
 }
 
-/// Returns all units of an order in the sequence in which they complete: by random keys.
-fn by_completion(order: &Order<Unit>, keys: &[u64]) -> Vec<Unit> {
-    let mut units: Vec<Unit> = order.units().copied().collect();
-    let key: BTreeMap<Unit, u64> = units.iter().copied().zip(keys.iter().copied()).collect();
-    units.sort_by_key(|unit| key[unit]);
-    units
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
-
-    #[test]
-    fn intervals_use_the_drawn_order_up_to_its_first_incomplete_unit(
-        seed: u64, keys in proptest::collection::vec(any::<u64>(), 400),
-    ) {
-        let population = Population::published(Level::L2);
-        let order = population.order(seed, Design::Tasks);
-        let mut in_order = SequentialMeasures::new(&order, ALPHA);
-        let mut looks = vec![in_order.look().intervals];
-        for unit in order.units() {
-            in_order.complete(unit, &[population.transition(unit)]).expect("in the order");
-            looks.push(in_order.look().intervals);
-        }
-        let mut sequential = SequentialMeasures::new(&order, ALPHA);
-        let mut completed = std::collections::BTreeSet::new();
-        for unit in by_completion(&order, &keys) {
-            sequential.complete(&unit, &[population.transition(&unit)]).expect("in the order");
-            completed.insert(unit);
-            let look = sequential.look();
-            let without_gap = order.units().take_while(|unit| completed.contains(unit)).count();
-            prop_assert_eq!(look.used, without_gap);
-            prop_assert_eq!(look.waiting, completed.len() - without_gap);
-            prop_assert_eq!(&look.intervals, &looks[without_gap]);
-        }
-    }
 
     #[test]
     fn intervals_never_widen(seed: u64) {
@@ -224,7 +187,7 @@ proptest! {
         let mut sequential = SequentialMeasures::new(&order, ALPHA);
         let mut before = sequential.look().intervals;
         for unit in order.units() {
-            sequential.complete(unit, &[population.transition(unit)]).expect("in the order");
+            sequential.complete(&[population.transition(unit)]);
             let now = sequential.look().intervals;
             for (measure, now) in &now {
                 let before = before[measure];
@@ -234,86 +197,6 @@ proptest! {
             before = now;
         }
     }
-
-    #[test]
-    fn exchanging_the_policies_negates_the_difference(
-        outcomes in proptest::collection::vec(0..16_u8, 30), strata in 1_usize..6,
-    ) {
-        let order = Order::new(3, 0..30_usize, |unit| unit % strata);
-        let mut ab = SequentialDifference::new(&order, ALPHA);
-        let mut ba = SequentialDifference::new(&order, ALPHA);
-        for (unit, outcome) in outcomes.iter().enumerate() {
-            let [a, b] = [outcome % 4, outcome / 4].map(|code| match code {
-                0 => Outcome::Failure,
-                1 => Outcome::Quarantined,
-                _ => Outcome::Success,
-            });
-            ab.complete(&unit, a, b).expect("in the order");
-            ba.complete(&unit, b, a).expect("in the order");
-            let interval = |sequence: &SequentialDifference<usize>| {
-                sequence.look().intervals[&Measure::Difference]
-            };
-            let [ab, ba] = [interval(&ab), interval(&ba)];
-            prop_assert_eq!([ab.least, ab.greatest], [-ba.greatest, -ba.least]);
-        }
-    }
-}
-
-#[test]
-fn the_five_measures_share_alpha_equally() {
-    let population = Population::published(Level::L1);
-    let order = population.order(2, Design::Tasks);
-    let mut measures = SequentialMeasures::new(&order, 0.5);
-    // A difference of +1 where simultaneity compensates, −1 where failures emerge.
-    let mut net_change = SequentialDifference::new(&order, 0.5 / 5.0);
-    for unit in order.units() {
-        let transition = population.transition(unit);
-        measures.complete(unit, &[transition]).expect("in the order");
-        let a = Outcome::from(transition == Transition::Compensated);
-        let b = Outcome::from(transition == Transition::Emergent);
-        net_change.complete(unit, a, b).expect("in the order");
-        assert_eq!(
-            measures.look().intervals[&Measure::I],
-            net_change.look().intervals[&Measure::Difference]
-        );
-    }
-}
-
-#[test]
-fn later_rollouts_wait_for_a_rollout_without_outcomes_of_both_policies() {
-    let order = small_order(1);
-    let units: Vec<SmallUnit> = order.units().copied().collect();
-    let mut sequential = SequentialDifference::new(&order, ALPHA);
-    let (success, missing) = (Outcome::Success, Outcome::Missing);
-    for (unit, b) in units.iter().zip([Outcome::Failure, missing, Outcome::Failure]) {
-        sequential.complete(unit, success, b).expect("in the order");
-    }
-    let look = sequential.look();
-    assert_eq!((look.used, look.waiting), (1, 1));
-    sequential.complete(&units[1], success, Outcome::Failure).expect("in the order");
-    let expected = RateInterval { least: 3, greatest: 3, units: 3 };
-    let look = sequential.look();
-    assert_eq!((look.used, look.waiting), (3, 0));
-    assert_eq!(look.intervals, [(Measure::Difference, expected)].into());
-}
-
-#[test]
-fn repeated_configurations_are_ignored_and_unknown_ones_are_errors() {
-    let order = small_order(1);
-    let unit = *order.units().next().expect("a unit");
-    let mut sequential = SequentialMeasures::new(&order, ALPHA);
-    for transition in [Transition::Emergent, Transition::Compensated] {
-        sequential.complete(&unit, &[transition]).expect("in the order");
-    }
-    let look = sequential.look();
-    assert_eq!(look.used, 1);
-    assert_eq!(look.intervals[&Measure::RE].least, 1);
-    assert_eq!(look.intervals[&Measure::RC].least, 0);
-    let error = sequential.complete(&(7, 0), &[Transition::Emergent]);
-    assert_eq!(
-        error.expect_err("not in the order").to_string(),
-        "outcome of (7, 0): the unit is not in the drawn order of 3 configurations"
-    );
 }
 
 #[test]
@@ -328,7 +211,7 @@ fn quarantined_rollouts_leave_every_possible_value_in_the_interval() {
                 true => &Transition::ALL[..],
                 false => &transition,
             };
-            sequential.complete(unit, possible).expect("in the order");
+            sequential.complete(possible);
             known.extend((unit != quarantined).then_some(transition[0]));
         }
         for (measure, interval) in sequential.look().intervals {
@@ -377,7 +260,7 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
         nominal: Outcome::Missing,
         alone: [(Axis::Camera, camera), (Axis::Robot, robot)].into(),
         latency: None,
-        subsets: BTreeMap::new(),
+        subsets: std::collections::BTreeMap::new(),
         simultaneous,
     }
 }

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{Condition, Level, RolloutId};
-use paired::{Cell, DuplicateRecord, Matched, Options, Outcome, Progress, Record, Records, Report};
+use paired::{Cell, DuplicateRecord, Matched, Options, Progress, Record, Records, Report};
 
 use crate::explanation::Findings;
 use crate::interactions::AxisInteractions;
@@ -114,18 +114,6 @@ impl Analysis {
     /// Returns the records from which the figures are computed.
     pub(crate) fn counted(&self) -> &[Record] {
         self.counted.as_deref().unwrap_or(&self.subject.records)
-    }
-
-    /// Returns all records, with the outcome [`Outcome::Missing`] for those that no figure uses.
-    pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
-        let counted = self.counted().iter();
-        let counted: BTreeSet<_> = counted.map(|record| (record.replicate, record.id)).collect();
-        let all = self.subject.records.iter();
-        all.map(|record| match counted.contains(&(record.replicate, record.id)) {
-            true => *record,
-            false => Record { outcome: Outcome::Missing, ..*record },
-        })
-        .collect()
     }
 
     /// Returns the progress of a configuration's rollout under a condition; `None` if unknown.

@@ -20,7 +20,6 @@ mod import;
 mod interactions;
 mod page;
 mod sequential;
-mod sequential_comparison;
 mod subject;
 mod table;
 mod threshold_report;
@@ -38,7 +37,6 @@ pub use import::{BadLine, ImportError, import};
 pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
 pub use sequential::{Sequential, describe_early_stop};
-pub use sequential_comparison::{NoCommonOrder, SequentialCell, SequentialComparison};
 pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Purpose, Quarantined, Setups, Subject,
     counted, rollout_name,

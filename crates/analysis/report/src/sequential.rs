@@ -22,12 +22,11 @@ pub struct Sequential {
     pub rule: StopRule,
     /// Seed of the drawn order of the configurations.
     pub seed: u64,
-    /// Strata of the order: each round has one configuration, or one whole task, of each stratum.
+    /// Strata of the order: each round has one configuration of each stratum.
     pub strata: Strata,
     /// True if the campaign stopped early.
     pub has_stopped: bool,
-    /// Configurations of the campaign: the population of the intervals, unless the rule is about
-    /// new tasks.
+    /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
     /// Number of configurations from which the intervals are computed: the first in the drawn
     /// order.
@@ -107,12 +106,8 @@ impl Sequential {
     }
 
     /// Returns the findings that are valid at any look, which replace those of a fixed sample: by
-    /// level, the intervals of simultaneous success and of the net effect of simultaneity or, for a
-    /// rule about new tasks, of the rule's measures.
+    /// level, the intervals of simultaneous success and of the net effect of simultaneity.
     pub(crate) fn findings(&self) -> Vec<Finding> {
-        if self.rule.is_about_new_tasks() {
-            return self.findings_of_new_tasks();
-        }
         let levels = self.levels.iter().filter_map(|(&level, measures)| {
             let [success, net] = [Measure::SSim, Measure::I].map(|measure| measures.get(&measure));
             let percent = |value: f64| format!("{:.1}", 100.0 * value);
@@ -132,28 +127,6 @@ impl Sequential {
             })
         });
         levels.collect()
-    }
-
-    /// Returns the findings about new tasks, by level.
-    fn findings_of_new_tasks(&self) -> Vec<Finding> {
-        let finding = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
-            let intervals = measures
-                .iter()
-                .map(|(&measure, &ends)| format!("{measure} in {}", percent_text(measure, ends)));
-            let intervals: Vec<String> = intervals.collect();
-            Finding {
-                kind: FindingKind::Simultaneity,
-                level: Some(level),
-                claims: false,
-                holm_p: None,
-                sentence: format!(
-                    "At {level}, confidence sequences for new tasks of these suites under these \
-                     directions, valid at any look: {}.",
-                    intervals.join(", ")
-                ),
-            }
-        };
-        self.levels.iter().map(finding).collect()
     }
 
     /// Returns the warning that the campaign stopped early or may still do so; `None` if it did not
@@ -207,7 +180,7 @@ impl Sequential {
         };
         let star = if self.is_overstated(measure) { "*" } else { "" };
         match measure {
-            Measure::I | Measure::Difference => format!("{estimate:+.1}{star}"),
+            Measure::I => format!("{estimate:+.1}{star}"),
             _ => format!("{estimate:.1}{star}"),
         }
     }
@@ -226,20 +199,15 @@ impl Sequential {
 
     /// Returns a definition of the intervals and their population.
     pub(crate) fn explanation(&self) -> String {
-        let about = match self.rule.is_about_new_tasks() {
-            true => {
-                "new tasks of these suites, which weigh the same, under these directions".to_owned()
-            }
-            false => format!("all {} configurations", self.configurations),
-        };
         format!(
             "confidence sequences: at each level, they hold together at all looks with a \
-             probability of 95 %, whichever rule ends the campaign. They concern {about}, and are \
+             probability of 95 %, whichever rule ends the campaign. They concern all {} configurations, and are \
              computed from the first {} configurations in the order of seed {} (rounds of {}). The \
              estimates beside them weight suites or tasks as in that population{}",
+            self.configurations,
             self.used,
             self.seed,
-            strata_in_words(self.strata),
+            self.strata.name(),
             self.star_explanation()
         )
     }
@@ -286,14 +254,9 @@ fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
 
 fn column_width(measure: Measure) -> usize {
     match measure {
-        Measure::I | Measure::Difference => POINTS_COLUMNS,
+        Measure::I => POINTS_COLUMNS,
         Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,
     }
-}
-
-/// Returns the strata in words, such as `whole tasks`.
-pub(crate) fn strata_in_words(strata: Strata) -> String {
-    strata.name().replace('_', " ")
 }
 
 /// Formats an interval: a rate in percent, `[3.5, 12.0]`, or a difference in points,
@@ -301,7 +264,7 @@ pub(crate) fn strata_in_words(strata: Strata) -> String {
 pub(crate) fn percent_text(measure: Measure, [low, high]: [f64; 2]) -> String {
     let (low, high) = (100.0 * low, 100.0 * high);
     match measure {
-        Measure::I | Measure::Difference => format!("[{low:+.1}, {high:+.1}]"),
+        Measure::I => format!("[{low:+.1}, {high:+.1}]"),
         Measure::SSim | Measure::RE | Measure::RC | Measure::RD => format!("[{low:.1}, {high:.1}]"),
     }
 }

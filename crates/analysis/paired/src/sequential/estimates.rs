@@ -56,18 +56,13 @@ impl CampaignLook {
         let is_known =
             |strata: &BTreeMap<_, Stratum>| strata.values().all(|stratum| stratum.known > 0.0);
         levels.retain(|_, strata| is_known(strata));
-        // An interval about new tasks gives every suite the same weight, whatever its size.
-        let has_equal_weights = stop.rule.is_about_new_tasks();
         let level_estimates = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
-            let weight = |stratum: &Stratum| {
-                if has_equal_weights { 1.0 } else { stratum.units }
-            };
-            let total_weight: f64 = strata.values().map(weight).sum();
+            let total: f64 = strata.values().map(|stratum| stratum.units).sum();
             let intervals = self.levels[&level].intervals.iter();
             let estimates = intervals.map(|(&measure, interval)| {
                 let weighted_mean =
-                    |stratum: &Stratum| weight(stratum) * stratum.sums[&measure] / stratum.known;
-                let mean = strata.values().map(weighted_mean).sum::<f64>() / total_weight;
+                    |stratum: &Stratum| stratum.units * stratum.sums[&measure] / stratum.known;
+                let mean = strata.values().map(weighted_mean).sum::<f64>() / total;
                 (measure, mean.clamp(interval.low(), interval.high()))
             });
             (level, estimates.collect())

@@ -87,7 +87,7 @@ impl Population {
         order: &Order<Unit>,
         rules: &[StopRule],
     ) -> (bool, Vec<Option<usize>>) {
-        let truth = Measure::OF_ONE_POLICY.map(|measure| (measure, self.total(measure)));
+        let truth = Measure::ALL.map(|measure| (measure, self.total(measure)));
         let holds = |look: &Look| {
             truth.iter().all(|(measure, total)| {
                 let interval = look.intervals[measure];
@@ -97,9 +97,7 @@ impl Population {
         let mut sequential = SequentialMeasures::new(order, ALPHA);
         let (mut held, mut met) = (true, vec![None; rules.len()]);
         for unit in order.units() {
-            let transition = self.transition(unit);
-            let result = sequential.complete(unit, &[transition]);
-            result.expect("a configuration of the order");
+            sequential.complete(&[self.transition(unit)]);
             let look = sequential.look();
             held &= holds(&look);
             for (met, rule) in met.iter_mut().zip(rules) {

@@ -9,7 +9,6 @@ use paired::{ComparedCell, Difference, Interval, MeanDifference, Profile};
 
 use super::findings::sentence;
 use super::panels::figure;
-use super::sequential;
 use super::tables::{difference, or_dash, plain, table, with_note};
 use crate::comparison::{Comparison, Unpairable};
 use crate::figures;
@@ -31,7 +30,6 @@ pub(super) fn section(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
                         (cells(comparison))
                         (profiles(comparison))
                         (progress(comparison))
-                        (sequential::comparison_table(comparison))
                     }
                     Err(unpairable) => {
                         h3 { (unpairable.a) " and " (unpairable.b) " are not compared" }
@@ -59,7 +57,6 @@ pub(super) fn comparison(comparison: &Comparison) -> Markup {
         (cells(comparison))
         (profiles(comparison))
         (progress(comparison))
-        (sequential::comparison_table(comparison))
         (explanation())
     }
 }

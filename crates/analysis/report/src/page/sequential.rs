@@ -1,11 +1,10 @@
-//! Confidence sequences of campaigns that may end early, and of the difference of two policies.
+//! Confidence sequences of campaigns that may end early.
 
 use libero_ctrl::Measure;
 use maud::{Markup, html};
 
 use super::findings::sentence;
 use super::tables::{plain, table};
-use crate::comparison::Comparison;
 use crate::document::Document;
 use crate::sequential::percent_text;
 
@@ -28,8 +27,8 @@ pub(super) fn section(document: &Document) -> Markup {
                 ];
                 Some(plain(format!("{estimate} {ends}").replace('-', "−")))
             };
-            let cells = Measure::OF_ONE_POLICY
-                .map(|measure| estimate_cell(measure).unwrap_or_else(|| plain("–")));
+            let cells =
+                Measure::ALL.map(|measure| estimate_cell(measure).unwrap_or_else(|| plain("–")));
             row.extend(cells);
             row
         })
@@ -45,25 +44,4 @@ pub(super) fn section(document: &Document) -> Markup {
             }
         }
     }
-}
-
-/// Renders the table of two policies; empty if their campaigns did not run in the same drawn
-/// order.
-pub(super) fn comparison_table(comparison: &Comparison) -> Markup {
-    let heads = ["rollouts", "configurations", "A − B points"];
-    html! {
-        @if let Some(sequential) = &comparison.sequential {
-            h4 { "Confidence sequences" }
-            (table("Confidence sequences", &heads, sequential.cells.iter().map(|cell| vec![
-                plain(cell.name()),
-                plain(format!("{} of {}", cell.used, cell.configurations)),
-                interval(Measure::Difference, cell.difference),
-            ]).collect()))
-            p.muted { (sentence(&sequential.explanation())) }
-        }
-    }
-}
-
-fn interval(measure: Measure, ends: [f64; 2]) -> Markup {
-    plain(percent_text(measure, ends).replace('-', "−"))
 }

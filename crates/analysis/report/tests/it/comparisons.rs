@@ -2,11 +2,9 @@
 
 use std::path::Path;
 
-use libero_ctrl::{Condition, Directions, Look, RolloutId, Stop, Strata};
+use libero_ctrl::{Condition, Directions, Look, RolloutId};
 use paired::{Obstacle, Outcome, Progress};
-use report::{
-    Comparison, Document, EarlyStop, Origin, Setups, Subject, Unpairable, figures, import, page,
-};
+use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures, import, page};
 use rollout_types::{GoalProgress, Pin, Provenance};
 use serde_json::{Value, json};
 
@@ -330,25 +328,6 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
     for words in ["Partial progress", "A − B of each task, points", "A better %"] {
         assert!(page.contains(words), "{words}");
     }
-}
-
-#[test]
-fn the_strata_of_a_sequential_comparison_are_named_in_words() {
-    let with_stop_rule = |mut subject: Subject| {
-        subject.early_stop = Some(EarlyStop {
-            stop: Stop {
-                rule: "I excludes 0".parse().expect("a rule"),
-                seed: 3,
-                strata: Strata::WholeTasks,
-            },
-            has_stopped: false,
-        });
-        subject
-    };
-    let compared = compare(with_stop_rule(campaign("first")), with_stop_rule(altered("second")));
-    let text = compared.expect("comparable").text();
-    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(text.contains("(rounds of whole tasks)"), "{text}");
 }
 
 #[test]

@@ -95,21 +95,6 @@ fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
 }
 
 #[test]
-fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_names_their_population() {
-    let mut subject = early("I excludes 0 for new tasks", false);
-    let stop = &mut subject.early_stop.as_mut().expect("a rule").stop;
-    stop.strata = Strata::WholeTasks;
-    let document = document(subject);
-    let text = words(&document);
-    let level = &json(&document)["reports"][0]["sequential"]["levels"]["L2"];
-    let measures: Vec<&String> = level.as_object().expect("measures").keys().collect();
-    assert_eq!(measures, ["I"]);
-    assert_ne!(level["I"][0], level["I"][1], "the interval for new tasks has a width");
-    assert!(text.contains("new tasks of these suites"), "{text}");
-    assert!(report::page(&document).contains("new tasks of these suites"));
-}
-
-#[test]
 fn the_confidence_sequences_of_a_complete_campaign_are_points() {
     let plain = json(&document(example()));
     let mut ended = json(&document(early("I excludes 1", false)));
