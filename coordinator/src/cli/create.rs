@@ -25,7 +25,7 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::horizon::{self, Asks};
-use super::planning::{self, Planning};
+use super::planning;
 use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
 use super::{forecast, stopping};
 
@@ -115,11 +115,6 @@ pub(super) struct CreateArguments {
     #[arg(long, value_name = "N", requires = "dry_run", hide_short_help = true,
         value_parser = decimal(0.001..=1e6, "queries per second"))]
     policy_rate: Option<f64>,
-    /// With --dry-run: source of the outcomes that are assumed for the smallest detectable
-    /// differences: a campaign, or a folder as for `report --from`. If omitted, the student's
-    /// published outcomes.
-    #[arg(long, value_name = "FOLDER|CAMPAIGN", requires = "dry_run", hide_short_help = true)]
-    planning_from: Option<String>,
     /// With --dry-run: print JSON.
     #[arg(long, requires = "dry_run")]
     json: bool,
@@ -294,8 +289,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let unknown = horizon::check(&spec, suites, &arguments.connection, asks).await?;
     if arguments.dry_run {
         let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
-        let planning_from = arguments.planning_from.as_deref();
-        let planning = Planning::compute(&campaign, planning_from, &arguments.connection).await?;
+        let planning = planning::plan(&campaign);
         let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::command::CommandError;
 use super::json;
-use super::planning::Planning;
+use super::planning::Planned;
 
 /// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
 /// forecast, since the other parts of a dry run need no coordinator.
@@ -59,7 +59,7 @@ pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) 
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<ForecastResponse, String>,
-    planning: &Planning,
+    planning: &[Planned],
 ) -> Result<(), CommandError> {
     json::print(&DryRun::new(campaign, answer, planning))
 }
@@ -72,7 +72,7 @@ struct DryRun<'a> {
     rollouts: usize,
     placebo_rollouts: usize,
     execution: &'a str,
-    planning: &'a Planning,
+    planning: &'a [Planned],
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
 }
@@ -112,7 +112,7 @@ impl<'a> DryRun<'a> {
     fn new(
         campaign: &'a NewCampaign,
         answer: Result<ForecastResponse, String>,
-        planning: &'a Planning,
+        planning: &'a [Planned],
     ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
             Ok(forecast) => (Some(Forecast::from_message(&forecast)), None),

@@ -148,7 +148,7 @@ pub struct Cell {
     /// Inference about the paired measures; absent while no configuration is complete.
     pub inference: Option<Inference>,
     /// The smallest |I| detectable with the complete configurations and their `r_d`, a fraction;
-    /// see [`minimum_detectable_effect`](crate::minimum_detectable_effect).
+    /// see [`minimum_detectable_effect`](crate::design::minimum_detectable_effect).
     pub minimum_detectable_i: Option<f64>,
 }
 
