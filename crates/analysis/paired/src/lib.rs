@@ -13,11 +13,8 @@
 
 mod bootstrap;
 mod bounds;
-mod brief;
 mod by_task;
 mod comparison;
-mod comparison_further;
-mod comparison_table;
 mod count;
 mod design;
 mod difference;
@@ -26,9 +23,7 @@ mod finding;
 mod findings;
 mod gate;
 mod inference;
-mod inference_table;
 mod interval;
-mod legend;
 mod mcnemar;
 mod measures;
 mod outcomes;
@@ -36,15 +31,12 @@ mod progress;
 mod replication;
 mod report;
 mod sequential;
-mod table;
 mod text;
 
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
-pub use brief::brief;
 pub use by_task::{SuiteRow, TaskSuccess};
 pub use comparison::{Compared, ComparedCell, Comparison, Obstacle};
-pub use comparison_table::comparison_table;
 pub use count::Count;
 pub use design::{Detectable, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair, Profile};
@@ -65,7 +57,6 @@ pub use inference::multiplicity::{holm, max_t};
 pub use inference::paired::{Eligible, PairedEstimates, Relative};
 pub use inference::sign_flip::sign_flip_p;
 pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
-pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
@@ -76,5 +67,4 @@ pub use sequential::{
     CampaignLook, Drawn, Look, Order, RateInterval, SEQUENTIAL_ALPHA, SequentialMeasures, Unit,
     drawn_order,
 };
-pub use table::{gate_lines, table};
 pub use text::push_wrapped;

@@ -4,7 +4,7 @@
 use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::{
     Bootstrap, Comparison, Difference, DifferenceBounds, NoInterval, Obstacle, Outcome, Pair,
-    Record, comparison_table,
+    Record,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -178,62 +178,6 @@ fn replicates_are_paired_by_number_and_pooled() {
     let difference = cell.difference.as_ref().expect("two outcomes");
     assert_eq!((difference.n, difference.difference), (2, -0.5));
     assert_eq!(cell.by_replicate, [(0, 0.0), (1, -1.0)].into());
-    let table = comparison_table(&comparison, &Bootstrap::default());
-    assert!(table.contains("each seed, points: L2 camera +0.0, -100.0\n"), "{table}");
-}
-
-#[test]
-fn the_table_fits_a_terminal_and_explains_every_symbol() {
-    let mut a = Vec::new();
-    for task in TaskRef::all() {
-        for (index, level) in
-            [Level::L1, "r88.888888".parse().expect("a level")].into_iter().enumerate()
-        {
-            for condition in
-                Axis::ALL.into_iter().map(Condition::Single).chain([Condition::Combination])
-            {
-                for config in 0..10 {
-                    let id = RolloutId::perturbed(task, condition, level, config).expect("an id");
-                    a.push(Record {
-                        id,
-                        init_id: config,
-                        replicate: 0,
-                        outcome: match (index, config, task.index()) {
-                            (0, 0, 0) => Q,
-                            (0, 1, 0) => M,
-                            _ => S,
-                        },
-                    });
-                }
-            }
-        }
-    }
-    let mut b = a.clone();
-    for record in &mut b {
-        if record.id.level() == Level::L1 {
-            record.outcome = Outcome::from(record.id.task().index() > 4);
-        }
-    }
-    b.truncate(a.len() - 3);
-    let comparison = compare(&a, &b);
-    assert_eq!(
-        comparison.left_out(),
-        ["left out: 3 rollouts that only A has, 0 rollouts that only B has"]
-    );
-    let table = comparison_table(&comparison, &Bootstrap::default());
-    for line in table.lines() {
-        assert!(line.chars().count() <= 80, "{line}\n{table}");
-    }
-    for words in [
-        "simultaneous",
-        "A only, B only",
-        "no spread",
-        "worst and best",
-        "incomplete: L1 camera 4 missing, 4 quarantined",
-    ] {
-        assert!(table.contains(words), "no `{words}` in\n{table}");
-    }
-    assert!(!table.contains("too few tasks"), "{table}");
 }
 
 fn outcomes() -> impl Strategy<Value = Vec<Pair>> {

@@ -111,6 +111,14 @@ impl Analysis {
         self.subject.derived.is_none()
     }
 
+    /// Writes the findings of a derived campaign for a terminal; `None` for any other campaign.
+    pub(crate) fn derived_text(&self) -> Option<String> {
+        let findings = self.findings.as_ref().map(Findings::text);
+        let thresholds = self.thresholds.as_ref().map(ThresholdReport::text);
+        let text = [findings, thresholds].into_iter().flatten().collect();
+        (!self.is_paired()).then_some(text)
+    }
+
     /// Returns the records from which the figures are computed.
     pub(crate) fn counted(&self) -> &[Record] {
         self.counted.as_deref().unwrap_or(&self.subject.records)

@@ -4,10 +4,11 @@
 use std::collections::BTreeSet;
 
 use libero_ctrl::{Directions, RolloutId};
-use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record, comparison_table, push_wrapped};
+use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record, push_wrapped};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
+use crate::block;
 use crate::subject::{Origin, Setups, Subject};
 use crate::warnings::{Property, look, mujoco, pack, renderer};
 
@@ -132,15 +133,13 @@ impl Comparison {
             push_wrapped(&mut text, &format!("{letter}  "), &side.description());
         }
         text.push('\n');
-        let left_out = self.statistics.left_out();
-        let warnings = self.warnings.iter().chain(&self.notes).chain(&left_out);
-        for warning in warnings {
+        for warning in self.warnings.iter().chain(&self.notes) {
             push_wrapped(&mut text, "! ", warning);
         }
         if !text.ends_with("\n\n") {
             text.push('\n');
         }
-        text.push_str(&comparison_table(&self.statistics, &self.bootstrap));
+        text.push_str(&block::text(&self.blocks()));
         text
     }
 

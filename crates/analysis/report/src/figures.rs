@@ -182,7 +182,7 @@ pub fn all(document: &Document) -> Vec<Figure> {
         figures.extend(flips(analysis));
     }
     for pair in document.comparisons() {
-        figures.extend(pair.ok().and_then(|comparison| differences(&comparison)));
+        figures.extend(pair.as_ref().ok().and_then(differences));
     }
     // Distinct labels can map to the same file name; files must not overwrite each other.
     let mut used_names = BTreeSet::new();

@@ -9,7 +9,9 @@
 #![forbid(unsafe_code)]
 
 mod analysis;
+mod block;
 mod comparison;
+mod comparison_tables;
 mod document;
 mod explanation;
 mod family;
@@ -22,6 +24,7 @@ mod page;
 mod sequential;
 mod subject;
 mod table;
+mod tables;
 mod threshold_report;
 mod warnings;
 mod words;

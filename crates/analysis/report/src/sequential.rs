@@ -2,17 +2,12 @@
 //! rollouts that an early end saved.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write;
 
 use libero_ctrl::{Clause, Level, Measure, StopRule, Strata};
-use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records, push_wrapped};
+use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records};
 use serde::Serialize;
 
 use crate::subject::{EarlyStop, Subject};
-
-/// Widths of the columns of intervals, in characters: rates, then signed points.
-const RATE_COLUMNS: usize = 14;
-const POINTS_COLUMNS: usize = 17;
 
 /// The confidence sequences of a campaign: at the look at which it stopped early, or over all
 /// outcomes so far if it has not stopped.
@@ -200,7 +195,7 @@ impl Sequential {
     /// Returns a definition of the intervals and their population.
     pub(crate) fn explanation(&self) -> String {
         format!(
-            "confidence sequences: at each level, they hold together at all looks with a \
+            "Confidence sequences: at each level, they hold together at all looks with a \
              probability of 95 %, whichever rule ends the campaign. They concern all {} configurations, and are \
              computed from the first {} configurations in the order of seed {} (rounds of {}). The \
              estimates beside them weight suites or tasks as in that population{}",
@@ -211,38 +206,6 @@ impl Sequential {
             self.star_explanation()
         )
     }
-
-    /// Writes the sequences for a terminal of 80 columns: percent and points.
-    pub(crate) fn text(&self) -> String {
-        let names = self.levels.keys().map(ToString::to_string);
-        let widest = names.map(|name| name.len()).max().unwrap_or_default();
-        let mut text = " ".repeat(widest);
-        let measures = self.levels.values().next();
-        for &measure in measures.into_iter().flat_map(BTreeMap::keys) {
-            let name = measure.name();
-            let _ = write!(text, "{name:>width$}", width = column_width(measure));
-        }
-        text.push('\n');
-        for (level, intervals) in &self.levels {
-            let name = level.to_string();
-            let _ = write!(text, "{name:<widest$}");
-            for (&measure, &interval) in intervals {
-                let interval = percent_text(measure, interval);
-                let _ = write!(text, "{interval:>width$}", width = column_width(measure));
-            }
-            text.push('\n');
-            if self.estimates.contains_key(level) {
-                text.push_str(&" ".repeat(widest));
-                for &measure in intervals.keys() {
-                    let estimate = self.estimate_text(*level, measure);
-                    let _ = write!(text, "{estimate:>width$}", width = column_width(measure));
-                }
-                text.push('\n');
-            }
-        }
-        push_wrapped(&mut text, "", &self.explanation());
-        text
-    }
 }
 
 /// Returns the measures that end a campaign by excluding a value.
@@ -250,13 +213,6 @@ fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
     let clauses = rule.clauses().iter();
     let clauses = clauses.filter(|clause| !matches!(clause, Clause::Width(..)));
     clauses.map(Clause::measure).collect()
-}
-
-fn column_width(measure: Measure) -> usize {
-    match measure {
-        Measure::I => POINTS_COLUMNS,
-        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,
-    }
 }
 
 /// Formats an interval: a rate in percent, `[3.5, 12.0]`, or a difference in points,
