@@ -37,8 +37,7 @@
 //! Strata must be chosen before any outcome is known. With fewer strata, the minimum over their
 //! totals discards less evidence and the rounds are shorter. Strata of suites therefore give
 //! narrower intervals than strata of tasks, unless tasks of a suite differ very much, and keep the
-//! sample balanced over suites. `cargo run --release -p paired --example sequential` compares
-//! strata of tasks, strata of suites and a single stratum.
+//! sample balanced over suites.
 //!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Confidence sequences for sampling without

@@ -117,17 +117,7 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
     let nominal = [Block::Table(tables::nominal(analyses))]
         .into_iter()
         .chain(gates)
-        .chain([
-            Block::Html(Box::new(|| {
-                figure(
-                    "The reproduction gate: a policy that does not reach its published nominal \
-                     success within 5 points is not set up as its authors had it, and its \
-                     robustness is not to be interpreted.",
-                    figures::gate(document).into_iter().collect(),
-                )
-            })),
-            Block::Table(tables::success(analyses, false)),
-        ])
+        .chain([Block::Table(tables::success(analyses, false))])
         .chain(suites)
         .chain([Block::Folded(tables::subsets(analyses))]);
     sections.push(section("Nominal success and single axes", nominal.collect()));
@@ -184,19 +174,7 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
         let sentences = tables::replication(analysis).into_iter();
         sentences.map(move |sentence| named(analysis, sentence))
     });
-    let replication: Vec<Block<'a>> = replication.collect();
-    if !replication.is_empty() {
-        let flips = || {
-            figure(
-                "Rollouts whose outcome differs from that of the first seed, with the same initial \
-                 state and realised perturbation.",
-                analyses.iter().filter_map(figures::flips).collect(),
-            )
-        };
-        let figure: Block<'_> = Block::Html(Box::new(flips));
-        let blocks = [figure].into_iter().chain(replication);
-        sections.push(section("Replication", blocks.collect()));
-    }
+    sections.push(section("Replication", replication.collect()));
     let pairs = document.comparisons().iter().flat_map(|pair| match pair {
         Ok(comparison) => {
             let warnings = comparison.warnings.iter().cloned().map(Block::Paragraph);

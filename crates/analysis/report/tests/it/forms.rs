@@ -104,10 +104,10 @@ fn figures_are_well_formed_files_with_counts() {
     let document = document(vec![example(), broken(), twin, replicated()]);
     let figures = figures::all(&document);
     let mut names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
-    for expected in ["single-axis-l1", "decomposition-l2", "directions-l3", "reproduction-gate"] {
+    for expected in ["single-axis-l1", "decomposition-l2", "directions-l3"] {
         assert!(names.contains(&expected), "{names:?}");
     }
-    for kind in ["matrix-", "flips-"] {
+    for kind in ["matrix-"] {
         assert!(names.iter().any(|name| name.starts_with(kind)), "{names:?}");
     }
     for figure in &figures {

@@ -5,11 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::{Bootstrap, FindingKind, Options, report};
 
-// Examples and other tests use the functions of the module that this test does not.
-#[allow(dead_code)]
-mod simulated;
-
-use simulated::{Chance, Planted};
+use crate::simulated::{Chance, Planted};
 
 const CAMPAIGNS: u64 = 100;
 

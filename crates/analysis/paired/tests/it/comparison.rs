@@ -1,7 +1,7 @@
 //! Comparison of two policies: cases that can be worked out by hand, and properties that always
 //! hold.
 
-use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
+use libero_ctrl::{Axis, Condition, Level, RolloutId};
 use paired::{
     Bootstrap, Comparison, Difference, DifferenceBounds, NoInterval, Obstacle, Outcome, Pair,
     Record,
@@ -9,17 +9,10 @@ use paired::{
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-const S: Outcome = Outcome::Success;
-const F: Outcome = Outcome::Failure;
-const M: Outcome = Outcome::Missing;
-const Q: Outcome = Outcome::Quarantined;
+use crate::{F, M, Q, S, task};
 
 const CAMERA: Condition = Condition::Single(Axis::Camera);
 const SENSOR: Condition = Condition::Single(Axis::Sensor);
-
-fn task(index: usize) -> TaskRef {
-    TaskRef::all().nth(index).expect("one of forty")
-}
 
 /// Returns a pair for each task, in the order of tasks.
 fn pairs(outcomes: &[(Outcome, Outcome)]) -> Vec<Pair> {

@@ -3,7 +3,7 @@ example data, with which tests/reference.rs compares the crate's results. Shares
 no code with the crate, and resamples with another random generator.
 
     python3 -m venv venv && venv/bin/pip install numpy==2.4.6 scipy==1.17.1
-    venv/bin/python crates/analysis/paired/tests/reference/expected.py
+    venv/bin/python crates/analysis/paired/tests/it/reference/expected.py
 
 Takes a few seconds. A data set is one text per task, two hexadecimal digits
 per configuration: bits 0 to 5 are the success under camera, lighting, robot,
@@ -173,6 +173,13 @@ def example(level):
     ]
 
 
+def in_lines(value):
+    """Returns a value as JSON; a list of objects with a line for each of them."""
+    if not (isinstance(value, list) and isinstance(value[0], dict)):
+        return json.dumps(value)
+    return "[\n" + ",\n".join(f"  {json.dumps(entry)}" for entry in value) + "\n ]"
+
+
 def main():
     rng = np.random.default_rng(20260904)
     data_sets = []
@@ -213,7 +220,8 @@ def main():
         "openvla_oft": {level: expected(example(level), rng) for level in ["L1", "L2", "L3"]},
         "paired_sets": paired_sets,
     }
-    (HERE / "expected.json").write_text(json.dumps(document, indent=1) + "\n")
+    entries = (f" {json.dumps(name)}: {in_lines(value)}" for name, value in document.items())
+    (HERE / "expected.json").write_text("{\n" + ",\n".join(entries) + "\n}\n")
 
 
 main()

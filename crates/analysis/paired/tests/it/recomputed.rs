@@ -2,7 +2,6 @@
 //! Python: tests/statistics/recompute.py.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::process::Command;
 
 use libero_ctrl::{Condition, Directions, Level, RolloutId, Suite};
@@ -13,11 +12,7 @@ use paired::{
 use rollout_types::GoalProgress;
 use serde_json::{Value, json};
 
-// Examples and other tests use the functions of the module that this test does not.
-#[allow(dead_code)]
-mod simulated;
-
-use simulated::{CONFIGURATIONS, Chance, Population};
+use crate::simulated::{CONFIGURATIONS, Chance, Population};
 
 const EXAMPLES: [&str; 2] = ["openvla_oft", "student"];
 const CAMPAIGNS: u64 = 200;
@@ -28,27 +23,11 @@ const PUBLISHED: f64 = 0.87;
 
 /// Returns the records and the progress of an example.
 fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples");
-    let path = root.join(name).join("rollouts.jsonl");
-    let text = std::fs::read_to_string(&path).expect("the example");
-    let record = |line: &str| {
-        let row: Value = serde_json::from_str(line).expect("JSON");
-        let id: RolloutId = row["rollout_id"].as_str().expect("a text").parse().expect("an id");
-        let record = Record {
-            id,
-            init_id: row["init_id"].as_u64().expect("a number") as u16,
-            replicate: 0,
-            outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
-        };
-        let progress = Progress {
-            id,
-            replicate: 0,
-            steps: row["steps"].as_u64().map(|steps| steps as u32),
-            goal: None,
-        };
-        (record, progress)
+    let rows = crate::rows(&crate::example(name)).collect::<Vec<_>>().into_iter();
+    let progress = |(record, steps): (Record, Option<u32>)| {
+        (record, Progress { id: record.id, replicate: 0, steps, goal: None })
     };
-    text.lines().map(record).unzip()
+    rows.map(progress).unzip()
 }
 
 /// Returns a campaign's outcomes and report in the form that the script reads.

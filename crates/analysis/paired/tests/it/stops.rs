@@ -6,32 +6,9 @@ use libero_ctrl::{Axis, AxisSet, Condition, Level, Measure, RolloutId, Stop, Str
 use paired::{
     CampaignLook, Outcome, Record, Records, SEQUENTIAL_ALPHA, SequentialMeasures, Unit, drawn_order,
 };
-use serde::Deserialize;
-
-// Examples and other tests use the functions of the module that this test does not.
-#[allow(dead_code)]
-mod simulated;
-
-const OUTCOMES: &str = include_str!("../../../../examples/openvla_oft/rollouts.jsonl");
-
-#[derive(Deserialize)]
-struct Row {
-    rollout_id: RolloutId,
-    init_id: u16,
-    success: bool,
-}
 
 fn published() -> Vec<Record> {
-    let record = |line: &str| {
-        let row: Row = serde_json::from_str(line).expect("a row");
-        Record {
-            id: row.rollout_id,
-            init_id: row.init_id,
-            replicate: 0,
-            outcome: Outcome::from(row.success),
-        }
-    };
-    OUTCOMES.lines().map(record).collect()
+    crate::records(&crate::example("openvla_oft"))
 }
 
 fn stop(rule: &str, strata: Strata) -> Stop {
@@ -164,17 +141,17 @@ fn unequal_suites() -> Vec<Record> {
     let mut records = Vec::new();
     for task_index in 0..13 {
         let task = match task_index {
-            0..10 => simulated::task(2 * task_index, 2),
-            _ => simulated::task(2 * (task_index - 10) + 1, 2),
+            0..10 => crate::simulated::task(2 * task_index, 2),
+            _ => crate::simulated::task(2 * (task_index - 10) + 1, 2),
         };
         for config in 0..10 {
             let success = match task_index {
                 0..10 => config < 8,
                 _ => (task_index - 10) * 10 + usize::from(config) < 16,
             };
-            for condition in simulated::conditions() {
+            for condition in crate::simulated::conditions() {
                 let success = success || condition != Condition::Combination;
-                records.push(simulated::record(task, condition, Level::L2, config, success));
+                records.push(crate::simulated::record(task, condition, Level::L2, config, success));
             }
         }
     }

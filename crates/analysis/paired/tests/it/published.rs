@@ -8,7 +8,7 @@ use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::{Cell, Interval, Options, Outcome, Record, Report, report};
 use serde_json::Value;
 
-const EXAMPLE: &str = include_str!("../../../../examples/openvla_oft/rollouts.jsonl");
+use crate::{example, records};
 
 fn read(name: &str) -> Option<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -115,23 +115,9 @@ fn all_published_cells_are_reproduced_from_their_counts() {
     assert_eq!(cells, 21);
 }
 
-fn records(text: &str) -> Vec<Record> {
-    let record = |line: &str| {
-        let row: Value = serde_json::from_str(line).expect("a row");
-        let id = row["rollout_id"].as_str().expect("an id");
-        Record {
-            id: id.parse().expect("an id"),
-            init_id: row["init_id"].as_u64().expect("an id") as u16,
-            replicate: 0,
-            outcome: outcome(row["success"].as_bool().expect("an outcome")),
-        }
-    };
-    text.lines().map(record).collect()
-}
-
 /// Returns the report on OpenVLA-OFT's 8,400 published outcomes, from the example data.
 fn openvla_oft() -> Report {
-    let records = records(EXAMPLE);
+    let records = records(&example("openvla_oft"));
     assert_eq!(records.len(), 8400);
     report(&records, &Options::default()).expect("no duplicates")
 }
@@ -145,7 +131,7 @@ fn the_example_data_equal_the_published_outcomes() {
         let records = records(text).into_iter();
         records.map(|r| (r.id, (r.init_id, r.outcome))).collect()
     };
-    assert!(by_id(&published) == by_id(EXAMPLE));
+    assert!(by_id(&published) == by_id(&example("openvla_oft")));
 }
 
 #[test]

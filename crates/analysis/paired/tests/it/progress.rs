@@ -4,11 +4,7 @@ use libero_ctrl::{Condition, Directions, Level, RolloutId, TaskRef};
 use paired::{Bootstrap, Compared, Comparison, Outcome, Progress, Record};
 use rollout_types::GoalProgress;
 
-// Examples and other tests use the functions of the module that this test does not.
-#[allow(dead_code)]
-mod simulated;
-
-use simulated::{CONFIGURATIONS, Chance, Population};
+use crate::simulated::{CONFIGURATIONS, Chance, Population};
 
 /// Returns a simultaneous and a nominal rollout of each of ten tasks of a suite.
 fn records(success: impl Fn(usize) -> bool) -> Vec<Record> {

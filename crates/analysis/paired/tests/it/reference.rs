@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Axis, RolloutId, TaskRef};
+use libero_ctrl::{Axis, TaskRef};
 use paired::{
     Bootstrap, Configuration, Difference, MIN_TASKS, Measures, NoInterval, Options, Outcome, Pair,
-    Record, mcnemar_exact, quantile, report,
+    mcnemar_exact, quantile, report,
 };
 use serde_json::Value;
 
@@ -161,19 +161,7 @@ fn measures_and_intervals_of_twenty_random_data_sets_agree_with_numpy() {
 
 #[test]
 fn measures_and_intervals_of_the_example_data_agree_with_numpy() {
-    let rows = include_str!("../../../../examples/openvla_oft/rollouts.jsonl").lines();
-    let records: Vec<Record> = rows
-        .map(|row| {
-            let row: Value = serde_json::from_str(row).expect("a row");
-            let id: RolloutId = row["rollout_id"].as_str().expect("text").parse().expect("an id");
-            Record {
-                id,
-                init_id: row["init_id"].as_u64().expect("a number") as u16,
-                replicate: 0,
-                outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
-            }
-        })
-        .collect();
+    let records = crate::records(&crate::example("openvla_oft"));
     assert_eq!(records.len(), 8400);
     let report = report(&records, &Options::default()).expect("no duplicates");
     let expected = &expected()["openvla_oft"];

@@ -10,14 +10,12 @@ use paired::{
 use proptest::collection::vec;
 use proptest::prelude::*;
 
+use crate::{F, M, Q, S, task};
+
 const AXES: [Axis; 3] = [Axis::Camera, Axis::Robot, Axis::Sensor];
 
 fn quick() -> Bootstrap {
     Bootstrap { replicates: 60, seed: 1 }
-}
-
-fn task(index: usize) -> TaskRef {
-    TaskRef::all().nth(index).expect("one of forty")
 }
 
 /// Draws configurations over the first sixteen tasks, so that many cases have intervals and some
@@ -203,11 +201,6 @@ fn campaign_of_tasks(outcomes: &[[Outcome; 4]], configs: usize) -> Vec<Record> {
     })
     .collect()
 }
-
-const S: Outcome = Outcome::Success;
-const F: Outcome = Outcome::Failure;
-const M: Outcome = Outcome::Missing;
-const Q: Outcome = Outcome::Quarantined;
 
 #[test]
 fn measures_of_a_campaign_are_over_the_axes_that_it_perturbs() {
