@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Level, TaskRef};
 use serde::Serialize;
 
-use crate::interval::MIN_TASKS;
+use crate::bootstrap::MIN_TASKS;
 use crate::measures::Configuration;
 
 /// Normal quantile of a two-sided test at 5 %: Φ⁻¹(0.975).

@@ -13,18 +13,13 @@
 
 mod bootstrap;
 mod bounds;
-mod by_task;
 mod comparison;
-mod count;
 mod design;
 mod difference;
 mod evaluate;
-mod finding;
 mod findings;
 mod gate;
 mod inference;
-mod interval;
-mod mcnemar;
 mod measures;
 mod outcomes;
 mod progress;
@@ -33,36 +28,33 @@ mod report;
 mod sequential;
 mod text;
 
-pub use bootstrap::{Bootstrap, Interval, quantile};
+pub use bootstrap::{Bootstrap, Interval, MIN_TASKS, NoInterval, intervals_of_many, quantile};
 pub use bounds::Bounds;
-pub use by_task::{SuiteRow, TaskSuccess};
 pub use comparison::{Compared, ComparedCell, Comparison, Obstacle};
-pub use count::Count;
 pub use design::{Detectable, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair, Profile};
 pub use evaluate::{report, report_of};
-pub use finding::{Finding, FindingKind};
-pub use findings::{FINDING_ALPHA, findings};
+pub use findings::{FINDING_ALPHA, Finding, FindingKind, findings};
 pub use gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
 pub use inference::Inference;
-pub use inference::components::Components;
 pub use inference::direction::DirectionTest;
-pub use inference::equivalence::{EQUIVALENCE_MARGIN, equivalence_p};
 pub use inference::estimate::{Estimate, FEWEST_TASKS};
 pub use inference::floor::{Excess, Simultaneity, chance_bounds};
+pub use inference::hypotheses::{
+    EQUIVALENCE_MARGIN, equivalence_p, holm, max_t, mcnemar_exact, sign_flip_p,
+};
 pub use inference::loss::{Loss, Losses};
-pub use inference::multiplicity::{holm, max_t};
 pub use inference::paired::{Eligible, PairedEstimates, Relative};
-pub use inference::sign_flip::sign_flip_p;
-pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
-pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
-pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
+pub use outcomes::{Count, DuplicateRecord, Matched, Outcome, Record, Records, Transition};
 pub use progress::{MeanDifference, Progress, ProgressDifference};
-pub use replication::Flips;
-pub use report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
+pub use replication::{Components, Flips};
+pub use report::{
+    Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, SuiteRow,
+    TaskSuccess,
+};
 pub use sequential::{
     CampaignLook, Drawn, Look, Order, RateInterval, SEQUENTIAL_ALPHA, SequentialMeasures, Unit,
     drawn_order,

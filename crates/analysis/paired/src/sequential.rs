@@ -50,10 +50,8 @@
 
 mod campaign;
 mod e_process;
-mod estimates;
 mod measures;
 mod order;
-mod sequence;
 
 pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
 pub use measures::{Look, RateInterval, SequentialMeasures};

@@ -172,7 +172,7 @@ impl Table {
 
     pub(crate) fn html(&self) -> Markup {
         html! {
-            @if !self.rows.is_empty() { h3 { (self.name) } }
+            @if !self.rows.is_empty() { h4 { (self.name) } }
             (self.box_html())
             @if !self.rows.is_empty() && self.meanings().next().is_some() {
                 p.muted {

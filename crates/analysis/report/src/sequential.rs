@@ -162,28 +162,10 @@ impl Sequential {
         }
     }
 
-    /// Returns true if the estimate of a measure tends to be too extreme.
-    pub(crate) fn is_overstated(&self, measure: Measure) -> bool {
-        self.overstated.contains(&measure)
-    }
-
-    /// Formats an estimate, percent or points, with a star if the early stop overstates it.
-    pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
-        let estimate = self.estimates.get(&level).and_then(|measures| measures.get(&measure));
-        let Some(estimate) = estimate.map(|estimate| 100.0 * estimate) else {
-            return "–".to_owned();
-        };
-        let star = if self.is_overstated(measure) { "*" } else { "" };
-        match measure {
-            Measure::I => format!("{estimate:+.1}{star}"),
-            _ => format!("{estimate:.1}{star}"),
-        }
-    }
-
     /// Returns the explanation of the star; empty if no estimate has one.
     fn star_explanation(&self) -> &'static str {
         let measures = self.levels.values().flat_map(BTreeMap::keys);
-        match measures.copied().any(|measure| self.is_overstated(measure)) {
+        match measures.copied().any(|measure| self.overstated.contains(&measure)) {
             true => {
                 ". An estimate marked * is overstated, because the campaign ended when it was \
                  large; the end of its interval that is nearest to the excluded value bounds it"
@@ -213,14 +195,4 @@ fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
     let clauses = rule.clauses().iter();
     let clauses = clauses.filter(|clause| !matches!(clause, Clause::Width(..)));
     clauses.map(Clause::measure).collect()
-}
-
-/// Formats an interval: a rate in percent, `[3.5, 12.0]`, or a difference in points,
-/// `[-4.0, +1.5]`.
-pub(crate) fn percent_text(measure: Measure, [low, high]: [f64; 2]) -> String {
-    let (low, high) = (100.0 * low, 100.0 * high);
-    match measure {
-        Measure::I => format!("[{low:+.1}, {high:+.1}]"),
-        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => format!("[{low:.1}, {high:.1}]"),
-    }
 }

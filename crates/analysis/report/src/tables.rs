@@ -11,7 +11,7 @@ use paired::{
 
 use crate::analysis::Analysis;
 use crate::block::{Cell, Rows, Table, cell, or_dash};
-use crate::sequential::{Sequential, percent_text};
+use crate::sequential::Sequential;
 use crate::words::{p_value, percent, points, points_interval, rate_interval};
 
 /// A row: an analysis, one of its levels, and what the table is about.
@@ -569,10 +569,18 @@ pub(crate) fn sequences(analyses: &[Analysis]) -> Table {
             cell(format!("{} of {}", sequential.used, sequential.configurations))
         });
     for measure in Measure::ALL {
+        let number = if measure == Measure::I { points } else { percent };
         table = table.column(measure.name(), "", "", |(_, sequential, level)| {
+            let estimates = sequential.estimates.get(level);
+            let estimate = estimates.and_then(|estimates| estimates.get(&measure));
+            let mut value = or_dash(estimate.map(|estimate| number(*estimate)));
+            if estimate.is_some() && sequential.overstated.contains(&measure) {
+                value.star();
+            }
             let ends = sequential.levels[level].get(&measure);
-            cell(sequential.estimate_text(*level, measure))
-                .below(ends.map_or_else(String::new, |ends| percent_text(measure, *ends)))
+            value.below(ends.map_or_else(String::new, |[low, high]| {
+                format!("[{}, {}]", number(*low), number(*high))
+            }))
         });
     }
     table.table()

@@ -6,8 +6,8 @@ use libero_ctrl::{Clause, Measure, StopRule};
 use serde::{Deserialize, Serialize};
 
 use crate::outcomes::Transition;
+use crate::sequential::e_process::ConfidenceSequence;
 use crate::sequential::order::Order;
-use crate::sequential::sequence::ConfidenceSequence;
 
 /// An interval of a rate or a difference of rates over a finite population. Its ends are
 /// whole numbers of units and therefore exact.

@@ -32,7 +32,7 @@ fn without_figures(page: &str) -> String {
             text.replace_range(at..at + length, "");
         }
     }
-    ["<section", "<h3", "<p", "<tr", "<dl"]
+    ["<section", "<h4", "<p", "<tr", "<dl"]
         .into_iter()
         .fold(text, |text, tag| text.replace(tag, &format!("\n{tag}")))
 }

@@ -1,9 +1,11 @@
-//! Multiple testing: Holm's correction and simultaneous max-t intervals.
+//! Exact and equivalence tests, and corrections of several p-values and intervals.
 
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::bootstrap::{Bootstrap, quantile};
+use crate::inference::estimate::Estimate;
+use crate::inference::student_t::upper_tail;
 
 /// Adjusts p-values for multiple testing. If all hypotheses with an adjusted value below 5 % are
 /// rejected, the probability of any false rejection is at most 5 %. The j-th smallest of
@@ -83,6 +85,77 @@ fn under_signs(values: &[f64], signs: &[f64], strata: &[usize]) -> (f64, f64) {
     (total, variance)
 }
 
+/// Returns the two-sided exact p-value of the tasks' net changes under the hypothesis that both
+/// signs of each task's change are equally likely: the share of the 2^G assignments of signs to the
+/// G tasks whose sum is at least as far from 0 as the observed sum. Unlike McNemar's test, this
+/// test accounts for the correlation of rollouts of a task.
+///
+/// The distribution of the sum is computed by convolution, one task after the other, without
+/// enumerating or sampling assignments.
+///
+/// Source: R. A. Fisher, The Design of Experiments (1935), section 21; for clusters:
+/// I. A. Canay, J. P. Romano and A. M. Shaikh, Econometrica 85 (2017), 1013–1030.
+pub fn sign_flip_p(net: &[i64]) -> f64 {
+    let reach = net.iter().map(|change| change.unsigned_abs() as usize).sum::<usize>();
+    // Index `reach + s` has the probability of the sum s.
+    let mut probabilities = vec![0.0; 2 * reach + 1];
+    probabilities[reach] = 1.0;
+    for change in net {
+        let size = change.unsigned_abs() as usize;
+        if size == 0 {
+            continue;
+        }
+        let mut next = vec![0.0; probabilities.len()];
+        for (sum, p) in probabilities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
+            next[sum + size] += p / 2.0;
+            next[sum - size] += p / 2.0;
+        }
+        probabilities = next;
+    }
+    let observed = net.iter().sum::<i64>().unsigned_abs() as usize;
+    let as_extreme = probabilities.iter().enumerate();
+    let as_extreme = as_extreme.filter(|(sum, _)| sum.abs_diff(reach) >= observed);
+    as_extreme.map(|(_, p)| p).sum::<f64>().min(1.0)
+}
+
+/// Largest difference that counts as equivalent, a fraction: 5 points, the tolerance of the
+/// reproduction gate.
+pub const EQUIVALENCE_MARGIN: f64 = 0.05;
+
+/// Returns the p-value of the two one-sided tests (TOST) that a difference lies beyond
+/// ±[`EQUIVALENCE_MARGIN`], for new tasks: the greater of P(T > (Δ + v)/s) and
+/// P(T > (Δ − v)/s), with Δ the margin, v the difference, s its standard error and T of Student's
+/// t distribution. `None` without a standard error.
+///
+/// Source: D. J. Schuirmann, A comparison of the two one-sided tests procedure and the
+/// power approach for assessing the equivalence of average bioavailability, Journal of
+/// Pharmacokinetics and Biopharmaceutics 15 (1987), 657–680.
+pub fn equivalence_p(difference: &Estimate) -> Option<f64> {
+    let (error, df) = (difference.standard_error?, difference.df?);
+    let tail = |distance: f64| upper_tail(distance / error, df);
+    let value = difference.value;
+    Some(tail(EQUIVALENCE_MARGIN + value).max(tail(EQUIVALENCE_MARGIN - value)))
+}
+
+/// Returns the two-sided exact p-value of `b` changes in one direction against `c` in the
+/// other, under the hypothesis that both directions are equally likely: twice the smaller tail of
+/// Bin(b + c, ½), at most 1:
+/// p = min(1, 2·Σ_{k ≤ min(b, c)} C(b + c, k)·2^−(b + c)).
+///
+/// Source: Q. McNemar, Psychometrika 12 (1947), 153–157; the exact form is the
+/// binomial (sign) test.
+pub fn mcnemar_exact(b: u64, c: u64) -> f64 {
+    let changes = b + c;
+    let ln_half_power = changes as f64 * 0.5_f64.ln();
+    let mut ln_ways = 0.0;
+    let mut tail = 0.0;
+    for k in 0..=b.min(c) {
+        tail += (ln_ways + ln_half_power).exp();
+        ln_ways += ((changes - k) as f64 / (k + 1) as f64).ln();
+    }
+    (2.0 * tail).min(1.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -130,5 +203,23 @@ mod tests {
         // With two pairs of tasks, one in four assignments of signs leaves no variance.
         let pairs = vec![vec![0.1, -0.1, 0.3, -0.3]];
         assert_eq!(max_t(&pairs, &[2, 2], &Bootstrap::default()), None);
+    }
+
+    #[test]
+    fn the_p_value_equals_that_of_an_enumeration_of_all_signs() {
+        let net = [3, -1, 2, 0, 5, 1, -2_i64];
+        let observed = net.iter().sum::<i64>().abs();
+        let as_extreme = (0..1_u32 << net.len()).filter(|signs| {
+            let sum: i64 = net
+                .iter()
+                .enumerate()
+                .map(|(at, change)| if signs >> at & 1 == 1 { -change } else { *change })
+                .sum();
+            sum.abs() >= observed
+        });
+        let expected = as_extreme.count() as f64 / f64::from(1_u32 << net.len());
+        assert!((sign_flip_p(&net) - expected).abs() < 1e-12);
+        assert_eq!(sign_flip_p(&[]), 1.0);
+        assert_eq!(sign_flip_p(&[4]), 1.0);
     }
 }
