@@ -15,7 +15,7 @@ use terminal::wrapped;
 
 use super::command::CommandError;
 use super::json;
-use super::planning::Planning;
+use super::planning::Planned;
 
 /// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
 /// forecast, since the other parts of a dry run need no coordinator.
@@ -96,7 +96,7 @@ pub(super) fn describe_paper(campaign: &NewCampaign) -> String {
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<ForecastResponse, String>,
-    planning: &Planning,
+    planning: &[Planned],
 ) -> Result<(), CommandError> {
     json::print(&DryRun::new(campaign, answer, planning))
 }
@@ -109,7 +109,7 @@ struct DryRun<'a> {
     rollouts: usize,
     placebo_rollouts: usize,
     execution: &'a str,
-    planning: &'a Planning,
+    planning: &'a [Planned],
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
     paper_hours: BTreeMap<&'static str, f64>,
@@ -150,7 +150,7 @@ impl<'a> DryRun<'a> {
     fn new(
         campaign: &'a NewCampaign,
         answer: Result<ForecastResponse, String>,
-        planning: &'a Planning,
+        planning: &'a [Planned],
     ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
             Ok(forecast) => (Some(Forecast::from_message(&forecast)), None),
