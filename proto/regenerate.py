@@ -11,6 +11,7 @@ the versions in these packages' environments are chosen by other packages.
 
 import argparse
 import pathlib
+import re
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ class Generated:
     def files(self) -> list[str]:
         """Returns the names of the generated files, below `sources`."""
         stem = f"{self.package}/{pathlib.Path(self.source).stem}_pb2"
-        return [f"{stem}.py", f"{stem}_grpc.py"] + [f"{stem}.pyi"] * self.has_stubs
+        return [f"{stem}.py"] + [f"{stem}.pyi"] * self.has_stubs
 
 
 PACKAGES = (
@@ -66,13 +67,15 @@ def generate(wanted: Generated, folder: pathlib.Path) -> None:
         "protoc",
         f"-I{wanted.package}={source.parent}",
         f"--python_out={folder}",
-        f"--grpc_python_out={folder}",
     ]
     if wanted.has_stubs:
         arguments.append(f"--pyi_out={folder}")
     status = protoc.main([*arguments, f"{wanted.package}/{source.name}"])
     if status != 0:
         sys.exit(f"failed to generate from {source}: protoc exited with {status}")
+    code = folder / wanted.files()[0]
+    # Positions in the serialized descriptor, which only copying descriptors in pure Python reads.
+    code.write_text(re.sub(r"  _globals\[.*_serialized_(start|end)=\d+\n", "", code.read_text()))
 
 
 def stale(wanted: Generated, folder: pathlib.Path) -> list[str]:

@@ -76,7 +76,7 @@ class Campaign:
         `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
         and `goal_at_most` the largest number that held at one time."""
         request = wire.ExportRequest(campaign=self._name)
-        lines = self._connection.collect(self._connection.operator.Export, request)
+        lines = self._connection.collect("Export", request)
         rows = ({"execution": "wait", **json.loads(line.json)} for line in lines)
         return frames.frame(rows, frames.RESULTS)
 
@@ -106,7 +106,7 @@ class Campaign:
         )
         rows: list[dict[str, Any]] = []
         while True:
-            page = self._connection.call(self._connection.operator.ListJobs, request).jobs
+            page = self._connection.call("ListJobs", request).jobs
             rows += map(_job, page)
             if len(page) < PAGE:
                 return frames.frame(rows, frames.JOBS)
@@ -138,7 +138,7 @@ class Campaign:
 
     def _change(self, change: wire.ChangeCampaignRequest.Change) -> Status:
         request = wire.ChangeCampaignRequest(campaign=self._name, change=change)
-        self._connection.call(self._connection.operator.ChangeCampaign, request)
+        self._connection.call("ChangeCampaign", request)
         return self.status()
 
 

@@ -67,9 +67,7 @@ class Client:
 
     def campaigns(self) -> pd.DataFrame:
         """Returns a row per campaign, oldest first, with the fields of Status."""
-        answer = self._connection.call(
-            self._connection.operator.ListCampaigns, wire.ListCampaignsRequest()
-        )
+        answer = self._connection.call("ListCampaigns", wire.ListCampaignsRequest())
         statuses = map(Status.of, answer.campaigns)
         return frames.frame(map(asdict, statuses), CAMPAIGNS)
 
@@ -87,7 +85,7 @@ class Client:
         """
         text = _text(spec)
         request = wire.CreateCampaignRequest(spec=text, priority=priority)
-        self._connection.call(self._connection.operator.CreateCampaign, request)
+        self._connection.call("CreateCampaign", request)
         return Campaign(json.loads(text)["name"], self._connection, self._program)
 
     def forecast(self, spec: Spec, *, policy_rate: float | None = None) -> Forecast:
@@ -110,15 +108,13 @@ class Client:
             ],
             policy_rate=policy_rate,
         )
-        answer = self._connection.call(self._connection.operator.Forecast, request)
+        answer = self._connection.call("Forecast", request)
         return Forecast.of(rollouts, answer)
 
     def workers(self) -> pd.DataFrame:
         """Returns a row per worker, including workers that have ended, latest calls first; at most
         1,000 rows."""
-        answer = self._connection.call(
-            self._connection.operator.ListWorkers, wire.ListWorkersRequest()
-        )
+        answer = self._connection.call("ListWorkers", wire.ListWorkersRequest())
         return frames.frame(map(_worker, answer.workers), frames.WORKERS)
 
     def report(self, *sources: str | os.PathLike[str]) -> Report:

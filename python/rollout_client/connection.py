@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import grpc
@@ -21,7 +21,6 @@ from .errors import (
     UnreachableError,
 )
 from .proto import coordinator_pb2 as wire
-from .proto.coordinator_pb2_grpc import OperatorServiceStub
 
 #: First and longest pause between two tries, s. Each pause is twice as long as the previous one.
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
@@ -37,6 +36,9 @@ CONNECTION_CODES = (
     grpc.StatusCode.UNKNOWN,
 )
 
+#: The operator's calls.
+SERVICE = wire.DESCRIPTOR.services_by_name["OperatorService"]
+
 log = logging.getLogger("rollout_client")
 
 T = TypeVar("T")
@@ -49,8 +51,6 @@ class Connection:
         self.access = access
         self.retry_secs = retry_secs
         self._channel = channel(access)
-        #: Stub whose methods are arguments of `call` and `collect`.
-        self.operator: Any = OperatorServiceStub(self._channel)  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
         """Closes the connection. Later calls fail."""
@@ -59,19 +59,29 @@ class Connection:
     def campaign(self, name: str) -> wire.GetCampaignResponse:
         """Returns a campaign's status and specification."""
         request = wire.GetCampaignRequest(campaign=name)
-        answer: wire.GetCampaignResponse = self.call(self.operator.GetCampaign, request)
+        answer: wire.GetCampaignResponse = self.call("GetCampaign", request)
         return answer
 
-    def call(self, method: Callable[..., T], request: object) -> T:
-        """Calls until the coordinator answers, the time for retries is over, or a retry could not
+    def call(self, name: str, request: object) -> Any:
+        """Calls a method until the coordinator answers, the time for retries is over, or a retry could not
         help. All operator calls may be repeated safely. Raises CoordinatorError."""
+        method = self._method(self._channel.unary_unary, name)
         return self._with_retries(
             lambda: method(request, timeout=ANSWER_TIMEOUT, metadata=self.access.metadata)
         )
 
-    def collect(self, method: Callable[..., Iterable[T]], request: object) -> list[T]:
+    def collect(self, name: str, request: object) -> list[Any]:
         """Like `call`, for a method whose answer is a stream."""
+        method = self._method(self._channel.unary_stream, name)
         return self._with_retries(lambda: list(method(request, metadata=self.access.metadata)))
+
+    def _method(self, kind: Callable[..., Any], name: str) -> Callable[..., Any]:
+        answer = getattr(wire, SERVICE.methods_by_name[name].output_type.name)
+        return kind(  # type: ignore[no-any-return]
+            f"/{SERVICE.full_name}/{name}",
+            request_serializer=lambda request: request.SerializeToString(),
+            response_deserializer=answer.FromString,
+        )
 
     def _with_retries(self, send: Callable[[], T]) -> T:
         deadline = time.monotonic() + self.retry_secs

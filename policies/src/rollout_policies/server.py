@@ -20,7 +20,6 @@ from .access import TokenGate, Tokens, read_tokens, require_guarded, server_cred
 from .description import MAX_MESSAGE_BYTES, Description
 from .inference import InferenceThread
 from .policy import Policy, description_of
-from .proto import policy_pb2_grpc as pb_grpc
 from .service import PolicyService
 from .sessions import SessionTable
 
@@ -61,8 +60,7 @@ class Server:
                 ("grpc.so_reuseport", 0),
             ],
         )
-        pb_grpc.add_PolicyServicer_to_server(self._service, self._server)
-        self._server.add_generic_rpc_handlers((health.handler(),))
+        self._server.add_generic_rpc_handlers((self._service.handler(), health.handler()))
         try:
             if credentials is None:
                 port = self._server.add_insecure_port(listen)
