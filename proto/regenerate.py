@@ -43,16 +43,10 @@ class Generated:
 
 PACKAGES = (
     Generated(
-        "rollout/policy/v1/policy.proto",
-        "policies/src",
-        "rollout_policies/proto",
-        has_stubs=False,
+        "rollout/policy/v1/policy.proto", "policies/src", "rollout_policies/proto", has_stubs=False
     ),
     Generated(
-        "rollout/coordinator/v1/coordinator.proto",
-        "python",
-        "rollout_client/proto",
-        has_stubs=True,
+        "rollout/coordinator/v1/coordinator.proto", "python", "rollout_client/proto", has_stubs=True
     ),
 )
 
@@ -63,11 +57,7 @@ def generate(wanted: Generated, folder: pathlib.Path) -> None:
 
     source = HERE / wanted.source
     # The virtual path makes the generated imports name the package.
-    arguments = [
-        "protoc",
-        f"-I{wanted.package}={source.parent}",
-        f"--python_out={folder}",
-    ]
+    arguments = ["protoc", f"-I{wanted.package}={source.parent}", f"--python_out={folder}"]
     if wanted.has_stubs:
         arguments.append(f"--pyi_out={folder}")
     status = protoc.main([*arguments, f"{wanted.package}/{source.name}"])

@@ -6,14 +6,7 @@ import sys
 
 import grpc
 import pytest
-from conftest import (
-    Client,
-    Noisy,
-    Stub,
-    assert_gateway_check_passes,
-    gateway_program,
-    running,
-)
+from conftest import Client, Noisy, Stub, assert_gateway_check_passes, gateway_program, running
 
 from rollout_policies import AccessError, UnguardedAddress, serve, start
 from rollout_policies.access import Tokens, is_loopback, require_guarded

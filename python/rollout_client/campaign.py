@@ -53,8 +53,7 @@ class Campaign:
     def follow(self, every: float = 2.0) -> Iterator[Status]:
         """Yields the status every `every` seconds until the campaign cannot change by itself.
 
-        Ctrl-C (a notebook's interrupt) ends the iteration and leaves the campaign running.
-        """
+        Ctrl-C (a notebook's interrupt) ends the iteration and leaves the campaign running."""
         try:
             while True:
                 status = self.status()
@@ -92,9 +91,8 @@ class Campaign:
         """Returns a row per job, in the order of creation: in each replicate, all conditions of a
         configuration follow one another, except those that were added to the campaign later.
 
-        state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
-        task: `libero_object/0`, or a suite. condition and level: as in rollout ids.
-        """
+        state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`. task:
+        `libero_object/0`, or a suite. condition and level: as in rollout ids."""
         request = wire.ListJobsRequest(
             campaign=self._name,
             state=state or "",

@@ -29,8 +29,7 @@ Spec = Mapping[str, Any] | str | os.PathLike[str]
 class Client:
     """The campaigns of a coordinator.
 
-    It connects at the first call. All methods raise CoordinatorError.
-    """
+    It connects at the first call. All methods raise CoordinatorError."""
 
     def __init__(
         self,
@@ -46,8 +45,7 @@ class Client:
         by default ROLLOUT_TOKEN_FILE, or such lines in ROLLOUT_TOKENS. ca: the certificate
         authority, PEM; by default ROLLOUT_CA. retry_secs: time to keep trying if the coordinator
         does not answer. program: the program `coordinator`, for reports; by default the first on
-        PATH.
-        """
+        PATH."""
         settings = access.read(url, token_file, ca)
         self._connection = Connection(settings, retry_secs)
         self._program = Program(program, settings)
@@ -78,11 +76,10 @@ class Client:
         return campaign
 
     def create(self, spec: Spec, *, priority: int = 0) -> Campaign:
-        """Creates a campaign. Creating it again with the same specification returns the
-        same campaign; another specification under its name is refused.
+        """Creates a campaign. Creating it again with the same specification returns the same
+        campaign; another specification under its name is refused.
 
-        priority: from -100 to 100; rollouts of higher priority are leased earlier.
-        """
+        priority: from -100 to 100; rollouts of higher priority are leased earlier."""
         text = _text(spec)
         request = wire.CreateCampaignRequest(spec=text, priority=priority)
         self._connection.call("CreateCampaign", request)
@@ -93,8 +90,7 @@ class Client:
         connected workers would take, and the bottleneck. Creates nothing.
 
         policy_rate: maximal queries per second of all replicas of the policy's server together, as
-        `policy-gateway check` measures them.
-        """
+        `policy-gateway check` measures them."""
         text = _text(spec)
         rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
         suites = Counter(json.loads(row)["suite"] for row in rows)

@@ -63,8 +63,8 @@ class Connection:
         return answer
 
     def call(self, name: str, request: object) -> Any:
-        """Calls a method until the coordinator answers, the time for retries is over, or a retry could not
-        help. All operator calls may be repeated safely. Raises CoordinatorError."""
+        """Calls a method until the coordinator answers, the time for retries is over, or a retry
+        could not help. All operator calls may be repeated safely. Raises CoordinatorError."""
         method = self._method(self._channel.unary_unary, name)
         return self._with_retries(
             lambda: method(request, timeout=ANSWER_TIMEOUT, metadata=self.access.metadata)

@@ -1,8 +1,7 @@
 """The protocol's calls to a policy: sessions, retries, checks and errors.
 
-A call arrives in a gRPC thread, which reads its message and prepares its
-frames; the policy itself is called in the inference thread.
-"""
+A call arrives in a gRPC thread, which reads its message and prepares its frames; the policy itself
+is called in the inference thread."""
 
 from __future__ import annotations
 
@@ -56,7 +55,7 @@ class PolicyService:
         self._warned_of_gripper = False
 
     def handler(self) -> grpc.GenericRpcHandler:
-        """Returns the handler of the protocol's calls: the methods of this class with their names."""
+        """Returns a handler of the protocol's calls, which are methods of this class."""
         service = pb.DESCRIPTOR.services_by_name["Policy"]
         calls = {
             call.name: grpc.unary_unary_rpc_method_handler(

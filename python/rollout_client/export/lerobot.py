@@ -2,8 +2,7 @@
 
 The dataset lacks the data that a campaign does not keep: joints, the gripper's state, the
 end-effector's orientation, and the pictures that the policy received. Its videos are the campaign's
-films, which show both cameras side by side and are compressed.
-"""
+films, which show both cameras side by side and are compressed."""
 
 from __future__ import annotations
 
@@ -41,9 +40,8 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
     """Writes an archive's rollouts that have actions into an empty or new folder; returns their
     number.
 
-    films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there
-    is no such rollout, and SettingsError if the folder is not empty or pyarrow is missing.
-    """
+    films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there is
+    no such rollout, and SettingsError if the folder is not empty or pyarrow is missing."""
     import_package("pyarrow")
     target = Path(folder)
     if target.exists() and any(target.iterdir()):

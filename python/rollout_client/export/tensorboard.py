@@ -16,8 +16,7 @@ def export(archive: Archive, folder: str | os.PathLike[str]) -> int:
 
     Tags are `success_rate/LEVEL/CONDITION`; a point's step is the number of results of that
     condition so far, and its time is that of the latest commit. The text `specification` is the
-    campaign's specification. Raises SettingsError if tensorboard is missing.
-    """
+    campaign's specification. Raises SettingsError if tensorboard is missing."""
     import_package("tensorboard")
     from tensorboard.compat.proto.event_pb2 import Event
     from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata

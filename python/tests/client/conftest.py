@@ -179,8 +179,7 @@ def certificates(tmp_path_factory):
             f" -keyout {authority}-key.pem -out {authority}.pem",
         )
     openssl(
-        folder,
-        "req -newkey rsa:2048 -nodes -subj /CN=localhost -keyout key.pem -out request.pem",
+        folder, "req -newkey rsa:2048 -nodes -subj /CN=localhost -keyout key.pem -out request.pem"
     )
     openssl(
         folder,
