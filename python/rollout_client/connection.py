@@ -10,9 +10,7 @@ from typing import Any, TypeVar
 
 import grpc
 
-from . import probe
 from .access import Access
-from .channel import channel
 from .errors import (
     AccessDeniedError,
     CoordinatorError,
@@ -36,6 +34,9 @@ CONNECTION_CODES = (
     grpc.StatusCode.UNKNOWN,
 )
 
+#: Start of gRPC's message about an answer from a web server.
+WEB_ANSWER = "Received http2 header with status: "
+INSTALL = "name the coordinator's address, and install its release of rollout-libero"
 #: The operator's calls.
 SERVICE = wire.DESCRIPTOR.services_by_name["OperatorService"]
 
@@ -50,7 +51,7 @@ class Connection:
     def __init__(self, access: Access, retry_secs: float) -> None:
         self.access = access
         self.retry_secs = retry_secs
-        self._channel = channel(access)
+        self._channel = _channel(access)
 
     def close(self) -> None:
         """Closes the connection. Later calls fail."""
@@ -91,9 +92,13 @@ class Connection:
             try:
                 return send()
             except grpc.RpcError as error:
-                finding = self._diagnose(error)
-                failure = _refusal(error) if finding is None else self._unreachable(finding)
-                is_temporary = _is_outage(error) if finding is None else not finding.is_final
+                lost = self._lost(error)
+                failure = lost or _refusal(error)
+                is_temporary = (
+                    error.code() is grpc.StatusCode.UNAVAILABLE
+                    if lost is None
+                    else lost.remedy is not INSTALL
+                )
             if not is_temporary or time.monotonic() + pause > deadline:
                 raise failure
             if not has_warned:
@@ -102,25 +107,22 @@ class Connection:
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
 
-    def _diagnose(self, error: grpc.RpcError) -> probe.Finding | None:
-        """Identifies the server at the URL; None if the coordinator itself answered."""
-        code, details = error.code(), error.details() or ""
-        is_from_web_server = details.startswith(probe.WEB_ANSWER)
+    def _lost(self, error: grpc.RpcError) -> UnreachableError | None:
+        """Returns the error of a call that did not reach a coordinator; None if one answered."""
+        code, details = error.code(), error.details() or error.code().name
+        is_from_web_server = details.startswith(WEB_ANSWER)
         # Only a server's answers have trailing metadata; this client's own errors have none.
         has_answered = bool(error.trailing_metadata()) and not is_from_web_server
-        is_unimplemented = code is grpc.StatusCode.UNIMPLEMENTED
-        may_be_lost = is_from_web_server or code in CONNECTION_CODES
-        if not may_be_lost or has_answered and not is_unimplemented:
+        if code is grpc.StatusCode.UNIMPLEMENTED:
+            found = "the server there is not a coordinator, or has another release"
+            return UnreachableError(self.access.url, found, INSTALL)
+        if has_answered or not is_from_web_server and code not in CONNECTION_CODES:
             return None
-        finding = probe.identify_server(self.access)
-        return probe.OLDER if finding is probe.BROKEN and is_unimplemented else finding
-
-    def _unreachable(self, finding: probe.Finding) -> UnreachableError:
-        return UnreachableError(self.access.url, finding.words, finding.remedy)
-
-
-def _is_outage(error: grpc.RpcError) -> bool:
-    return error.code() is grpc.StatusCode.UNAVAILABLE
+        remedy = (
+            "start it with `coordinator serve`, or find out what is there with"
+            f" `coordinator campaign list --connect {self.access.url}`"
+        )
+        return UnreachableError(self.access.url, details, remedy)
 
 
 def _refusal(error: grpc.RpcError) -> CoordinatorError:
@@ -133,3 +135,24 @@ def _refusal(error: grpc.RpcError) -> CoordinatorError:
     if code is grpc.StatusCode.NOT_FOUND:
         return NoSuchCampaignError(message)
     return RefusedError(message)
+
+
+def _channel(access: Access) -> grpc.Channel:
+    """Returns a channel that connects at the first call, with the command line's options."""
+    options = [
+        # As on the command line, messages may be large enough for the lists of large campaigns,
+        # and no proxy is used.
+        ("grpc.max_receive_message_length", 32 << 20),
+        ("grpc.max_send_message_length", 32 << 20),
+        ("grpc.enable_http_proxy", 0),
+        ("grpc.initial_reconnect_backoff_ms", 250),
+        ("grpc.max_reconnect_backoff_ms", 4_000),
+        # Despite its name, the shortest timeout of an attempt to connect, not a back-off.
+        ("grpc.min_reconnect_backoff_ms", 5_000),
+        # Each channel has its own connection, which failures of another channel do not affect.
+        ("grpc.use_local_subchannel_pool", 1),
+    ]
+    if not access.is_encrypted:
+        return grpc.insecure_channel(access.target, options=options)
+    credentials = grpc.ssl_channel_credentials(root_certificates=access.authority)
+    return grpc.secure_channel(access.target, credentials, options=options)

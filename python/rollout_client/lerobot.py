@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..archive import Archive, ArchiveError, Rollout
-from ..errors import SettingsError
-from . import import_package
+from .archive import Archive, ArchiveError, Rollout
+from .errors import SettingsError
 
 #: Control steps, and pictures of a film, per second.
 FPS = 20
@@ -42,7 +41,12 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
 
     films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there is
     no such rollout, and SettingsError if the folder is not empty or pyarrow is missing."""
-    import_package("pyarrow")
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise SettingsError(
+            "failed to export: pyarrow is not installed; run pip install pyarrow"
+        ) from None
     target = Path(folder)
     if target.exists() and any(target.iterdir()):
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")
