@@ -1,16 +1,14 @@
-"""Writes expected.json: results of NumPy and SciPy for random data sets and the
-example data, with which tests/reference.rs compares the crate's results. Shares
-no code with the crate, and resamples with another random generator.
+"""Writes expected.json: results of NumPy and SciPy for random data sets and the example data, with
+which tests/reference.rs compares the crate's results. Shares no code with the crate, and resamples
+with another random generator.
 
     python3 -m venv venv && venv/bin/pip install numpy==2.4.6 scipy==1.17.1
     venv/bin/python crates/analysis/paired/tests/it/reference/expected.py
 
-Takes a few seconds. A data set is one text per task, two hexadecimal digits
-per configuration: bits 0 to 5 are the success under camera, lighting, robot,
-sensor, actuation and language alone, bit 6 is the success under simultaneous
-perturbation. A data set of two policies has one digit per rollout: bit 0 is the
-success of A, bit 1 that of B.
-"""
+Takes a few seconds. A data set is one text per task, two hexadecimal digits per configuration: bits
+0 to 5 are the success under camera, lighting, robot, sensor, actuation and language alone, bit 6 is
+the success under simultaneous perturbation. A data set of two policies has one digit per rollout:
+bit 0 is the success of A, bit 1 that of B."""
 
 import json
 from pathlib import Path

@@ -2,8 +2,7 @@
 
 The dataset lacks the data that a campaign does not keep: joints, the gripper's state, the
 end-effector's orientation, and the pictures that the policy received. Its videos are the campaign's
-films, which show both cameras side by side and are compressed.
-"""
+films, which show both cameras side by side and are compressed."""
 
 from __future__ import annotations
 
@@ -16,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..archive import Archive, ArchiveError, Rollout
-from ..errors import SettingsError
-from . import import_package
+from .archive import Archive, ArchiveError, Rollout
+from .errors import SettingsError
 
 #: Control steps, and pictures of a film, per second.
 FPS = 20
@@ -41,10 +39,14 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
     """Writes an archive's rollouts that have actions into an empty or new folder; returns their
     number.
 
-    films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there
-    is no such rollout, and SettingsError if the folder is not empty or pyarrow is missing.
-    """
-    import_package("pyarrow")
+    films: exports only rollouts that were filmed, with their films. Raises ArchiveError if there is
+    no such rollout, and SettingsError if the folder is not empty or pyarrow is missing."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise SettingsError(
+            "failed to export: pyarrow is not installed; run pip install pyarrow"
+        ) from None
     target = Path(folder)
     if target.exists() and any(target.iterdir()):
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")
