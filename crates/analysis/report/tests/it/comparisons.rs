@@ -124,7 +124,8 @@ fn reasons(a: Subject, b: Subject) -> String {
 
 #[test]
 fn policies_measured_differently_are_not_compared_and_the_difference_is_named() {
-    let alterations: [(fn(&mut Pin), &str); 4] = [
+    type Alter = fn(&mut Pin);
+    let alterations: [(Alter, &str); 4] = [
         (
             |pin| {
                 "primitives".clone_into(&mut pin.asset_pack);
