@@ -88,7 +88,7 @@ fn check_table(table: &str) {
     for word in ["camera", "language", "R_e", "R_c", "realisation matched"] {
         assert!(table.contains(word), "no `{word}` in the report:\n{table}");
     }
-    for word in ["no result yet", "incomplete"] {
+    for word in ["no result yet", " missing"] {
         assert!(!table.contains(word), "`{word}` in the report:\n{table}");
     }
 }

@@ -358,7 +358,7 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
             Block::Html(_) => continue,
         };
         let is_prose = matches!(block, Block::Paragraph(_) | Block::Claim(_));
-        if !text.is_empty() && !part.is_empty() && !(is_prose && follows_prose) {
+        if !(text.is_empty() || part.is_empty() || is_prose && follows_prose) {
             text.push('\n');
         }
         follows_prose = is_prose;

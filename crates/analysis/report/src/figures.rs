@@ -7,12 +7,11 @@
 //! Color Universal Design (2008), and, for the heat map, of ColorBrewer's YlGnBu
 //! (C. Brewer, 2002).
 
-mod decomposition;
 mod differences;
-mod directions;
 mod heat_map;
 mod interactions;
 mod lattice;
+mod levels;
 mod matrix;
 mod survival;
 mod svg;
@@ -28,9 +27,8 @@ use crate::document::Document;
 use crate::threshold_report::ThresholdReport;
 
 pub use self::lattice::{SubsetLink, lattice};
-pub use decomposition::decomposition;
+pub use self::levels::{decomposition, directions};
 pub use differences::differences;
-pub use directions::directions;
 pub use heat_map::heat_map;
 pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;

@@ -6,7 +6,8 @@ use maud::{Markup, html};
 use paired::{ComparedCell, Difference};
 
 use super::svg::{
-    AXIS, HEAD, Scale, circle, line, number, percent_ticks, shortened, text, whisker, withheld,
+    AXIS, HEAD, Scale, circle, end_and_step, line, number, percent_ticks, shortened, text, whisker,
+    withheld,
 };
 use super::{Figure, WIDTH};
 use crate::comparison::Comparison;
@@ -15,11 +16,6 @@ use crate::words;
 const LABEL_WIDTH: f64 = 96.0;
 const ROW_HEIGHT: f64 = 18.0;
 const LEVEL_GAP: f64 = 10.0;
-/// Candidate distances of ticks, fractions; the first that needs at most [`MAX_TICKS`] ticks on
-/// each side of zero is used.
-const TICK_STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
-const MAX_TICKS: f64 = 3.0;
-
 /// Draws the panel of two policies; `None` if no rollout has an outcome for both
 /// policies.
 pub fn differences(comparison: &Comparison) -> Option<Figure> {
@@ -34,9 +30,7 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
         [low, high, delta.difference].map(f64::abs)
     });
     let largest = ends.fold(0.01, f64::max);
-    let fits = |step: &&f64| largest / **step <= MAX_TICKS;
-    let step = *TICK_STEPS.iter().find(fits).unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
-    let end = (largest / step - 1e-9).ceil() * step;
+    let (end, step) = end_and_step(largest, 3.0);
     let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 20.0]);
     let mut y = HEAD + 22.0;
     let mut previous = None;

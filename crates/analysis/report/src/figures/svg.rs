@@ -77,6 +77,14 @@ pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64, signed: bool) -> Ve
     (first..=last).map(|k| (k as f64 * step, label(k as f64 * step))).collect()
 }
 
+/// Returns the end of an axis to both sides of zero, and the distance of its ticks: the first
+/// candidate that needs at most `most` ticks on each side.
+pub(super) fn end_and_step(largest: f64, most: f64) -> (f64, f64) {
+    let mut steps = [0.02, 0.05, 0.1, 0.25].into_iter();
+    let step = steps.find(|step| largest / step <= most).unwrap_or(0.5);
+    ((largest / step - 1e-9).ceil() * step, step)
+}
+
 pub(super) fn text(x: f64, y: f64, class: &str, content: &str) -> Markup {
     html! { text x=(number(x)) y=(number(y)) class=(class) { (content) } }
 }

@@ -23,11 +23,8 @@ pub(super) fn methods(document: &Document) -> Markup {
                 @if is_paired {
                     "Every configuration pairs one initial state with one preset of each axis; it \
                     is run under each axis alone and under all of them simultaneously, so that \
-                    outcomes are compared configuration by configuration. S_indep is the product of \
-                    the axes' success rates, S_conj the share of configurations that succeed under \
-                    every axis alone, S_sim the success rate under simultaneous perturbation; \
-                    D = S_conj − S_indep, I = S_sim − S_conj. McNemar's exact test takes rollouts \
-                    as independent; sign-flip tests take tasks as independent. The findings rest \
+                    outcomes are compared configuration by configuration. McNemar's exact test takes \
+                    rollouts as independent; sign-flip tests take tasks as independent. The findings rest \
                     on sign-flip tests of costs and of I, t tests of the excess over the noise \
                     floor, and permutation tests of directions, at 1 % after Holm's correction. \
                     Intervals for each target are jackknives over tasks, directions and \

@@ -41,15 +41,15 @@ pub(super) enum Kind {
 /// A column: its name, its type, and a function that returns a row's value.
 pub(super) type Column<'a, R> = (String, Kind, Box<dyn Fn(&R) -> Value + 'a>);
 
-/// Boxes columns whose values depend on the row alone.
-pub(super) fn columns<'a, R: 'a, const N: usize>(
-    columns: [(&str, Kind, fn(&R) -> Value); N],
-) -> Vec<Column<'a, R>> {
-    let columns = columns.into_iter();
-    let boxed = |(name, kind, value): (&str, _, fn(&R) -> Value)| -> Column<'a, R> {
+/// A column whose value depends on the row alone.
+type Plain<R> = (&'static str, Kind, fn(&R) -> Value);
+
+/// Boxes columns.
+pub(super) fn columns<'a, R: 'a, const N: usize>(columns: [Plain<R>; N]) -> Vec<Column<'a, R>> {
+    let boxed = |(name, kind, value): Plain<R>| -> Column<'a, R> {
         (name.to_owned(), kind, Box::new(value))
     };
-    columns.map(boxed).collect()
+    columns.into_iter().map(boxed).collect()
 }
 
 /// A table: its name in the Parquet schema, its columns and its rows.

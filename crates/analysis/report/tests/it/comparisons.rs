@@ -124,35 +124,32 @@ fn reasons(a: Subject, b: Subject) -> String {
 
 #[test]
 fn policies_measured_differently_are_not_compared_and_the_difference_is_named() {
-    let with = |alter: fn(&mut Pin)| {
+    type Alter = fn(&mut Pin);
+    let alterations: [(Alter, &str); 4] = [
+        (
+            |pin| {
+                "primitives".clone_into(&mut pin.asset_pack);
+                pin.asset_pack_digest = "b".repeat(64);
+            },
+            "asset pack (first with libero (aaaaaaaaaaaa), second with primitives (bbbbbbbbbbbb))",
+        ),
+        (|pin| "llvmpipe".clone_into(&mut pin.renderer), "renderer"),
+        (
+            |pin| pin.look = Look::Mujoco333,
+            "look (first with mujoco-3.3.2, second with mujoco-3.3.3)",
+        ),
+        (|pin| "3.9.9".clone_into(&mut pin.mujoco_version), "MuJoCo version"),
+    ];
+    for (alter, expected) in alterations {
         let mut subject = altered("second");
         alter(&mut subject.provenances[0].pin);
-        reasons(campaign("first"), subject)
-    };
-    let message = with(|pin| {
-        "primitives".clone_into(&mut pin.asset_pack);
-        pin.asset_pack_digest = "b".repeat(64);
-    });
-    assert!(
-        message.contains(
-            "more than one asset pack (first with libero (aaaaaaaaaaaa), second with primitives \
-             (bbbbbbbbbbbb))"
-        ),
-        "{message}"
-    );
-    let message = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
-    assert!(message.contains("more than one renderer"), "{message}");
-    let message = with(|pin| pin.look = Look::Mujoco333);
-    assert!(
-        message.contains("more than one look (first with mujoco-3.3.2, second with mujoco-3.3.3)"),
-        "{message}"
-    );
+        let message = reasons(campaign("first"), subject);
+        assert!(message.contains(&format!("more than one {expected}")), "{message}");
+    }
     let mut file = altered("second");
     file.provenances.clear();
     file.look = Some(Look::Mujoco333);
     assert!(reasons(campaign("first"), file).contains("more than one look"));
-    let message = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
-    assert!(message.contains("more than one MuJoCo version"), "{message}");
     let mut reference = altered("second");
     reference.realisation = Some("reference".parse().expect("a mode"));
     let message = reasons(campaign("first"), reference);
