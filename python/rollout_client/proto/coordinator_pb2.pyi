@@ -409,6 +409,30 @@ class CreateCampaignResponse(_message.Message):
     priority: int
     def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ..., priority: _Optional[int] = ...) -> None: ...
 
+class AppendRowsRequest(_message.Message):
+    __slots__ = ("campaign", "rows")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    rows: _containers.RepeatedCompositeFieldContainer[AppendedRow]
+    def __init__(self, campaign: _Optional[str] = ..., rows: _Optional[_Iterable[_Union[AppendedRow, _Mapping]]] = ...) -> None: ...
+
+class AppendedRow(_message.Message):
+    __slots__ = ("manifest_row", "replicates")
+    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
+    REPLICATES_FIELD_NUMBER: _ClassVar[int]
+    manifest_row: str
+    replicates: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, manifest_row: _Optional[str] = ..., replicates: _Optional[_Iterable[int]] = ...) -> None: ...
+
+class AppendRowsResponse(_message.Message):
+    __slots__ = ("jobs_added", "jobs_total")
+    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
+    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
+    jobs_added: int
+    jobs_total: int
+    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ...) -> None: ...
+
 class ListCampaignsRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...

@@ -329,6 +329,11 @@ class OperatorServiceStub(object):
                 request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.CreateCampaignRequest.SerializeToString,
                 response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.CreateCampaignResponse.FromString,
                 )
+        self.AppendRows = channel.unary_unary(
+                '/rollout.coordinator.v1.OperatorService/AppendRows',
+                request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.AppendRowsRequest.SerializeToString,
+                response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.AppendRowsResponse.FromString,
+                )
         self.ListCampaigns = channel.unary_unary(
                 '/rollout.coordinator.v1.OperatorService/ListCampaigns',
                 request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ListCampaignsRequest.SerializeToString,
@@ -419,6 +424,15 @@ class OperatorServiceServicer(object):
         """Expands a campaign into jobs, in one transaction. A large campaign is expanded in batches,
         and is hidden until the last batch. If the name exists, the same specification adds
         nothing, and a different specification is refused.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def AppendRows(self, request, context):
+        """Adds manifest rows to a campaign of a manifest, or to one that explains another or measures its
+        thresholds: all of them, or none. Rows are validated as those of a manifest. A row that the
+        campaign has is ignored if it is equal, and refused otherwise. A finished campaign runs again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -548,6 +562,11 @@ def add_OperatorServiceServicer_to_server(servicer, server):
                     request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.CreateCampaignRequest.FromString,
                     response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.CreateCampaignResponse.SerializeToString,
             ),
+            'AppendRows': grpc.unary_unary_rpc_method_handler(
+                    servicer.AppendRows,
+                    request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.AppendRowsRequest.FromString,
+                    response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.AppendRowsResponse.SerializeToString,
+            ),
             'ListCampaigns': grpc.unary_unary_rpc_method_handler(
                     servicer.ListCampaigns,
                     request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ListCampaignsRequest.FromString,
@@ -653,6 +672,23 @@ class OperatorService(object):
         return grpc.experimental.unary_unary(request, target, '/rollout.coordinator.v1.OperatorService/CreateCampaign',
             rollout__client_dot_proto_dot_coordinator__pb2.CreateCampaignRequest.SerializeToString,
             rollout__client_dot_proto_dot_coordinator__pb2.CreateCampaignResponse.FromString,
+            options, channel_credentials,
+            insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
+
+    @staticmethod
+    def AppendRows(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(request, target, '/rollout.coordinator.v1.OperatorService/AppendRows',
+            rollout__client_dot_proto_dot_coordinator__pb2.AppendRowsRequest.SerializeToString,
+            rollout__client_dot_proto_dot_coordinator__pb2.AppendRowsResponse.FromString,
             options, channel_credentials,
             insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
 

@@ -2,6 +2,7 @@
 //! writes the outcome in the writing transaction.
 
 pub(crate) mod alter;
+pub(crate) mod append;
 pub(crate) mod artifacts;
 pub(crate) mod backup;
 pub(crate) mod batches;

@@ -124,7 +124,7 @@ async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(),
         return Ok(());
     }
     let id = campaign.campaign;
-    derivations::append(&mut context.tx, id, jobs).await?;
+    campaigns::append_jobs(&mut context.tx, id, jobs).await?;
     let name = context.campaign(id).await?.name.clone();
     context.cache.clear_campaigns();
     context.commit().await?;

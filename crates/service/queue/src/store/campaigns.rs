@@ -1,6 +1,8 @@
 //! Statements on `campaign`, `campaign_task` and `former_name`: creating,
 //! pinning, altering, deleting, and reading a campaign with its policy.
 
+use std::collections::BTreeSet;
+
 use libero_ctrl::{Realisation, Wanted};
 use rollout_types::Pin;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
@@ -192,11 +194,11 @@ pub(crate) async fn insert(
 ) -> Result<CampaignId, StoreError> {
     take_name(tx, &campaign.name).await?;
     let id = insert_without_jobs(tx, campaign, folder, now).await?;
-    insert_jobs(tx, id, &campaign.jobs).await?;
+    append_jobs(tx, id, &campaign.jobs).await?;
     Ok(id)
 }
 
-/// Stores a campaign with its number of jobs; the jobs themselves are inserted separately.
+/// Stores a campaign without jobs, which are appended separately.
 pub(crate) async fn insert_without_jobs(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
@@ -205,10 +207,10 @@ pub(crate) async fn insert_without_jobs(
 ) -> Result<CampaignId, StoreError> {
     let policy =
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
-    let id: CampaignId = sqlx::query_scalar(
+    sqlx::query_scalar(
         "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
              wanted, jobs, created_ms, state_since_ms, priority, folder, execution)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, nullif(?11, ?1), ?12) RETURNING id",
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8, ?8, ?9, nullif(?10, ?1), ?11) RETURNING id",
     )
     .bind(&campaign.name)
     .bind(&campaign.spec)
@@ -217,34 +219,70 @@ pub(crate) async fn insert_without_jobs(
     .bind(&campaign.realisation)
     .bind(campaign.record)
     .bind(json(&campaign.wanted))
-    .bind(campaign.jobs.len() as i64)
     .bind(now)
     .bind(campaign.priority)
     .bind(folder)
     .bind(&campaign.execution)
-    .fetch_one(&mut *tx)
+    .fetch_one(tx)
     .await
-    .doing("store a campaign")?;
-    for task in campaign.tasks() {
-        sqlx::query("INSERT INTO campaign_task (campaign_id, task) VALUES (?, ?)")
-            .bind(id)
-            .bind(task)
-            .execute(&mut *tx)
-            .await
-            .doing("store a campaign's tasks")?;
-    }
-    Ok(id)
+    .doing("store a campaign")
 }
 
-pub(crate) async fn insert_jobs(
+/// Adds jobs to a campaign.
+pub(crate) async fn append_jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     jobs: &[NewJob],
 ) -> Result<(), StoreError> {
+    let tasks: BTreeSet<&str> = jobs.iter().map(|job| job.task.as_str()).collect();
+    sqlx::query(
+        "INSERT OR IGNORE INTO campaign_task (campaign_id, task)
+         SELECT ?, value FROM json_each(?)",
+    )
+    .bind(campaign)
+    .bind(json(tasks))
+    .execute(&mut *tx)
+    .await
+    .doing("store a campaign's tasks")?;
     for jobs in jobs.chunks(JOBS_PER_INSERT) {
         insert_some_jobs(&mut *tx, campaign, jobs).await?;
     }
-    Ok(())
+    sqlx::query("UPDATE campaign SET jobs = jobs + ? WHERE id = ?")
+        .bind(jobs.len() as i64)
+        .bind(campaign)
+        .execute(tx)
+        .await
+        .doing("count a campaign's jobs")
+        .map(drop)
+}
+
+/// Returns a campaign's jobs of some tasks: their manifest rows, JSON, and replicates.
+pub(crate) async fn rows_of_tasks(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    tasks: &BTreeSet<String>,
+) -> Result<Vec<(String, u32)>, StoreError> {
+    sqlx::query_as(
+        "SELECT manifest_row, replicate FROM job
+         WHERE campaign_id = ? AND task IN (SELECT value FROM json_each(?)) ORDER BY unit_order",
+    )
+    .bind(campaign)
+    .bind(json(tasks))
+    .fetch_all(tx)
+    .await
+    .doing("read a campaign's rows")
+}
+
+/// Returns the number of a campaign's jobs.
+pub(crate) async fn job_count(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+) -> Result<i64, StoreError> {
+    sqlx::query_scalar("SELECT jobs FROM campaign WHERE id = ?")
+        .bind(id)
+        .fetch_one(tx)
+        .await
+        .doing("count a campaign's jobs")
 }
 
 async fn insert_some_jobs(

@@ -4,9 +4,7 @@
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, json};
-use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
-use crate::store::campaigns;
 use crate::store::outcomes::OutcomeRow;
 
 /// A campaign that derives from another.
@@ -186,29 +184,4 @@ pub(crate) async fn rows(
     .fetch_all(tx)
     .await
     .doing("read the rollouts to explain")
-}
-
-/// Appends jobs to a campaign.
-pub(crate) async fn append(
-    tx: &mut SqliteConnection,
-    campaign: CampaignId,
-    jobs: &[NewJob],
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT OR IGNORE INTO campaign_task (campaign_id, task)
-         SELECT DISTINCT ?, value FROM json_each(?)",
-    )
-    .bind(campaign)
-    .bind(json(jobs.iter().map(|job| &job.task).collect::<Vec<_>>()))
-    .execute(&mut *tx)
-    .await
-    .doing("store a campaign's tasks")?;
-    campaigns::insert_jobs(&mut *tx, campaign, jobs).await?;
-    sqlx::query("UPDATE campaign SET jobs = jobs + ? WHERE id = ?")
-        .bind(jobs.len() as i64)
-        .bind(campaign)
-        .execute(tx)
-        .await
-        .doing("count a campaign's jobs")
-        .map(drop)
 }

@@ -23,6 +23,8 @@ pub enum Step {
     /// An artifact of a rollout is recorded.
     Artifact,
     CreateCampaign,
+    /// Rows are added to a campaign.
+    AppendRows,
     ImportCampaign,
     /// A campaign is paused, resumed, cancelled or altered.
     ChangeCampaign,
@@ -72,7 +74,7 @@ pub enum Side {
 }
 
 impl Step {
-    pub const ALL: [Step; 16] = [
+    pub const ALL: [Step; 17] = [
         Step::Start,
         Step::Register,
         Step::Claim,
@@ -82,6 +84,7 @@ impl Step {
         Step::Sweep,
         Step::Artifact,
         Step::CreateCampaign,
+        Step::AppendRows,
         Step::ImportCampaign,
         Step::ChangeCampaign,
         Step::DeleteCampaign,

@@ -53,6 +53,11 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         change: wire::change_campaign_request::Change::Cancel.into(),
         ..pause.clone()
     };
+    let row = r#"{"rollout_id":"object/t0/camera/L1/c01","init_id":1}"#.to_owned();
+    let append = wire::AppendRowsRequest {
+        campaign: "c".into(),
+        rows: vec![wire::AppendedRow { manifest_row: row, replicates: vec![] }],
+    };
     let delete = wire::DeleteCampaignRequest { campaign: "c".into(), confirm: "c".into() };
     let import =
         wire::ImportChunk { name: "d".into(), archive: "c.tar.gz".into(), data: archive() };
@@ -64,6 +69,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     };
     let single_calls = [
         ("WorkerService/NextFilm", film.encode_to_vec()),
+        ("OperatorService/AppendRows", append.encode_to_vec()),
         ("OperatorService/ListCampaigns", vec![]),
         ("OperatorService/GetCampaign", campaign.clone()),
         ("OperatorService/ChangeCampaign", pause.encode_to_vec()),
