@@ -8,8 +8,8 @@ use libero_family::TaskKey;
 
 use super::campaigns::{Created, check_not_ended};
 use super::context::Context;
-use super::derive::{on_blocking_thread, specification};
 use super::error::QueueError;
+use super::records::{on_blocking_thread, specification};
 use crate::expand::{NewJob, altered};
 use crate::ids::CampaignName;
 use crate::queue::Queue;

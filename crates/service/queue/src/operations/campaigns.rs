@@ -61,7 +61,6 @@ impl Queue {
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
         if let Some(source) = source {
             derivations::insert(&mut context.tx, id, source).await?;
-            context.settles = true;
         }
         if let Some(configurations) = new.stoppable_configurations {
             stops::insert(&mut context.tx, id, configurations).await?;

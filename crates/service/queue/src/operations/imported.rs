@@ -13,7 +13,7 @@ use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
 use super::batches::JOBS_PER_BATCH;
-use super::derive::on_blocking_thread;
+use super::records::on_blocking_thread;
 use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;

@@ -33,8 +33,6 @@ pub enum Step {
     FinishRemoval,
     /// Jobs are taken out of quarantine, or quarantined because an operator skips them.
     RetryJobs,
-    /// Jobs are added to a derived campaign: one that explains another or measures its thresholds.
-    Derive,
     /// A campaign ends early.
     Stop,
 }
@@ -74,7 +72,7 @@ pub enum Side {
 }
 
 impl Step {
-    pub const ALL: [Step; 17] = [
+    pub const ALL: [Step; 16] = [
         Step::Start,
         Step::Register,
         Step::Claim,
@@ -90,7 +88,6 @@ impl Step {
         Step::DeleteCampaign,
         Step::FinishRemoval,
         Step::RetryJobs,
-        Step::Derive,
         Step::Stop,
     ];
 }
