@@ -8,7 +8,10 @@ use std::time::{Duration, Instant};
 use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::{Client, Service};
-use libero_ctrl::{CampaignSpec, ManifestRow, PolicyRoute, Realisation, Record, Rollouts, Wanted};
+use libero_ctrl::{
+    CampaignSpec, Explanation, ManifestRow, PolicyRoute, Realisation, Record, Rollouts, Thresholds,
+    Wanted,
+};
 use paired::Outcome;
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::{
@@ -95,12 +98,11 @@ impl Search<'_> {
                 )));
             }
         }
-        if !exists && let Some(first) = spec(client, self.source).await?.rollouts.source() {
-            return Err(failure(anyhow!(
-                "derive a campaign from `{0}`: `{0}` is itself derived from `{first}`; name \
-                 `{first}`",
-                self.source
-            )));
+        if !exists {
+            let problem = self.problem(&spec(client, self.source).await?.rollouts);
+            if let Some(problem) = problem {
+                return Err(usage(anyhow!("search campaign `{}`: {problem}", self.source)));
+            }
         }
         let source = client.campaign_status(self.source).await?;
         let prospect = prospect(&client.report(self.source).await?)?;
@@ -115,6 +117,27 @@ impl Search<'_> {
             eprintln!("{proposal}");
         }
         Ok(Some(self.run(client, next).await?))
+    }
+
+    /// Returns the reason why the source's rollouts allow no such search, and the remedy.
+    fn problem(&self, source: &Rollouts) -> Option<String> {
+        let benchmark = match source {
+            Rollouts::Variants(variants) => variants.benchmark.name(),
+            Rollouts::SuiteFile(file) => &file.name,
+            // Its outcomes are not final, since it may get further rollouts.
+            Rollouts::Explanation(Explanation { campaign, .. })
+            | Rollouts::Thresholds(Thresholds { campaign, .. }) => {
+                return Some(format!("it is itself derived from `{campaign}`; name `{campaign}`"));
+            }
+            Rollouts::Design(_) | Rollouts::Manifest(_) => {
+                let Rollouts::Thresholds(thresholds) = &self.rollouts else { return None };
+                return thresholds.check_measurable(source).err().map(|error| error.to_string());
+            }
+        };
+        Some(format!(
+            "it is of {benchmark}, which has no axes to explain and no thresholds; name a campaign \
+             of LIBERO-CTRL"
+        ))
     }
 
     /// Waits until every rollout of the source that will ever have an outcome has one: only then

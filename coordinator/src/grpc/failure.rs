@@ -46,7 +46,6 @@ fn code(error: &QueueError) -> Code {
         QueueError::CampaignDiffers { .. } | QueueError::NameTaken { .. } => Code::AlreadyExists,
         QueueError::Unspecified { .. }
         | QueueError::Unmatched { .. }
-        | QueueError::NoThresholds { .. }
         | QueueError::OtherPolicy { .. } => Code::InvalidArgument,
         // Waiting does not restore the data folder, so clients should not retry. Workers retry
         // anyway, to keep their outcomes.

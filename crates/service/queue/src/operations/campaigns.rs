@@ -1,6 +1,6 @@
 //! Creating, pausing, resuming, cancelling and deleting campaigns.
 
-use libero_ctrl::{CampaignSpec, Realisation, Rollouts};
+use libero_ctrl::Realisation;
 
 use super::batches::{self, JOBS_PER_BATCH, remove as remove_hidden};
 use super::context::Context;
@@ -16,9 +16,7 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as removal_marks;
-use crate::store::{
-    Doing, StoreError, campaigns, derivations, hidden, jobs, policies, stops, undecodable,
-};
+use crate::store::{StoreError, campaigns, derivations, hidden, jobs, policies, stops};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Created {
@@ -33,8 +31,8 @@ impl Queue {
     /// Stores a campaign and its jobs. Creating the same specification again adds nothing.
     ///
     /// # Errors
-    /// If a campaign of this name has another specification; if the source campaign does not exist,
-    /// measures another policy or cannot be derived from; or if the database fails.
+    /// If a campaign of this name has another specification; if the source campaign does not exist
+    /// or its results could not be compared; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -52,7 +50,7 @@ impl Queue {
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > JOBS_PER_BATCH {
-            // The campaign is not derived from another: derived campaigns are created without jobs.
+            // The campaign has no source: one that has is created without jobs.
             drop(context);
             batches::insert(shared, new, &folder).await?;
             return Ok(report_created(shared, new));
@@ -178,13 +176,12 @@ pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
 }
 
 impl Context<'_> {
-    /// Returns the source campaign of a new derived campaign; `None` if the new campaign is not
-    /// derived.
+    /// Returns the source of a new campaign, whose results can be compared with the new ones; `None`
+    /// if it has no source.
     async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
-        let Some(derived) = &new.derived else {
+        let Some(name) = &new.source else {
             return Ok(None);
         };
-        let name = derived.source().unwrap_or_default();
         let name = CampaignName::parse(name).map_err(|error| QueueError::Unspecified {
             campaign: new.name.clone(),
             problem: error.to_string(),
@@ -210,39 +207,6 @@ impl Context<'_> {
                     new.execution
                 ),
             });
-        }
-        let spec = campaigns::spec(&mut self.tx, source.id).await?;
-        let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
-        let spec = spec.doing("read the specification of the source campaign")?;
-        // A derived campaign may get further rollouts, so that its outcomes are never final.
-        if let Some(first) = spec.rollouts.source() {
-            return Err(QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: format!(
-                    "its source campaign `{}` is itself derived from `{first}`: name `{first}`",
-                    source.name
-                ),
-            });
-        }
-        let benchmark = match &spec.rollouts {
-            Rollouts::Variants(variants) => Some(variants.benchmark.name()),
-            Rollouts::SuiteFile(file) => Some(file.name.as_str()),
-            _ => None,
-        };
-        if let Some(benchmark) = benchmark {
-            return Err(QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: format!(
-                    "its source campaign `{}` is of {}, which has no axes to explain and no \
-                     thresholds: name a campaign of LIBERO-CTRL",
-                    source.name, benchmark
-                ),
-            });
-        }
-        if let Rollouts::Thresholds(thresholds) = derived {
-            let possible = thresholds.check_measurable(&spec.rollouts);
-            possible
-                .map_err(|problem| QueueError::NoThresholds { campaign: source.name, problem })?;
         }
         Ok(Some(source.id))
     }

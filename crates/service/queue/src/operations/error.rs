@@ -1,6 +1,5 @@
 //! Errors of requests to the queue.
 
-use libero_ctrl::NotMeasurable;
 use rollout_types::AttemptId;
 use sqlx::SqliteConnection;
 
@@ -66,12 +65,6 @@ pub enum QueueError {
          same policy"
     )]
     OtherPolicy { campaign: CampaignName, policy: String, endpoint: String },
-    #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
-    NoThresholds {
-        campaign: CampaignName,
-        /// Reason. Part of the message, because a caller receives only the message.
-        problem: NotMeasurable,
-    },
     #[error(
         "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` lists its rollouts"
     )]
