@@ -302,7 +302,7 @@ impl Search<'_> {
 }
 
 /// Returns the specification of a campaign.
-async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
+pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
     let request = GetCampaignRequest { campaign: name.to_owned() };
     let answer = client.call(request, Service::get_campaign).await?;
     CampaignSpec::from_json(&answer.spec).map_err(usage)

@@ -89,9 +89,18 @@ impl OperatorService for OperatorApi {
     async fn append_rows(&self, request: Request<AppendRowsRequest>) -> Answer<AppendRowsResponse> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
-        let rows = read::rows(request.rows)?;
         let queue = self.queue.clone();
-        let appended = async move { queue.append_rows(&name, rows).await };
+        let rows = read::rows(request.rows)?;
+        let extended = match request.spec.as_str() {
+            "" => None,
+            spec => Some(NewCampaign::from_json(spec).map_err(|error| invalid(chain(&error)))?),
+        };
+        let appended = async move {
+            match extended {
+                Some(extended) => queue.extend_campaign(&name, extended).await,
+                None => queue.append_rows(&name, rows).await,
+            }
+        };
         let appended = self.changes.run(appended).await?.map_err(failed)?;
         let (jobs_added, jobs_total) = (appended.jobs_added, appended.jobs_total);
         Ok(Response::new(AppendRowsResponse { jobs_added, jobs_total }))

@@ -410,12 +410,14 @@ class CreateCampaignResponse(_message.Message):
     def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ..., priority: _Optional[int] = ...) -> None: ...
 
 class AppendRowsRequest(_message.Message):
-    __slots__ = ("campaign", "rows")
+    __slots__ = ("campaign", "rows", "spec")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
     ROWS_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
     campaign: str
     rows: _containers.RepeatedCompositeFieldContainer[AppendedRow]
-    def __init__(self, campaign: _Optional[str] = ..., rows: _Optional[_Iterable[_Union[AppendedRow, _Mapping]]] = ...) -> None: ...
+    spec: str
+    def __init__(self, campaign: _Optional[str] = ..., rows: _Optional[_Iterable[_Union[AppendedRow, _Mapping]]] = ..., spec: _Optional[str] = ...) -> None: ...
 
 class AppendedRow(_message.Message):
     __slots__ = ("manifest_row", "replicates")

@@ -431,8 +431,9 @@ class OperatorServiceServicer(object):
 
     def AppendRows(self, request, context):
         """Adds manifest rows to a campaign of a manifest, or to one that explains another or measures its
-        thresholds: all of them, or none. Rows are validated as those of a manifest. A row that the
-        campaign has is ignored if it is equal, and refused otherwise. A finished campaign runs again.
+        thresholds; or the rows that a campaign of a design lacks of a larger one: all of them, or none.
+        Rows are validated as those of a manifest. A row that the campaign has is ignored if it is equal,
+        and refused otherwise. A finished campaign runs again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -10,12 +10,17 @@ use super::campaigns::{Created, check_not_ended};
 use super::context::Context;
 use super::error::QueueError;
 use super::records::{on_blocking_thread, specification};
-use crate::expand::{NewJob, altered};
+use crate::expand::{NewCampaign, NewJob, altered, differing_fields};
 use crate::ids::CampaignName;
 use crate::queue::Queue;
+use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::imported::{self, Budget};
 use crate::store::{Doing, StoreError, campaigns, derivations, undecodable};
+
+/// Reason why a campaign with a stop rule gets no further rows.
+const DRAWN: &str = "it may stop early, so that the order of its rows was drawn at its creation; \
+                     create one without `stop` to add rows to it";
 
 /// A row to be added to a campaign.
 #[derive(Clone, Debug)]
@@ -74,37 +79,103 @@ impl Queue {
             target.read(present)?;
         }
         drop(view);
-        let before = target.jobs;
+        let first = target.jobs;
         let checked = on_blocking_thread(move || target.further(rows)).await;
         let unspecified = |problem| QueueError::Unspecified { campaign: name.clone(), problem };
         let (jobs, new) = checked.map_err(unspecified)?;
-        let added = Created {
-            jobs_added: jobs.len() as u64,
-            jobs_total: before.unsigned_abs() + jobs.len() as u64,
-            priority: campaign.priority,
+        let extend = |spec: &mut CampaignSpec| {
+            if let Rollouts::Manifest(rows) = &mut spec.rollouts {
+                rows.extend(new);
+            }
         };
+        let spec = match source {
+            Some(_) => None,
+            None => Some(altered(&spec, extend).map_err(|error| unspecified(error.to_string()))?),
+        };
+        self.append(&campaign, first, jobs, spec).await
+    }
+
+    /// Adds the rows that a campaign of a design lacks of a larger one, or of more replicates.
+    ///
+    /// # Errors
+    /// If there is no such campaign, it has ended, may stop early, or is not of a design; if the
+    /// larger campaign lacks or alters one of its rollouts, or differs otherwise; or if the database
+    /// fails.
+    pub async fn extend_campaign(
+        &self,
+        name: &CampaignName,
+        larger: NewCampaign,
+    ) -> Result<Created, QueueError> {
+        let _guard = self.campaigns.lock().await;
+        let campaign = self.view().await?.campaign(name).await?;
+        check_not_ended(&campaign)?;
+        let unspecified = |problem: &str| QueueError::Unspecified {
+            campaign: name.clone(),
+            problem: problem.to_owned(),
+        };
+        let mut view = self.shared.store.read().await?;
+        let text = campaigns::spec(&mut view, campaign.id).await?;
+        let (spec, larger_spec) = (specification(&text)?, specification(&larger.spec)?);
+        let (Rollouts::Design(_), Rollouts::Design(_)) = (&spec.rollouts, &larger_spec.rollouts)
+        else {
+            return Err(unspecified("only a design can be extended; create another campaign"));
+        };
+        let CampaignSpec { rollouts, replicates, .. } = larger_spec.clone();
+        if (CampaignSpec { rollouts, replicates, ..spec }) != larger_spec {
+            let differs = differing_fields(&text, &larger.spec);
+            return Err(QueueError::CampaignDiffers { campaign: name.clone(), differs });
+        }
+        if campaign.is_drawn {
+            return Err(unspecified(DRAWN));
+        }
+        let tasks = larger.tasks().into_iter().map(str::to_owned).collect();
+        let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
+        let first = campaigns::job_count(&mut view, campaign.id).await?;
+        drop(view);
+        let is_lost = present.len() as i64 != first;
+        let present: BTreeSet<(String, u32)> = present.into_iter().collect();
+        let count = larger.jobs.len();
+        let mut jobs = larger.jobs;
+        jobs.retain(|job| !present.contains(&(job.manifest_row.clone(), job.replicate)));
+        if is_lost || jobs.len() + present.len() != count {
+            return Err(unspecified(
+                "the larger design lacks some of its rollouts, or perturbs them otherwise; add \
+                 tasks, levels, configurations or replicates only",
+            ));
+        }
+        for (place, job) in (first..).zip(&mut jobs) {
+            job.unit_order = place;
+        }
+        self.append(&campaign, first, jobs, Some((larger.spec, larger.spec_digest))).await
+    }
+
+    /// Adds jobs to a campaign that has `before`, and replaces its specification if one is given.
+    async fn append(
+        &self,
+        campaign: &Campaign,
+        before: i64,
+        jobs: Vec<NewJob>,
+        spec: Option<(String, String)>,
+    ) -> Result<Created, QueueError> {
+        let shared = &*self.shared;
+        let jobs_added = jobs.len() as u64;
+        let jobs_total = before.unsigned_abs() + jobs_added;
+        let created = Created { jobs_added, jobs_total, priority: campaign.priority };
         if jobs.is_empty() {
-            return Ok(added);
+            return Ok(created);
         }
         let mut context = Context::begin(shared, vec![Step::AppendRows]).await?;
-        let campaign = context.campaign_named(name).await?;
-        check_not_ended(&campaign)?;
-        if source.is_none() {
-            let extend = |spec: &mut CampaignSpec| {
-                if let Rollouts::Manifest(rows) = &mut spec.rollouts {
-                    rows.extend(new);
-                }
-            };
-            let (spec, digest) =
-                altered(&spec, extend).map_err(|error| unspecified(error.to_string()))?;
+        // The campaign may have ended meanwhile.
+        check_not_ended(&*context.campaign(campaign.id).await?)?;
+        if let Some((spec, digest)) = spec {
             campaigns::set_spec(&mut context.tx, campaign.id, &spec, &digest).await?;
         }
         campaigns::append_jobs(&mut context.tx, campaign.id, &jobs).await?;
         context.cache.clear_campaigns();
         context.commit().await?;
-        tracing::info!(campaign = %name, jobs = jobs.len(), "rows were added");
+        tracing::info!(campaign = %campaign.name, jobs = jobs_added, "rows were added");
         shared.work.notify_waiters();
-        Ok(added)
+        Ok(created)
     }
 }
 
@@ -139,9 +210,7 @@ impl Target {
                 .to_owned());
         }
         if self.spec.stop.is_some() {
-            return Err("it may stop early, so that the order of its rows was drawn at its \
-                        creation; create one without `stop` to add rows to it"
-                .to_owned());
+            return Err(DRAWN.to_owned());
         }
         let mut known: BTreeMap<RolloutId, ManifestRow> =
             self.earlier.iter().map(|row| (row.id, row.clone())).collect();

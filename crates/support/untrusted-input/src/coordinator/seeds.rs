@@ -57,6 +57,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let append = wire::AppendRowsRequest {
         campaign: "c".into(),
         rows: vec![wire::AppendedRow { manifest_row: row, replicates: vec![] }],
+        spec: String::new(),
     };
     let delete = wire::DeleteCampaignRequest { campaign: "c".into(), confirm: "c".into() };
     let import =
