@@ -202,7 +202,7 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     let file = file.to_string_lossy();
     refused(
         &["campaign", "create", "--spec", &file],
-        "it measures policy `p` at http://127.0.0.1:50051",
+        "`final` measures policy `p` at http://127.0.0.1:50051",
     );
 }
 

@@ -321,7 +321,7 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
     for (campaign, rows, replicates, words) in [
         ("rows", altered(4, "max_steps", json!(7)), &[][..], "has max_steps 7, but 300"),
         ("rows", altered(6, "init_id", json!(50)), &[], "row 2 of the added rows: read row goal"),
-        ("rows", altered(6, "init_id", json!(2)), &[], "its configuration in the campaign"),
+        ("rows", altered(6, "init_id", json!(2)), &[], "initial states differ"),
         ("rows", altered(3, "init_id", json!(2)), &[], "has init_id 2, but"),
         ("rows", altered(6, "level", json!("L1")), &[1], "names `replicates`"),
         ("design", altered(6, "level", json!("L1")), &[], "its specification defines its rows"),
@@ -395,7 +395,7 @@ async fn a_larger_design_adds_the_rollouts_that_the_campaign_lacks() {
         &["--tasks", "libero_goal", "--axes", "camera,robot", "--stop", "I excludes 0"],
     );
     for (name, flags, words) in [
-        ("first", &["--replicates", "1"][..], "the larger design lacks some of its rollouts"),
+        ("first", &["--replicates", "1"][..], "lacks some of its rollouts"),
         ("first", &["--configs", "nine"], "read configuration `nine`"),
         ("first", &["--manifest", "-"], "read manifest: 1 error"),
         ("first", &[], "required"),

@@ -156,7 +156,7 @@ impl CampaignSpec {
                     return Err(SpecError::Latency { given });
                 }
             }
-            Rollouts::Manifest(rows) => self.check_rows(&[], rows)?,
+            Rollouts::Manifest(rows) => self.check_rows(rows)?,
             Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
                 let defined_by = match &self.rollouts {
                     Rollouts::SuiteFile(file) => {
@@ -211,14 +211,9 @@ impl CampaignSpec {
         Ok(())
     }
 
-    /// Validates rows to be run under this specification, also against the `earlier` rows of the
-    /// campaign that they are added to.
-    pub fn check_rows(
-        &self,
-        earlier: &[ManifestRow],
-        rows: &[ManifestRow],
-    ) -> Result<(), SpecError> {
-        manifest::check_further(earlier, rows)?;
+    /// Validates rows to be run under this specification.
+    pub fn check_rows(&self, rows: &[ManifestRow]) -> Result<(), SpecError> {
+        manifest::check(rows)?;
         if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
             return Err(SpecError::VariantRow { id: row.id });
         }

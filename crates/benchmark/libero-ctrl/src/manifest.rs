@@ -27,9 +27,6 @@ const MAX_LISTED: usize = 20;
 /// the published directions have only four or five decimals.
 const RADIUS_TOLERANCE: f64 = 2e-3;
 
-/// Line number of rows that a campaign has already.
-const OF_CAMPAIGN: usize = 0;
-
 /// Rounding error of a parameter: half a unit of its sixth decimal, which matters at small
 /// radii.
 const ROUNDING: f64 = 0.5e-6;
@@ -66,19 +63,11 @@ pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
 
 /// Validates rows that were not parsed from a text; errors number them from 1.
 pub fn check(rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
-    check_further(&[], rows)
-}
-
-/// Validates rows like [`check`], also against earlier rows of their campaign.
-pub fn check_further(earlier: &[ManifestRow], rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
     let mut checker = Checker::default();
-    for row in earlier {
-        checker.check(OF_CAMPAIGN, row);
-    }
     for (index, row) in rows.iter().enumerate() {
         checker.check(index + 1, row);
     }
-    checker.finish(earlier.len() + rows.len())
+    checker.finish(rows.len())
 }
 
 /// Writes a manifest, one row per line.
@@ -174,7 +163,7 @@ pub enum LineProblem {
         /// First line with the id, from 1.
         first: usize,
     },
-    #[error("{id}: {column} differ from those of its configuration in {}", place(*first))]
+    #[error("{id}: {column} differ from those of its configuration in line {first}")]
     Unpaired {
         /// The row.
         id: RolloutId,
@@ -184,9 +173,8 @@ pub enum LineProblem {
         first: usize,
     },
     #[error(
-        "{id}: execution model `{given}`, but `{expected}` in {}: put rows of different models \
-         into separate manifests",
-        place(*first)
+        "{id}: execution model `{given}`, but `{expected}` in line {first}: put rows of different \
+             models into separate manifests"
     )]
     Execution {
         /// The row.
@@ -214,13 +202,6 @@ pub enum LineProblem {
         /// Radius of the level.
         expected: f64,
     },
-}
-
-fn place(line: usize) -> String {
-    match line {
-        OF_CAMPAIGN => "the campaign".to_owned(),
-        line => format!("line {line}"),
-    }
 }
 
 impl ManifestErrors {

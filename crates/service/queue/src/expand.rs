@@ -35,7 +35,7 @@ pub struct NewCampaign {
     /// Requirements on the workers.
     pub wanted: Wanted,
     /// Name of the campaign whose results are compared with this one's; `None` if there is none.
-    pub source: Option<String>,
+    pub source: Option<CampaignName>,
     /// Number of configurations if the campaign may stop early, in which case its jobs follow a
     /// random order of the configurations; `None` in other campaigns.
     pub stoppable_configurations: Option<usize>,
@@ -139,7 +139,7 @@ impl NewCampaign {
             realisation: spec.realisation.to_string(),
             execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
-            source: spec.rollouts.source().map(str::to_owned),
+            source: spec.rollouts.source().map(CampaignName::parse).transpose()?,
             stoppable_configurations,
             record: match spec.record {
                 Record::None => "none",

@@ -10,7 +10,6 @@ pub(crate) mod attached;
 pub(crate) mod backup;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
-pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod hidden;

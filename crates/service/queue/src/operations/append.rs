@@ -1,6 +1,7 @@
 //! Rows that clients add to a campaign.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::mem::discriminant;
 
 use libero_ctrl::manifest::{Difference, diff};
 use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId, Rollouts};
@@ -10,17 +11,13 @@ use super::campaigns::{Created, check_not_ended};
 use super::context::Context;
 use super::error::QueueError;
 use super::records::{on_blocking_thread, specification};
-use crate::expand::{NewCampaign, NewJob, altered, differing_fields};
+use crate::expand::{NewCampaign, NewJob, differing_fields};
 use crate::ids::CampaignName;
 use crate::queue::Queue;
-use crate::store::campaigns::Campaign;
+use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::imported::{self, Budget};
-use crate::store::{Doing, StoreError, campaigns, derivations, undecodable};
-
-/// Reason why a campaign with a stop rule gets no further rows.
-const DRAWN: &str = "it may stop early, so that the order of its rows was drawn at its creation; \
-                     create one without `stop` to add rows to it";
+use crate::store::{Doing, undecodable};
 
 /// A row to be added to a campaign.
 #[derive(Clone, Debug)]
@@ -30,17 +27,24 @@ pub struct AppendedRow {
     pub replicates: Vec<u32>,
 }
 
-/// What the rows to be added are checked against.
+/// A campaign that gets further rows.
 struct Target {
+    campaign: Campaign,
     spec: CampaignSpec,
-    /// Rows of the campaign; of a search, only those of the added rows' tasks.
-    earlier: Vec<ManifestRow>,
-    /// Replicates of the earlier rows.
-    replicates: BTreeSet<(RolloutId, u32)>,
-    /// Step budgets of the campaign that a search is compared with; `None` in other campaigns.
-    budgets: Option<BTreeSet<Budget>>,
-    /// Number of the campaign's jobs.
+    /// Number of its jobs.
     jobs: i64,
+}
+
+/// What the rows added to a search are checked against.
+struct Search {
+    spec: CampaignSpec,
+    /// Rows that it has of the tasks of the added ones, and their jobs.
+    rows: BTreeMap<RolloutId, ManifestRow>,
+    jobs: BTreeSet<(RolloutId, u32)>,
+    /// Step budgets of the campaign that it is compared with.
+    budgets: BTreeSet<Budget>,
+    /// Place of the first new job in the campaign's order.
+    first: i64,
 }
 
 impl Queue {
@@ -59,112 +63,115 @@ impl Queue {
     ) -> Result<Created, QueueError> {
         // While the guard is held, no other call adds jobs to the campaign or deletes it.
         let _guard = self.campaigns.lock().await;
-        let shared = &*self.shared;
-        let campaign = self.view().await?.campaign(name).await?;
-        check_not_ended(&campaign)?;
-        let mut view = shared.store.read().await?;
-        let spec = campaigns::spec(&mut view, campaign.id).await?;
-        let source = derivations::source(&mut view, campaign.id).await?;
-        let mut target = Target {
-            spec: specification(&spec)?,
-            earlier: Vec::new(),
-            replicates: BTreeSet::new(),
-            budgets: None,
-            jobs: campaigns::job_count(&mut view, campaign.id).await?,
-        };
-        if let Some(source) = source {
-            target.budgets = Some(imported::budgets(&mut view, source).await?);
-            let tasks = rows.iter().map(|new| TaskKey::of_row(&new.row)).collect();
-            let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
-            target.read(present)?;
-        }
-        drop(view);
-        let first = target.jobs;
-        let checked = on_blocking_thread(move || target.further(rows)).await;
+        let target = self.target(name).await?;
         let unspecified = |problem| QueueError::Unspecified { campaign: name.clone(), problem };
-        let (jobs, new) = checked.map_err(unspecified)?;
-        let extend = |spec: &mut CampaignSpec| {
-            if let Rollouts::Manifest(rows) = &mut spec.rollouts {
-                rows.extend(new);
-            }
+        let mut view = self.shared.store.read().await?;
+        let Some(source) = campaigns::source(&mut view, target.campaign.id).await? else {
+            drop(view);
+            let larger = with_rows(target.spec.clone(), rows).map_err(unspecified)?;
+            let larger = NewCampaign::from_spec(&larger);
+            let larger = larger.map_err(|error| unspecified(error.to_string()))?;
+            return self.extend(target, larger).await;
         };
-        let spec = match source {
-            Some(_) => None,
-            None => Some(altered(&spec, extend).map_err(|error| unspecified(error.to_string()))?),
+        let tasks = rows.iter().map(|new| TaskKey::of_row(&new.row)).collect();
+        let present = campaigns::rows_of_tasks(&mut view, target.campaign.id, &tasks).await?;
+        let mut search = Search {
+            spec: target.spec.clone(),
+            rows: BTreeMap::new(),
+            jobs: BTreeSet::new(),
+            budgets: imported::budgets(&mut view, source.id).await?,
+            first: target.jobs,
         };
-        self.append(&campaign, first, jobs, spec).await
+        drop(view);
+        for (row, replicate) in present {
+            let row: Result<ManifestRow, _> = serde_json::from_str(&row).map_err(undecodable);
+            let row = row.doing("read a campaign's manifest row")?;
+            search.jobs.insert((row.id, replicate));
+            search.rows.insert(row.id, row);
+        }
+        let jobs = on_blocking_thread(move || search.further(rows)).await;
+        self.append(target, jobs.map_err(unspecified)?, None).await
     }
 
     /// Adds the rows that a campaign of a design lacks of a larger one, or of more replicates.
     ///
     /// # Errors
-    /// If there is no such campaign, it has ended, may stop early, or is not of a design; if the
-    /// larger campaign lacks or alters one of its rollouts, or differs otherwise; or if the database
-    /// fails.
+    /// If there is no such campaign, it has ended or may stop early; if the larger campaign lacks
+    /// or alters one of its rollouts, or differs otherwise; or if the database fails.
     pub async fn extend_campaign(
         &self,
         name: &CampaignName,
         larger: NewCampaign,
     ) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
-        let campaign = self.view().await?.campaign(name).await?;
-        check_not_ended(&campaign)?;
-        let unspecified = |problem: &str| QueueError::Unspecified {
-            campaign: name.clone(),
-            problem: problem.to_owned(),
-        };
-        let mut view = self.shared.store.read().await?;
-        let text = campaigns::spec(&mut view, campaign.id).await?;
-        let (spec, larger_spec) = (specification(&text)?, specification(&larger.spec)?);
-        let (Rollouts::Design(_), Rollouts::Design(_)) = (&spec.rollouts, &larger_spec.rollouts)
-        else {
-            return Err(unspecified("only a design can be extended; create another campaign"));
-        };
-        let CampaignSpec { rollouts, replicates, .. } = larger_spec.clone();
-        if (CampaignSpec { rollouts, replicates, ..spec }) != larger_spec {
-            let differs = differing_fields(&text, &larger.spec);
-            return Err(QueueError::CampaignDiffers { campaign: name.clone(), differs });
-        }
-        if campaign.is_drawn {
-            return Err(unspecified(DRAWN));
-        }
-        let tasks = larger.tasks().into_iter().map(str::to_owned).collect();
-        let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
-        let first = campaigns::job_count(&mut view, campaign.id).await?;
-        drop(view);
-        let is_lost = present.len() as i64 != first;
-        let present: BTreeSet<(String, u32)> = present.into_iter().collect();
-        let count = larger.jobs.len();
-        let mut jobs = larger.jobs;
-        jobs.retain(|job| !present.contains(&(job.manifest_row.clone(), job.replicate)));
-        if is_lost || jobs.len() + present.len() != count {
-            return Err(unspecified(
-                "the larger design lacks some of its rollouts, or perturbs them otherwise; add \
-                 tasks, levels, configurations or replicates only",
-            ));
-        }
-        for (place, job) in (first..).zip(&mut jobs) {
-            job.unit_order = place;
-        }
-        self.append(&campaign, first, jobs, Some((larger.spec, larger.spec_digest))).await
+        let target = self.target(name).await?;
+        self.extend(target, larger).await
     }
 
-    /// Adds jobs to a campaign that has `before`, and replaces its specification if one is given.
+    async fn target(&self, name: &CampaignName) -> Result<Target, QueueError> {
+        let mut view = self.view().await?;
+        let campaign = view.campaign(name).await?;
+        check_not_ended(&campaign)?;
+        if campaign.is_drawn {
+            return Err(QueueError::Unspecified {
+                campaign: name.clone(),
+                problem: "it may stop early, so that the order of its rows was drawn at its \
+                          creation; create one without `stop` to add rows to it"
+                    .to_owned(),
+            });
+        }
+        let spec = specification(&view.spec(&campaign).await?)?;
+        let mut view = self.shared.store.read().await?;
+        let jobs = campaigns::job_count(&mut view, campaign.id).await?;
+        Ok(Target { campaign, spec, jobs })
+    }
+
+    async fn extend(&self, target: Target, larger: NewCampaign) -> Result<Created, QueueError> {
+        let Target { campaign, spec, jobs: first } = &target;
+        let larger_spec = specification(&larger.spec)?;
+        let CampaignSpec { rollouts, replicates, .. } = larger_spec.clone();
+        let is_other_kind = discriminant(&spec.rollouts) != discriminant(&rollouts);
+        if is_other_kind || (CampaignSpec { rollouts, replicates, ..spec.clone() }) != larger_spec {
+            let spec = self.view().await?.spec(campaign).await?;
+            let differs = differing_fields(&spec, &larger.spec);
+            return Err(QueueError::CampaignDiffers { campaign: campaign.name.clone(), differs });
+        }
+        let tasks = larger.tasks().into_iter().map(str::to_owned).collect();
+        let mut view = self.shared.store.read().await?;
+        let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
+        drop(view);
+        let is_lost = present.len() as i64 != *first;
+        let present: BTreeSet<(String, u32)> = present.into_iter().collect();
+        let (count, mut jobs) = (larger.jobs.len(), larger.jobs);
+        jobs.retain(|job| !present.contains(&(job.manifest_row.clone(), job.replicate)));
+        if is_lost || jobs.len() + present.len() != count {
+            return Err(QueueError::Unspecified {
+                campaign: campaign.name.clone(),
+                problem: "the larger one lacks some of its rollouts, or perturbs them otherwise; \
+                          add tasks, levels, configurations or replicates only"
+                    .to_owned(),
+            });
+        }
+        for (place, job) in (*first..).zip(&mut jobs) {
+            job.unit_order = place;
+        }
+        self.append(target, jobs, Some((larger.spec, larger.spec_digest))).await
+    }
+
+    /// Adds jobs to a campaign, and replaces its specification if another one is given.
     async fn append(
         &self,
-        campaign: &Campaign,
-        before: i64,
+        Target { campaign, jobs: before, .. }: Target,
         jobs: Vec<NewJob>,
         spec: Option<(String, String)>,
     ) -> Result<Created, QueueError> {
-        let shared = &*self.shared;
         let jobs_added = jobs.len() as u64;
         let jobs_total = before.unsigned_abs() + jobs_added;
         let created = Created { jobs_added, jobs_total, priority: campaign.priority };
         if jobs.is_empty() {
             return Ok(created);
         }
-        let mut context = Context::begin(shared, vec![Step::AppendRows]).await?;
+        let mut context = Context::begin(&self.shared, vec![Step::AppendRows]).await?;
         // The campaign may have ended meanwhile.
         check_not_ended(&*context.campaign(campaign.id).await?)?;
         if let Some((spec, digest)) = spec {
@@ -174,94 +181,85 @@ impl Queue {
         context.cache.clear_campaigns();
         context.commit().await?;
         tracing::info!(campaign = %campaign.name, jobs = jobs_added, "rows were added");
-        shared.work.notify_waiters();
+        self.shared.work.notify_waiters();
         Ok(created)
     }
 }
 
-impl Target {
-    /// Reads the rows that a search has.
-    fn read(&mut self, present: Vec<(String, u32)>) -> Result<(), StoreError> {
-        let mut rows = BTreeMap::new();
-        for (row, replicate) in present {
-            let row: Result<ManifestRow, _> = serde_json::from_str(&row).map_err(undecodable);
-            let row = row.doing("read a campaign's manifest row")?;
-            self.replicates.insert((row.id, replicate));
-            rows.insert(row.id, row);
+/// Returns the specification of a campaign of a manifest with further rows.
+fn with_rows(mut spec: CampaignSpec, further: Vec<AppendedRow>) -> Result<CampaignSpec, String> {
+    let Rollouts::Manifest(rows) = &mut spec.rollouts else {
+        return Err(
+            "its specification defines its rows; add rows to a campaign of a manifest, or \
+                    extend a design"
+                .to_owned(),
+        );
+    };
+    let mut known: BTreeMap<RolloutId, ManifestRow> =
+        rows.iter().map(|row| (row.id, row.clone())).collect();
+    for AppendedRow { row, replicates } in further {
+        if !replicates.is_empty() {
+            return Err(format!(
+                "row {} names `replicates`, but a row of a manifest runs in all of them; leave them \
+                 out",
+                row.id
+            ));
         }
-        self.earlier = rows.into_values().collect();
-        Ok(())
+        if is_new(&mut known, &row)? {
+            rows.push(row);
+        }
     }
+    Ok(spec)
+}
 
-    /// Returns the jobs to be added, and the rows that the campaign lacks; or the first fault of
-    /// the rows, and its remedy.
-    fn further(
-        mut self,
-        rows: Vec<AppendedRow>,
-    ) -> Result<(Vec<NewJob>, Vec<ManifestRow>), String> {
-        let all = 0..self.spec.replicates;
-        let is_search = self.budgets.is_some();
-        if let Rollouts::Manifest(rows) = &self.spec.rollouts {
-            self.earlier.clone_from(rows);
-            let jobs = rows.iter().flat_map(|row| all.clone().map(|replicate| (row.id, replicate)));
-            self.replicates = jobs.collect();
-        } else if !is_search {
-            return Err("its specification defines its rows; add rows to a campaign of a manifest"
-                .to_owned());
-        }
-        if self.spec.stop.is_some() {
-            return Err(DRAWN.to_owned());
-        }
-        let mut known: BTreeMap<RolloutId, ManifestRow> =
-            self.earlier.iter().map(|row| (row.id, row.clone())).collect();
-        let (mut new, mut jobs) = (Vec::new(), Vec::new());
-        for AppendedRow { row, replicates } in rows {
-            let id = row.id;
-            let run = row.clone().under(&self.spec.execution);
-            let row = if is_search && row.execution.is_wait() { run.clone() } else { row };
-            if !replicates.is_empty() && !is_search {
-                return Err(format!(
-                    "row {id} names `replicates`, but a row of a manifest runs in all of them; \
-                     leave them out"
-                ));
-            }
+/// Adds a row to the known ones. Returns false if it is one of them.
+fn is_new(known: &mut BTreeMap<RolloutId, ManifestRow>, row: &ManifestRow) -> Result<bool, String> {
+    let Some(present) = known.get(&row.id) else {
+        known.insert(row.id, row.clone());
+        return Ok(true);
+    };
+    match diff(std::slice::from_ref(present), std::slice::from_ref(row)).into_iter().next() {
+        Some(Difference::Value { id, column, left, right }) => Err(format!(
+            "row {id} has {column} {right}, but {left} in the campaign; send it unchanged, or \
+             create another campaign"
+        )),
+        _ => Ok(false),
+    }
+}
+
+impl Search {
+    /// Returns the jobs to be added; or the first fault of the rows, and its remedy.
+    fn further(mut self, further: Vec<AppendedRow>) -> Result<Vec<NewJob>, String> {
+        let (mut rows, mut jobs) = (Vec::new(), Vec::new());
+        for AppendedRow { row, mut replicates } in further {
+            let (id, run) = (row.id, row.clone().under(&self.spec.execution));
+            let row = if row.execution.is_wait() { run.clone() } else { row };
             let budget = (TaskKey::of_row(&row), row.max_steps.into(), row.settle_steps.into());
-            if self.budgets.as_ref().is_some_and(|budgets| !budgets.contains(&budget)) {
+            if !self.budgets.contains(&budget) {
                 return Err(format!(
                     "row {id} has another step budget than the rollouts that it is compared with; \
                      use theirs"
                 ));
             }
-            match known.get(&id) {
-                Some(present) => check_equal(present, &row)?,
-                None => {
-                    known.insert(id, row.clone());
-                    new.push(row);
-                }
+            if is_new(&mut self.rows, &row)? {
+                rows.push(row);
             }
-            let replicates = if replicates.is_empty() { all.clone().collect() } else { replicates };
+            if replicates.is_empty() {
+                replicates = (0..self.spec.replicates).collect();
+            }
             for replicate in replicates {
-                if self.replicates.insert((id, replicate)) {
-                    let job = NewJob::new(&run, replicate, self.jobs + jobs.len() as i64);
+                if self.jobs.insert((id, replicate)) {
+                    let job = NewJob::new(&run, replicate, self.first + jobs.len() as i64);
                     jobs.push(job.map_err(|error| error.to_string())?);
                 }
             }
         }
-        if !new.is_empty() {
-            let checked = self.spec.check_rows(&self.earlier, &new);
-            checked.map_err(|error| error.to_string())?;
+        if !rows.is_empty() {
+            // The new rows come first, since errors number the rows.
+            let new: BTreeSet<RolloutId> = rows.iter().map(|row| row.id).collect();
+            rows.extend(self.rows.into_values().filter(|row| !new.contains(&row.id)));
+            self.spec.check_rows(&rows).map_err(|error| error.to_string())?;
         }
-        Ok((jobs, new))
-    }
-}
-
-fn check_equal(present: &ManifestRow, given: &ManifestRow) -> Result<(), String> {
-    let differing = diff(std::slice::from_ref(present), std::slice::from_ref(given));
-    match differing.into_iter().next() {
-        Some(Difference::Value { id, column, left, right }) => Err(format!(
-            "row {id} has {column} {right}, but {left} in the campaign; send it unchanged, or \
-             create another campaign"
-        )),
-        _ => Ok(()),
+        Ok(jobs)
     }
 }

@@ -16,7 +16,7 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as removal_marks;
-use crate::store::{StoreError, campaigns, derivations, hidden, jobs, policies, stops};
+use crate::store::{StoreError, campaigns, hidden, jobs, policies, stops};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Created {
@@ -58,7 +58,7 @@ impl Queue {
         let source = context.source_of(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
         if let Some(source) = source {
-            derivations::insert(&mut context.tx, id, source).await?;
+            campaigns::set_source(&mut context.tx, id, source).await?;
         }
         if let Some(configurations) = new.stoppable_configurations {
             stops::insert(&mut context.tx, id, configurations).await?;
@@ -122,12 +122,9 @@ impl Queue {
                 leased: counts.leased,
             });
         }
-        let derived = derivations::derived_names(&mut context.tx, campaign.id).await?;
-        if let Some(derived) = derived.first() {
-            return Err(QueueError::HasDerived {
-                campaign: name.clone(),
-                derived: derived.clone(),
-            });
+        let derived = campaigns::derived_from(&mut context.tx, campaign.id).await?;
+        if let Some(Campaign { name: derived, .. }) = derived.into_iter().next() {
+            return Err(QueueError::HasDerived { campaign: name.clone(), derived });
         }
         let folder = artifacts::campaign_folder(&campaign.folder);
         let is_large = counts.total() > JOBS_PER_BATCH as u64;
@@ -182,33 +179,24 @@ impl Context<'_> {
         let Some(name) = &new.source else {
             return Ok(None);
         };
-        let name = CampaignName::parse(name).map_err(|error| QueueError::Unspecified {
-            campaign: new.name.clone(),
-            problem: error.to_string(),
-        })?;
-        let source = self.campaign_named(&name).await?;
-        if source.mode()? != Realisation::Matched {
-            return Err(QueueError::Unmatched { campaign: source.name });
-        }
-        if (&source.policy, &source.endpoint) != (&new.policy, &new.policy_endpoint) {
-            return Err(QueueError::OtherPolicy {
-                campaign: source.name,
-                policy: source.policy,
-                endpoint: source.endpoint,
-            });
-        }
-        if source.execution != new.execution {
-            let (name, execution) = (&source.name, &source.execution);
-            return Err(QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: format!(
-                    "`execution` is {}, but its source campaign `{name}` ran under {execution}: \
-                     write {execution}",
-                    new.execution
-                ),
-            });
-        }
-        Ok(Some(source.id))
+        let source = self.campaign_named(name).await?;
+        let Campaign { policy, endpoint, execution, .. } = &source;
+        let problem = if source.mode()? != Realisation::Matched {
+            "has the realisation reference, in which each condition perturbs an axis differently; \
+             name a campaign whose realisation is matched"
+                .to_owned()
+        } else if (policy, endpoint) != (&new.policy, &new.policy_endpoint) {
+            format!("measures policy `{policy}` at {endpoint}; name the same policy")
+        } else if *execution != new.execution {
+            format!(
+                "ran under {execution}, but `execution` is {}; write {execution}",
+                new.execution
+            )
+        } else {
+            return Ok(Some(source.id));
+        };
+        let problem = format!("its source campaign `{name}` {problem}");
+        Err(QueueError::Unspecified { campaign: new.name.clone(), problem })
     }
 
     pub(super) async fn campaign_named(

@@ -25,7 +25,7 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, CopyTarget};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, hidden, instants, outcomes,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, hidden, instants, outcomes,
     removals as removal_marks, schema, undecodable,
 };
 use crate::timing::Timing;
@@ -330,7 +330,7 @@ impl Queue {
         hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
         portable::copy_stop_and_state(&mut context.tx, (id, old)).await?;
         if let Some(source) = local_source {
-            derivations::insert(&mut context.tx, id, source).await?;
+            campaigns::set_source(&mut context.tx, id, source).await?;
         }
         context.settles = true;
         context.cache.clear_campaigns();

@@ -152,6 +152,50 @@ pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, 
     .doing("list campaigns with waiting jobs")
 }
 
+/// Returns the campaign that a campaign explains, or whose thresholds it measures; `None` for other
+/// campaigns.
+pub(crate) async fn source(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.id = (SELECT source_id FROM derivation WHERE campaign_id = ?)"
+    ))
+    .bind(campaign)
+    .fetch_optional(tx)
+    .await
+    .doing("find the source of a campaign")
+}
+
+/// Returns the campaigns whose source is `source`, oldest first.
+pub(crate) async fn derived_from(
+    tx: &mut SqliteConnection,
+    source: CampaignId,
+) -> Result<Vec<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.id IN (SELECT campaign_id FROM derivation WHERE source_id = ?)"
+    ))
+    .bind(source)
+    .fetch_all(tx)
+    .await
+    .doing("list the campaigns derived from a campaign")
+}
+
+/// Stores the source of a campaign.
+pub(crate) async fn set_source(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    source: CampaignId,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO derivation (campaign_id, source_id) VALUES (?, ?)")
+        .bind(campaign)
+        .bind(source)
+        .execute(tx)
+        .await
+        .doing("store the source of a campaign")
+        .map(drop)
+}
+
 /// Returns a campaign's specification, JSON.
 pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
     sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
