@@ -115,8 +115,6 @@ async fn stop(
     let explanation = "the campaign has stopped early: its rule is met";
     context.revoke_leases(campaign, explanation).await?;
     context.cache.clear_campaigns();
-    // A campaign that derives from this one may now grow.
-    context.settles = true;
     context.commit().await?;
     let (used, total) = (look.used.len(), look.units);
     tracing::info!(campaign = %name, "stopped early after {used} of {total} configurations");
