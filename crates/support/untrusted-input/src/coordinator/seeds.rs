@@ -5,7 +5,8 @@ use proto::coordinator as wire;
 use tonic::codegen::Bytes;
 
 use super::messages::{
-    EncodedCall, attempt, claim, commit, create, digest, get_campaign, heartbeat, job, release,
+    EncodedCall, SPEC, attempt, claim, commit, create, digest, get_campaign, heartbeat, job,
+    release,
 };
 use super::methods::METHODS;
 use super::service::run_valid;
@@ -53,12 +54,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         change: wire::change_campaign_request::Change::Cancel.into(),
         ..pause.clone()
     };
-    let row = r#"{"rollout_id":"object/t0/camera/L1/c01","init_id":1}"#.to_owned();
-    let append = wire::AppendRowsRequest {
-        campaign: "c".into(),
-        rows: vec![wire::AppendedRow { manifest_row: row, replicates: vec![] }],
-        spec: String::new(),
-    };
+    let append = wire::AppendRowsRequest { campaign: "c".into(), rows: vec![], spec: SPEC.into() };
     let delete = wire::DeleteCampaignRequest { campaign: "c".into(), confirm: "c".into() };
     let import =
         wire::ImportChunk { name: "d".into(), archive: "c.tar.gz".into(), data: archive() };
