@@ -27,14 +27,6 @@ pub struct AppendedRow {
     pub replicates: Vec<u32>,
 }
 
-/// A campaign that gets further rows.
-struct Target {
-    campaign: Campaign,
-    spec: CampaignSpec,
-    /// Number of its jobs.
-    jobs: i64,
-}
-
 /// What the rows added to a search are checked against.
 struct Search {
     spec: CampaignSpec,
@@ -63,24 +55,24 @@ impl Queue {
     ) -> Result<Created, QueueError> {
         // While the guard is held, no other call adds jobs to the campaign or deletes it.
         let _guard = self.campaigns.lock().await;
-        let target = self.target(name).await?;
+        let (campaign, spec) = self.target(name).await?;
         let unspecified = |problem| QueueError::Unspecified { campaign: name.clone(), problem };
         let mut view = self.shared.store.read().await?;
-        let Some(source) = campaigns::source(&mut view, target.campaign.id).await? else {
+        let Some(source) = campaigns::source(&mut view, campaign.id).await? else {
             drop(view);
-            let larger = with_rows(target.spec.clone(), rows).map_err(unspecified)?;
+            let larger = with_rows(spec.clone(), rows).map_err(unspecified)?;
             let larger = NewCampaign::from_spec(&larger);
             let larger = larger.map_err(|error| unspecified(error.to_string()))?;
-            return self.extend(target, larger).await;
+            return self.extend(campaign, spec, larger).await;
         };
         let tasks = rows.iter().map(|new| TaskKey::of_row(&new.row)).collect();
-        let present = campaigns::rows_of_tasks(&mut view, target.campaign.id, &tasks).await?;
+        let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
         let mut search = Search {
-            spec: target.spec.clone(),
+            spec,
             rows: BTreeMap::new(),
             jobs: BTreeSet::new(),
             budgets: imported::budgets(&mut view, source.id).await?,
-            first: target.jobs,
+            first: campaign.jobs,
         };
         drop(view);
         for (row, replicate) in present {
@@ -90,7 +82,7 @@ impl Queue {
             search.rows.insert(row.id, row);
         }
         let jobs = on_blocking_thread(move || search.further(rows)).await;
-        self.append(target, jobs.map_err(unspecified)?, None).await
+        self.append(campaign, jobs.map_err(unspecified)?, None).await
     }
 
     /// Adds the rows that a campaign of a design lacks of a larger one, or of more replicates.
@@ -104,11 +96,12 @@ impl Queue {
         larger: NewCampaign,
     ) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
-        let target = self.target(name).await?;
-        self.extend(target, larger).await
+        let (campaign, spec) = self.target(name).await?;
+        self.extend(campaign, spec, larger).await
     }
 
-    async fn target(&self, name: &CampaignName) -> Result<Target, QueueError> {
+    /// Returns a campaign that may get further rows, and its specification.
+    async fn target(&self, name: &CampaignName) -> Result<(Campaign, CampaignSpec), QueueError> {
         let mut view = self.view().await?;
         let campaign = view.campaign(name).await?;
         check_not_ended(&campaign)?;
@@ -121,52 +114,54 @@ impl Queue {
             });
         }
         let spec = specification(&view.spec(&campaign).await?)?;
-        let mut view = self.shared.store.read().await?;
-        let jobs = campaigns::job_count(&mut view, campaign.id).await?;
-        Ok(Target { campaign, spec, jobs })
+        Ok((campaign, spec))
     }
 
-    async fn extend(&self, target: Target, larger: NewCampaign) -> Result<Created, QueueError> {
-        let Target { campaign, spec, jobs: first } = &target;
+    async fn extend(
+        &self,
+        campaign: Campaign,
+        spec: CampaignSpec,
+        larger: NewCampaign,
+    ) -> Result<Created, QueueError> {
         let larger_spec = specification(&larger.spec)?;
         let CampaignSpec { rollouts, replicates, .. } = larger_spec.clone();
         let is_other_kind = discriminant(&spec.rollouts) != discriminant(&rollouts);
-        if is_other_kind || (CampaignSpec { rollouts, replicates, ..spec.clone() }) != larger_spec {
-            let spec = self.view().await?.spec(campaign).await?;
+        if is_other_kind || (CampaignSpec { rollouts, replicates, ..spec }) != larger_spec {
+            let spec = self.view().await?.spec(&campaign).await?;
             let differs = differing_fields(&spec, &larger.spec);
-            return Err(QueueError::CampaignDiffers { campaign: campaign.name.clone(), differs });
+            return Err(QueueError::CampaignDiffers { campaign: campaign.name, differs });
         }
         let tasks = larger.tasks().into_iter().map(str::to_owned).collect();
         let mut view = self.shared.store.read().await?;
         let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
         drop(view);
-        let is_lost = present.len() as i64 != *first;
+        let is_lost = present.len() as i64 != campaign.jobs;
         let present: BTreeSet<(String, u32)> = present.into_iter().collect();
         let (count, mut jobs) = (larger.jobs.len(), larger.jobs);
         jobs.retain(|job| !present.contains(&(job.manifest_row.clone(), job.replicate)));
         if is_lost || jobs.len() + present.len() != count {
             return Err(QueueError::Unspecified {
-                campaign: campaign.name.clone(),
+                campaign: campaign.name,
                 problem: "the larger one lacks some of its rollouts, or perturbs them otherwise; \
                           add tasks, levels, configurations or replicates only"
                     .to_owned(),
             });
         }
-        for (place, job) in (*first..).zip(&mut jobs) {
+        for (place, job) in (campaign.jobs..).zip(&mut jobs) {
             job.unit_order = place;
         }
-        self.append(target, jobs, Some((larger.spec, larger.spec_digest))).await
+        self.append(campaign, jobs, Some((larger.spec, larger.spec_digest))).await
     }
 
     /// Adds jobs to a campaign, and replaces its specification if another one is given.
     async fn append(
         &self,
-        Target { campaign, jobs: before, .. }: Target,
+        campaign: Campaign,
         jobs: Vec<NewJob>,
         spec: Option<(String, String)>,
     ) -> Result<Created, QueueError> {
         let jobs_added = jobs.len() as u64;
-        let jobs_total = before.unsigned_abs() + jobs_added;
+        let jobs_total = campaign.jobs.unsigned_abs() + jobs_added;
         let created = Created { jobs_added, jobs_total, priority: campaign.priority };
         if jobs.is_empty() {
             return Ok(created);

@@ -48,6 +48,8 @@ pub struct Campaign {
     pub wanted: Wanted,
     /// Priority: jobs of campaigns with a higher priority are leased first.
     pub priority: i32,
+    /// Number of jobs.
+    pub jobs: i64,
     pub created_ms: UnixMillis,
     /// Folder of the campaign's files below the artifacts folder: the campaign's original name, or
     /// that name with a number if another campaign has that folder.
@@ -90,7 +92,7 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.execution, c.record, c.wanted, c.priority, c.created_ms,
+                 c.realisation, c.execution, c.record, c.wanted, c.priority, c.jobs, c.created_ms,
                  coalesce(c.folder, c.name) AS folder, c.pinned_ms,
                  json_object('is', iif(s.stopped_ms IS NULL, c.state, 'stopped'),
                      'since', coalesce(s.stopped_ms, c.state_since_ms)) AS state,
@@ -315,18 +317,6 @@ pub(crate) async fn rows_of_tasks(
     .fetch_all(tx)
     .await
     .doing("read a campaign's rows")
-}
-
-/// Returns the number of a campaign's jobs.
-pub(crate) async fn job_count(
-    tx: &mut SqliteConnection,
-    id: CampaignId,
-) -> Result<i64, StoreError> {
-    sqlx::query_scalar("SELECT jobs FROM campaign WHERE id = ?")
-        .bind(id)
-        .fetch_one(tx)
-        .await
-        .doing("count a campaign's jobs")
 }
 
 async fn insert_some_jobs(
