@@ -126,8 +126,8 @@ CREATE TABLE campaign_task (
     PRIMARY KEY (campaign_id, task)
 ) STRICT, WITHOUT ROWID;
 
--- A campaign that follows from another, its source: its jobs follow from the outcomes of both, and
--- it is compared with the source's results.
+-- A campaign that explains another, its source, or measures its thresholds: it is compared with the
+-- source's results.
 CREATE TABLE derivation (
     campaign_id      INTEGER PRIMARY KEY REFERENCES campaign (id) ON DELETE CASCADE,
     -- Cannot be deleted while a campaign follows from it.
@@ -420,9 +420,9 @@ CREATE TABLE divergence (
 
 -- Tallies
 
--- Counts that pages, metrics, claims and derived campaigns read continually. Triggers keep them in
--- the transaction that changes what is counted, so that reading one costs the same in a campaign of
--- any size; the invariant `tallies_are_true` counts again.
+-- Counts that pages, metrics and claims read continually. Triggers keep them in the transaction that
+-- changes what is counted, so that reading one costs the same in a campaign of any size; the
+-- invariant `tallies_are_true` counts again.
 
 -- The jobs of a campaign by state, and its successes.
 CREATE TABLE tally (

@@ -8,9 +8,9 @@ mod command;
 mod compare;
 mod completions;
 mod create;
-mod derived;
 mod explain;
 mod export;
+mod extend;
 mod files;
 mod forecast;
 mod horizon;
@@ -24,6 +24,7 @@ mod moving;
 mod operate;
 mod planning;
 mod report;
+mod search;
 mod serve;
 mod siblings;
 mod status;
@@ -123,6 +124,8 @@ enum Command {
 enum CampaignCommand {
     /// Create a campaign from a specification, or from flags.
     Create(Box<create::CreateArguments>),
+    /// Add the rollouts that a campaign lacks of a larger design or manifest.
+    Extend(extend::ExtendArguments),
     /// List all campaigns.
     List(status::ListArguments),
     /// Show the progress of one campaign, or of all.
@@ -201,6 +204,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
 async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
     match command {
         CampaignCommand::Create(arguments) => create::create(*arguments).await,
+        CampaignCommand::Extend(arguments) => extend::extend(arguments).await,
         CampaignCommand::List(arguments) => status::list(arguments).await,
         CampaignCommand::Status(arguments) => status::status(arguments).await,
         CampaignCommand::Pause(arguments) => operate::change(arguments, Change::Pause).await,

@@ -57,7 +57,7 @@ class Status:
     #: did not run; None while it has not stopped.
     stopped_after: int | None
     saved: int | None
-    #: Name of the campaign whose outcomes determine this campaign's rollouts; None without one.
+    #: Name of the campaign that this one explains or whose thresholds it measures, if any.
     follows_from: str | None
     created_at: datetime
 
@@ -66,7 +66,6 @@ class Status:
         """Converts a coordinator's message."""
         state = wire.CampaignStatus.State.Name(message.state).removeprefix("STATE_").lower()
         is_settled = message.committed + message.quarantined >= message.total
-        is_complete = is_settled and not message.may_grow
         early = message.early_stop
         has_stopped = early.HasField("used")
         has_rate, has_eta = message.HasField("rate_per_sec"), message.HasField("eta_secs")
@@ -76,7 +75,7 @@ class Status:
             endpoint=message.policy_endpoint,
             priority=message.priority,
             state=state,
-            is_finished=state in ("cancelled", "stopped") or is_complete,
+            is_finished=state in ("cancelled", "stopped") or is_settled,
             total=message.total,
             queued=message.queued,
             leased=message.leased,

@@ -492,7 +492,7 @@ fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName>
 }
 
 /// Parses `--tasks`: the selections of [`select_tasks`], and ranges such as `libero_object/0-3`.
-fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
+pub(super) fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     let mut tasks = Vec::new();
     for text in given {
         if let Some((suite, indices)) = text.split_once('/')
@@ -509,7 +509,7 @@ fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     Ok(tasks)
 }
 
-fn configs(given: &[String]) -> anyhow::Result<Vec<u16>> {
+pub(super) fn configs(given: &[String]) -> anyhow::Result<Vec<u16>> {
     let mut configs = Vec::new();
     for text in given {
         let (first, last) = range(text).with_context(|| {
@@ -541,6 +541,8 @@ where
     names.into().try_map(|name| serde_json::from_value(name.into()))
 }
 
-fn parse_names<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
+pub(super) fn parse_names<T: FromStr<Err = UnknownName>>(
+    names: &[String],
+) -> Result<Vec<T>, UnknownName> {
     names.iter().map(|name| name.parse()).collect()
 }

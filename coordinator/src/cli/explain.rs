@@ -1,14 +1,17 @@
 //! `coordinator explain`: minimal subsets of the axes that change an outcome.
 
-use anyhow::anyhow;
+use std::collections::BTreeMap;
+
+use adaptive::subsets::{Addition, additions};
+use anyhow::{Context, anyhow};
 use clap::Args;
-use libero_ctrl::{Explanation, Record, Rollouts};
+use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Record, RolloutId, Rollouts};
 use report::{Findings, Subject};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::create::{RECORDS, enum_parser};
-use super::derived::{self, CreateFlags, DerivedCampaign};
+use super::search::{CreateFlags, NextRow, Search};
 
 /// Most replicates of one subset.
 const MAX_REPEATS: u32 = 1_000;
@@ -17,7 +20,7 @@ const MAX_REPEATS: u32 = 1_000;
 const EXAMPLES: &str = "\
 Examples:
   coordinator explain first                  # the findings, or the rollouts needed
-  coordinator explain first --create --watch
+  coordinator explain first --create
   coordinator explain first --dry-run --budget 200";
 
 #[derive(Args, Debug)]
@@ -50,9 +53,6 @@ pub(super) struct ExplainArguments {
     record: Option<Record>,
     #[command(flatten)]
     create: CreateFlags,
-    /// Follow the progress until everything is explained.
-    #[arg(long)]
-    watch: bool,
     /// Print JSON, as docs/JSON.md describes it.
     #[arg(long)]
     json: bool,
@@ -71,7 +71,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         exhaustive: arguments.exhaustive,
         repeats: arguments.repeats,
     };
-    let derived_campaign = DerivedCampaign {
+    let search = Search {
         source: &arguments.campaign,
         name: &name,
         command: "explain",
@@ -79,27 +79,41 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         rollouts: Rollouts::Explanation(explanation.clone()),
         record: arguments.record,
         has_creation_flags: arguments.has_creation_flags(),
-        must_exist: arguments.json || arguments.watch,
+        must_exist: arguments.json,
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
-    if !derived_campaign.create_or_propose(&client, arguments.create, prospect).await? {
+    let next = |subject: &Subject, source: &CampaignSpec| next(subject, source, &explanation);
+    let Some(subject) = search.run_or_propose(&client, arguments.create, prospect, next).await?
+    else {
         return Ok(());
-    }
-    let fetch = async || {
-        let subject = client.report(&name).await?;
-        let findings = Findings::of(&subject).map_err(usage)?;
-        let no_findings =
-            || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
-        Ok(findings.ok_or_else(no_findings)?)
     };
-    let is_complete = |findings: &Findings| findings.complete;
-    let findings =
-        derived::poll_findings(arguments.watch, fetch, is_complete, Findings::text).await?;
+    let no_findings =
+        || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
+    let findings = Findings::of(&subject).map_err(usage)?.ok_or_else(no_findings)?;
     let text = match arguments.json {
         true => findings.json().map_err(anyhow::Error::from)?,
         false => findings.text(),
     };
     Ok(print_line(text.trim_end())?)
+}
+
+/// Returns the next rollouts: the rows of the explained campaign, restricted to some axes.
+fn next(
+    explaining: &Subject,
+    source: &CampaignSpec,
+    explanation: &Explanation,
+) -> anyhow::Result<Vec<NextRow>> {
+    let records = explaining.derived.as_ref().map_or(&[][..], |derived| &derived.records);
+    let rows = libero_family::expand(source)?.into_iter().map(|row| (row.id, row));
+    let rows: BTreeMap<RolloutId, ManifestRow> = rows.collect();
+    let additions = additions(records, &explaining.records, explanation).into_iter();
+    let row = |Addition { simultaneous, axes, replicates }| {
+        let row = rows.get(&simultaneous);
+        let row = row.with_context(|| format!("find {simultaneous} in the explained campaign"))?;
+        let row = if axes == row.axes() { row.clone() } else { row.only(axes)? };
+        Ok((row, replicates.collect()))
+    };
+    additions.map(row).collect()
 }
 
 impl ExplainArguments {

@@ -13,10 +13,10 @@ const BAR_COLUMNS: usize = 16;
 const NAME_BYTES: usize = 18;
 
 /// Returns true if the campaign is cancelled or stopped early, or if every rollout is committed or
-/// in quarantine and no rollout can be added.
+/// in quarantine.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
     let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
-    is_over || (!status.may_grow && status.committed + status.quarantined >= status.total)
+    is_over || status.committed + status.quarantined >= status.total
 }
 
 /// Formats name, progress bar, counts, rate and ETA in one line. The bar takes the columns that the
@@ -30,10 +30,10 @@ pub(super) fn line(status: &CampaignStatus) -> String {
         "stopped early".to_owned()
     } else if is_finished(status) && status.quarantined > 0 {
         format!("finished but for {} in quarantine", status.quarantined)
+    } else if status.total == 0 {
+        "no rollouts yet".to_owned()
     } else if is_finished(status) {
         "finished".to_owned()
-    } else if status.may_grow && status.queued + status.leased == 0 {
-        format!("waits for {}", shortened(&status.follows_from, NAME_BYTES))
     } else if status.state() == State::Paused {
         format!("paused, {} running", status.leased)
     } else {
@@ -155,21 +155,6 @@ mod tests {
         );
     }
 
-    /// Regression: the line of a derived campaign read "0/0 0%  finished" before its first rollout.
-    #[test]
-    fn a_derived_campaign_without_rollouts_is_not_finished() {
-        let mut waiting = CampaignStatus {
-            campaign: "first-explained".to_owned(),
-            follows_from: "first".to_owned(),
-            may_grow: true,
-            ..CampaignStatus::default()
-        };
-        assert!(!is_finished(&waiting));
-        assert!(line(&waiting).ends_with("0/0 0%  waits for first"));
-        waiting.may_grow = false;
-        assert!(is_finished(&waiting) && line(&waiting).ends_with("finished"));
-    }
-
     /// Regression: with 137 of 140 rollouts committed and three in quarantine, the line read
     /// "140/140 100%  finished".
     #[test]
@@ -193,6 +178,6 @@ mod tests {
     #[test]
     fn the_line_of_a_campaign_without_jobs_shows_0_percent() {
         let empty = CampaignStatus::default();
-        assert!(line(&empty).contains("0/0 0%"));
+        assert!(line(&empty).ends_with("0/0 0%  no rollouts yet"));
     }
 }

@@ -2,15 +2,18 @@
 
 use std::path::PathBuf;
 
+use adaptive::radii::{Measurement, Ray};
 use anyhow::anyhow;
 use clap::Args;
-use libero_ctrl::{Condition, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds};
+use libero_ctrl::{
+    CampaignSpec, Condition, Level, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds,
+};
 use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::derived::{self, CreateFlags, DerivedCampaign};
 use super::files::write_figures;
+use super::search::{CreateFlags, NextRow, Search};
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -46,9 +49,6 @@ pub(super) struct ThresholdsArguments {
     seed: Option<u64>,
     #[command(flatten)]
     create: CreateFlags,
-    /// Follow the progress until every threshold is found.
-    #[arg(long)]
-    watch: bool,
     /// Print JSON, as docs/JSON.md describes it.
     #[arg(long)]
     json: bool,
@@ -64,7 +64,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     let default_name = || format!("{}-thresholds", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(default_name);
     let thresholds = arguments.thresholds();
-    let derived_campaign = DerivedCampaign {
+    let search = Search {
         source: &arguments.campaign,
         name: &name,
         command: "thresholds",
@@ -72,24 +72,20 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         rollouts: Rollouts::Thresholds(thresholds.clone()),
         record: Some(Record::None),
         has_creation_flags: arguments.has_creation_flags(),
-        must_exist: arguments.json || arguments.watch || arguments.figures.is_some(),
+        must_exist: arguments.json || arguments.figures.is_some(),
     };
     let prospect = |source: &Subject| {
         ThresholdReport::check_budget(source, &thresholds).map_err(usage)?;
         Ok(ThresholdReport::prospect(source, &thresholds))
     };
-    if !derived_campaign.create_or_propose(&client, arguments.create, prospect).await? {
+    let next = |subject: &Subject, source: &CampaignSpec| next(subject, source, &thresholds);
+    let Some(subject) = search.run_or_propose(&client, arguments.create, prospect, next).await?
+    else {
         return Ok(());
-    }
-    let fetch = async || {
-        let findings = ThresholdReport::of(&client.report(&name).await?);
-        let no_findings =
-            || anyhow!("show the thresholds of `{name}`: the campaign measures no thresholds");
-        Ok(findings.ok_or_else(no_findings)?)
     };
-    let is_complete = |findings: &ThresholdReport| findings.complete;
-    let findings =
-        derived::poll_findings(arguments.watch, fetch, is_complete, ThresholdReport::text).await?;
+    let no_findings =
+        || anyhow!("show the thresholds of `{name}`: the campaign measures no thresholds");
+    let findings = ThresholdReport::of(&subject).ok_or_else(no_findings)?;
     if let Some(folder) = &arguments.figures {
         write_figures(&figures::of_thresholds(&findings), folder)?;
     }
@@ -98,6 +94,24 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         false => findings.text(),
     };
     Ok(print_line(text.trim_end())?)
+}
+
+/// Returns the next rollouts: the configurations of the measured campaign at further radii.
+fn next(
+    measuring: &Subject,
+    source: &CampaignSpec,
+    thresholds: &Thresholds,
+) -> anyhow::Result<Vec<NextRow>> {
+    let Rollouts::Design(design) = &source.rollouts else {
+        return Ok(Vec::new());
+    };
+    let records = measuring.derived.as_ref().map_or(&[][..], |derived| &derived.records);
+    let plan = Measurement::of(records, &measuring.records, thresholds).plan().into_iter();
+    // Only replicate 0 decides whether a configuration succeeds at a radius.
+    let row = |(ray, level): (Ray, Level)| {
+        Ok((design.row_at(ray.task, ray.condition, level, ray.config)?, vec![0]))
+    };
+    plan.map(row).collect()
 }
 
 impl ThresholdsArguments {

@@ -18,7 +18,7 @@ use super::workers::{describe_filming, filming};
 /// Refresh intervals: on a terminal, where the table is redrawn in place, and in a log, to which
 /// every refresh adds lines.
 const TERMINAL_PERIOD: Duration = Duration::from_secs(1);
-const LOG_PERIOD: Duration = Duration::from_secs(5);
+pub(super) const LOG_PERIOD: Duration = Duration::from_secs(5);
 
 /// Follows the named campaign, or all campaigns, until they are finished; returns their final
 /// status.
@@ -111,10 +111,6 @@ fn sum_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
         sum.leased += status.leased;
         sum.committed += status.committed;
         sum.quarantined += status.quarantined;
-        if status.may_grow {
-            sum.may_grow = true;
-            sum.follows_from.clone_from(&status.follows_from);
-        }
         if status.state() != State::Paused {
             sum.queued += status.queued;
         }

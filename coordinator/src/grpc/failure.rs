@@ -44,10 +44,7 @@ fn code(error: &QueueError) -> Code {
         | QueueError::NotSkippable { .. } => Code::FailedPrecondition,
         QueueError::BackupInHand => Code::ResourceExhausted,
         QueueError::CampaignDiffers { .. } | QueueError::NameTaken { .. } => Code::AlreadyExists,
-        QueueError::Unspecified { .. }
-        | QueueError::Unmatched { .. }
-        | QueueError::NoThresholds { .. }
-        | QueueError::OtherPolicy { .. } => Code::InvalidArgument,
+        QueueError::Unspecified { .. } => Code::InvalidArgument,
         // Waiting does not restore the data folder, so clients should not retry. Workers retry
         // anyway, to keep their outcomes.
         QueueError::Store(StoreError::Gone { .. }) => Code::Internal,

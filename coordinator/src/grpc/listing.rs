@@ -34,10 +34,7 @@ pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
         priority: campaign.priority,
         created_unix_ms: campaign.created_ms.0,
         early_stop: status.stop.map(early_stop),
-        follows_from: status
-            .source
-            .map_or_else(String::new, |source| source.name.as_str().to_owned()),
-        may_grow: status.may_grow,
+        follows_from: status.source.map_or_else(String::new, |source| source.to_string()),
     }
 }
 

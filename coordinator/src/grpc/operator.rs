@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
-    self as wire, AlterCampaignRequest, AlterCampaignResponse, ArchiveCampaignRequest,
-    BackupRequest, ChangeCampaignRequest, ChangeCampaignResponse, CreateCampaignRequest,
-    CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest,
-    ForecastRequest, ForecastResponse, GetCampaignRequest, GetCampaignResponse, GetJobRequest,
-    GetJobResponse, ImportCampaignResponse, ListCampaignsRequest, ListCampaignsResponse,
-    ListJobsRequest, ListJobsResponse, ListWorkersRequest, ListWorkersResponse, ReportRequest,
-    RetryJobsRequest, RetryJobsResponse, SkipJobsRequest, SkipJobsResponse,
+    self as wire, AlterCampaignRequest, AlterCampaignResponse, AppendRowsRequest,
+    AppendRowsResponse, ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest,
+    ChangeCampaignResponse, CreateCampaignRequest, CreateCampaignResponse, DeleteCampaignRequest,
+    DeleteCampaignResponse, ExportRequest, ForecastRequest, ForecastResponse, GetCampaignRequest,
+    GetCampaignResponse, GetJobRequest, GetJobResponse, ImportCampaignResponse,
+    ListCampaignsRequest, ListCampaignsResponse, ListJobsRequest, ListJobsResponse,
+    ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
+    SkipJobsRequest, SkipJobsResponse,
 };
 use queue::Queue;
 use queue::expand::NewCampaign;
@@ -83,6 +84,26 @@ impl OperatorService for OperatorApi {
             jobs_total: created.jobs_total,
             priority: created.priority,
         }))
+    }
+
+    async fn append_rows(&self, request: Request<AppendRowsRequest>) -> Answer<AppendRowsResponse> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let queue = self.queue.clone();
+        let rows = read::rows(request.rows)?;
+        let extended = match request.spec.as_str() {
+            "" => None,
+            spec => Some(NewCampaign::from_json(spec).map_err(|error| invalid(chain(&error)))?),
+        };
+        let appended = async move {
+            match extended {
+                Some(extended) => queue.extend_campaign(&name, extended).await,
+                None => queue.append_rows(&name, rows).await,
+            }
+        };
+        let appended = self.changes.run(appended).await?.map_err(failed)?;
+        let (jobs_added, jobs_total) = (appended.jobs_added, appended.jobs_total);
+        Ok(Response::new(AppendRowsResponse { jobs_added, jobs_total }))
     }
 
     async fn list_campaigns(

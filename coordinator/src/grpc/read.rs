@@ -4,13 +4,15 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Axis, Look, Suite, select_tasks};
+use libero_ctrl::{Axis, JsonError, Look, Suite, select_tasks};
 use proto::{MAX_MOTION_STEPS, MAX_TEXT_BYTES, coordinator as wire};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
 use queue::read::JobFilter;
 use queue::rules::campaign::{Change, PRIORITIES};
 use queue::rules::lease::FailureReason;
-use queue::{Alteration, CommitReport, MAX_JOBS_RETRIED, MAX_SLOTS, Retry, WorkerInfo};
+use queue::{
+    Alteration, AppendedRow, CommitReport, MAX_JOBS_RETRIED, MAX_SLOTS, Retry, WorkerInfo,
+};
 use rollout_types::{
     AttemptId, Digests, GoalProgress, IkResidual, Motion, Parts, Pin, Provenance, Realised,
     RolloutResult,
@@ -248,6 +250,20 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
         }
         _ => Err(invalid(format!("name 1 to {MAX_JOBS_RETRIED} jobs, or set `all`"))),
     }
+}
+
+/// Reads the rows to be added to a campaign.
+pub(super) fn rows(rows: Vec<wire::AppendedRow>) -> Result<Vec<AppendedRow>, Status> {
+    let read = |(index, row): (usize, wire::AppendedRow)| {
+        let unreadable = |error| {
+            let problem = JsonError::from(error);
+            invalid(format!("read row {} of the added rows: {}", index + 1, problem.problem()))
+        };
+        let replicates = row.replicates;
+        let row = serde_json::from_str(&row.manifest_row).map_err(unreadable)?;
+        Ok(AppendedRow { row, replicates })
+    };
+    rows.into_iter().enumerate().map(read).collect()
 }
 
 /// Reads the names of 1 to [`MAX_JOBS_RETRIED`] jobs.

@@ -1,7 +1,7 @@
 //! Start page: every campaign with its progress, and the reason if it makes no progress.
 
 use maud::{Markup, html};
-use queue::read::{CampaignStatus, Source};
+use queue::read::CampaignStatus;
 use queue::rules::campaign::CampaignState;
 
 use super::bar::{bar, describe, legend};
@@ -76,12 +76,7 @@ fn notes(status: &CampaignStatus) -> Markup {
                         (reason) ". " a href="/policies" { "Policies" } "."
                     }
                 } @else if !status.waiting_reason.is_empty() {
-                    li {
-                        "Nothing is running: " (status.waiting_reason) "."
-                        @if let Some(source) = awaited(status) {
-                            " " a href={ "/campaigns/" (source.name) } { (source.name) } "."
-                        }
-                    }
+                    li { "Nothing is running: " (status.waiting_reason) "." }
                 }
                 @if quarantined > 0 {
                     li {
@@ -100,12 +95,6 @@ fn notes(status: &CampaignStatus) -> Markup {
 }
 
 fn describe_pace(status: &CampaignStatus) -> String {
-    if let Some(source) = awaited(status)
-        && unfinished(status) == 0
-        && !status.campaign.state.is_over()
-    {
-        return format!("waits for campaign {}", source.name);
-    }
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
         CampaignState::Stopped { .. } => describe_early_stop(status),
@@ -121,13 +110,6 @@ fn describe_pace(status: &CampaignStatus) -> String {
             _ => "no recent result to measure the pace by".to_owned(),
         },
     }
-}
-
-/// Returns the source of a derived campaign while some rollouts of the source lack an outcome,
-/// unless the source is cancelled.
-fn awaited(status: &CampaignStatus) -> Option<&Source> {
-    let source = status.source.as_ref();
-    source.filter(|source| source.awaited > 0 && !source.is_cancelled)
 }
 
 /// Describes an early stop and the rollouts that it saved.

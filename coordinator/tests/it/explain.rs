@@ -2,18 +2,17 @@
 //! is killed at any point.
 
 use std::collections::BTreeSet;
-use std::time::{Duration, Instant};
 
 use libero_ctrl::{AxisSet, RolloutId};
 use paired::Outcome;
-use proto::coordinator::operator_service_client::OperatorServiceClient;
-use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
 use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, assert_kills_change_nothing, complete_findings, findings, run_all};
 use crate::json::{documented, keys};
-use crate::process::{Serve, fits_a_terminal, succeed, text};
+use crate::process::{Serve, fail, fits_a_terminal, succeed, text};
+use crate::search::{
+    assert_kills_change_nothing, assert_rows, complete_findings, run_all, searched,
+};
 
 fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
@@ -73,11 +72,6 @@ async fn planted_rules_are_found_again() {
     let (folder, serve) = Serve::anew();
     create(&serve);
     // The explanation can be requested before the campaign is finished.
-    let output = serve.command(&["explain", "first", "--create"]);
-    let output = text(&output.stderr);
-    assert!(output.contains("80 rollouts without an outcome"), "{output}");
-    assert_eq!(findings(&serve, "explain", &[])["complete"], json!(false));
-
     let findings_json = explained(&serve, &[]).await;
     assert_eq!(findings_json["transitions"], 6);
     assert_eq!(findings_json["explained"], 6);
@@ -97,6 +91,7 @@ async fn planted_rules_are_found_again() {
     // more axes.
     let rollouts = findings_json["rollouts"].as_u64().expect("a number");
     assert!(rollouts < 6 * 57 / 3, "{rollouts} rollouts");
+    assert_rows(&serve, "first-explained", (98, "4ec77bbacbfe2c29"));
 
     // Running all subsets shows further findings.
     let whole = ["--exhaustive", "--name", "whole"];
@@ -109,9 +104,12 @@ async fn planted_rules_are_found_again() {
         "minimal": "lighting+actuation", "superset": "lighting+sensor+actuation",
     });
     assert_eq!(non_monotone, &json!([pair]));
+    assert_rows(&serve, "whole", (310, "eef3f9f36fe0d3a1"));
+    let _ = explained(&serve, &["--repeats", "12", "--name", "repeated"]).await;
+    assert_rows(&serve, "repeated", (1512, "a8b6f5dbcd308788"));
 
-    // Creating the same campaign again adds no rollout; the text has the same findings.
-    assert_eq!(findings(&serve, "explain", &[]), findings_json);
+    // Running the same search again adds no rollout; the text has the same findings.
+    assert_eq!(explained(&serve, &[]).await, findings_json);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);
     for line in [
@@ -156,7 +154,6 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
             assert!(!output.status.success() && error.contains(words), "{error}");
         };
         refused(&["--json"], "--create` creates it");
-        refused(&["--watch"], "--create` creates it");
         refused(&["--budget", "100"], "need --create");
     }
     let output = serve.command(&["explain", "first"]);
@@ -187,7 +184,8 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     ]));
     refused(&["explain", "alone"], "an interaction needs at least two axes");
     refused(&["campaign", "status", "alone-explained"], "no such campaign");
-    assert!(serve.command(&["explain", "first", "--create"]).status.success());
+    let mut worker = serve.worker("w").await;
+    searched(&serve, &mut worker, &["explain", "first"], outcome).await;
     refused(&["explain", "first", "--create", "--budget", "20"], "they differ in `explains`");
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     refused(&delete, "campaign `first-explained` is derived from it");
@@ -204,7 +202,7 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     let file = file.to_string_lossy();
     refused(
         &["campaign", "create", "--spec", &file],
-        "it measures policy `p` at http://127.0.0.1:50051",
+        "`final` measures policy `p` at http://127.0.0.1:50051",
     );
 }
 
@@ -215,57 +213,33 @@ async fn an_explanation_stays_within_its_budget_and_completes_started_transition
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
     let findings_json = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
-    assert!(findings_json["rollouts"].as_u64() <= Some(60), "{findings_json}");
+    assert_rows(&serve, "first-explained", (60, "6a093cef0c747f1b"));
     let explained = findings_json["explained"].as_u64().expect("a number");
     assert!((1..6).contains(&explained), "{explained}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_kill_around_any_transaction_leaves_the_same_explanation() {
-    let derived = ["explain", "first-explained", "explains"];
-    assert_kills_change_nothing(create, derived, outcome).await;
+    assert_kills_change_nothing(create, "explain", outcome).await;
 }
 
-/// Regression: a campaign whose client disconnected during COMMIT got no rollouts.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_rollouts() {
+async fn a_search_waits_for_its_source_and_needs_one_that_can_finish() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
-    run_all(&mut worker, outcome).await;
-    let mut created = 0;
-    for eighth_millis in 0..40 {
-        let name = format!("explained-{eighth_millis}");
-        let spec = json!({
-            "name": name, "explains": {"campaign": "first"},
-            "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
-        });
-        let request = CreateCampaignRequest { spec: spec.to_string(), priority: 0 };
-        let operator = OperatorServiceClient::connect(serve.url.clone()).await;
-        let mut operator = operator.expect("a connection");
-        let disconnect_after = Duration::from_micros(125 * eighth_millis);
-        let _ = tokio::time::timeout(disconnect_after, operator.create_campaign(request)).await;
-        drop(operator);
-        // Waits longer than a transaction takes.
-        tokio::time::sleep(Duration::from_millis(100)).await;
-        let began = Instant::now();
-        while let Some(rollouts) = rollouts_of(&serve, &name).await {
-            if rollouts > 0 {
-                created += 1;
-                break;
-            }
-            assert!(began.elapsed() < PATIENCE, "{name} has no rollouts");
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
-    }
-    assert!(created > 0, "no request arrived before its client disconnected");
-}
+    let search = searched(&serve, &mut worker, &["explain", "first"], |_| Outcome::Success);
+    assert_eq!(search.await["rollouts"], 0, "there are no transitions");
+    let status = serve.command(&["campaign", "status", "first-explained"]);
+    let status = text(&status.stdout);
+    assert!(
+        status.contains("no rollouts yet") && status.contains("follows from first"),
+        "{status}"
+    );
 
-/// Returns the number of a campaign's rollouts; `None` if the campaign does not exist.
-async fn rollouts_of(serve: &Serve, campaign: &str) -> Option<u64> {
-    let operator = OperatorServiceClient::connect(serve.url.clone()).await;
-    let campaign = campaign.to_owned();
-    let status =
-        operator.expect("a connection").get_campaign(GetCampaignRequest { campaign }).await.ok()?;
-    status.into_inner().status.map(|status| status.total)
+    succeed(serve.command(&["campaign", "rename", "first", "steady"]));
+    create(&serve);
+    succeed(serve.command(&["campaign", "cancel", "first"]));
+    let error = fail(serve.command(&["explain", "first", "--create", "--name", "never"]), 1);
+    assert!(error.contains("campaign first was cancelled with 80 rollouts left"), "{error}");
 }

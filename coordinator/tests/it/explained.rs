@@ -8,12 +8,12 @@ use libero_ctrl::RolloutId;
 use proto::coordinator as wire;
 use serde_json::Value;
 
-use crate::derived::run_all;
 use crate::explain::{create_with, explained, outcome};
 use crate::films::{take_films, upload};
 use crate::json::{documented, keys};
 use crate::page::http;
 use crate::process::{Serve, fail, fits_a_terminal, succeed};
+use crate::search::run_all;
 
 async fn page(serve: &Serve, path: &str) -> String {
     let answer = http(&serve.url, &format!("GET {path}")).await;

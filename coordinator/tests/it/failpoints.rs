@@ -219,9 +219,9 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     let folder = valid_database().await;
     let expected = finish(copy_of(folder.path()).path()).await;
-    // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
+    // Added rows are tested in `explain` and `thresholds`, and early stops in
     // `stops`.
-    let tested_elsewhere = [Step::Derive, Step::Stop];
+    let tested_elsewhere = [Step::AppendRows, Step::Stop];
     let steps = Step::ALL.into_iter().filter(|step| !tested_elsewhere.contains(step));
     let mut points: Vec<(Side, Step)> =
         steps.flat_map(|step| [(Side::Before, step), (Side::After, step)]).collect();

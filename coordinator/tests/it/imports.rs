@@ -163,12 +163,7 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
         assert_eq!(verdict, Verdict::Accepted);
     }
     let name = "moved-thresholds";
-    source.succeed(&["thresholds", "moved", "--create"]);
-    let began = Instant::now();
-    while source.worker.claim(1).await.is_empty() {
-        assert!(began.elapsed() < Duration::from_secs(30), "no rollout was derived");
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    source.begin(&["thresholds", "moved", "--create"]).await;
     let (source_archive, file) = (source.archive("moved"), source.archive(name));
     let target = Bench::empty().await;
     target.import(&source_archive);

@@ -7,10 +7,10 @@ use paired::Outcome;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, run_all};
 use crate::harness::rollout_id;
 use crate::page::http;
 use crate::process::{Serve, succeed, succeed_in_json, text};
+use crate::search::{PATIENCE, run_all, searched};
 
 /// Longest delay at which the policy still succeeds, control steps.
 const MAX_DELAY: u16 = 3;
@@ -103,17 +103,8 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
     let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("w").await;
-    let began = Instant::now();
-    let thresholds = ["thresholds", "late", "--axes", "latency", "--create"];
-    let findings = loop {
-        run_all(&mut worker, outcome).await;
-        let findings = json_of(&serve, &thresholds);
-        if findings["complete"] == json!(true) {
-            break findings;
-        }
-        assert!(began.elapsed() < PATIENCE, "{findings}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    };
+    let thresholds = ["thresholds", "late", "--axes", "latency"];
+    let findings = searched(&serve, &mut worker, &thresholds, outcome).await;
     assert_eq!((&findings["looked_for"], &findings["found"]), (&json!(4), &json!(4)));
     for threshold in findings["thresholds"].as_array().expect("a list") {
         assert_eq!(threshold["condition"], "latency");

@@ -4,6 +4,9 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use proto::coordinator::{AppendRowsRequest, AppendedRow};
+use queue::invariants;
 use serde_json::{Value, json};
 
 use crate::harness::small_spec;
@@ -253,4 +256,157 @@ async fn an_imported_manifest_is_run_unchanged() {
     let report = serve.command(&["report", "imported", "--full"]);
     let report = text(&report.stdout);
     assert!(report.contains("design manifest-"), "{report}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut all = rows(&expand(folder.path(), "all.jsonl", &["--version", "v0.1"]));
+    all.retain(|row| row["rollout_id"].as_str().expect("text").starts_with("goal/t7/"));
+    let path = folder.path().join("first.jsonl");
+    write(&path, &all[..3]);
+    let serve = Serve::start(&folder.path().join("data"));
+    let create = |name: &str, source: &[&str]| {
+        let create = ["campaign", "create", "--name", name, "--policy", "expert"];
+        let endpoint = ["--endpoint", "http://127.0.0.1:50051"];
+        succeed(serve.command(&[&create[..], &endpoint, source].concat()))
+    };
+    let manifest = ["--manifest", path.to_str().expect("UTF-8")];
+    create("rows", &[&manifest[..], &["--replicates", "2"]].concat());
+    create("design", &["--tasks", "libero_goal/7", "--levels", "L1", "--configs", "0"]);
+    create("final", &manifest);
+    succeed(serve.command(&["campaign", "cancel", "final"]));
+    let mut operator = OperatorServiceClient::connect(serve.url.clone()).await.expect("connects");
+    let mut append = async |campaign: &str, rows: &[Value], replicates: &[u32]| {
+        let row = |row: &Value| AppendedRow {
+            manifest_row: row.to_string(),
+            replicates: replicates.to_vec(),
+        };
+        let (campaign, rows) = (campaign.to_owned(), rows.iter().map(row).collect());
+        let added =
+            operator.append_rows(AppendRowsRequest { campaign, rows, spec: String::new() }).await;
+        added.map(|added| {
+            let added = added.into_inner();
+            (added.jobs_added, added.jobs_total)
+        })
+    };
+    let mut worker = serve.worker("w").await;
+    while let Some(lease) = worker.claim(1).await.pop() {
+        worker.commit(&lease, true).await;
+    }
+
+    // A client that was killed sends rows again.
+    assert_eq!(append("rows", &all[1..5], &[]).await.expect("added"), (4, 10));
+    assert_eq!(append("rows", &all[1..5], &[]).await.expect("ignored"), (0, 10));
+    let status = text(&serve.command(&["campaign", "status", "rows"]).stdout).to_owned();
+    assert!(status.contains("6/10") && !status.contains("finished"), "{status}");
+    let version = |name: &str| {
+        let report = serve.command(&["report", name, "--json"]);
+        let report: Value = serde_json::from_slice(&report.stdout).expect("JSON");
+        report["reports"][0]["origin"]["campaign"]["design"].clone()
+    };
+    write(&path, &all[..5]);
+    create("again", &manifest);
+    assert_eq!(version("rows"), version("again"), "the rows of both are the same");
+    write(&path, &all[..6]);
+    let extended =
+        succeed(serve.command(&[&["campaign", "extend", "rows"][..], &manifest].concat()));
+    assert_eq!(extended, "campaign rows extended by 2 rollouts: 12 rollouts\n");
+
+    let altered = |index: usize, field: &str, value: Value| {
+        let mut row = all[index].clone();
+        row[field] = value;
+        [all[7].clone(), row]
+    };
+    for (campaign, rows, replicates, words) in [
+        ("rows", altered(4, "max_steps", json!(7)), &[][..], "has max_steps 7, but 300"),
+        ("rows", altered(6, "init_id", json!(50)), &[], "row 2 of the added rows: read row goal"),
+        ("rows", altered(6, "init_id", json!(2)), &[], "initial states differ"),
+        ("rows", altered(3, "init_id", json!(2)), &[], "has init_id 2, but"),
+        ("rows", altered(6, "level", json!("L1")), &[1], "names `replicates`"),
+        ("design", altered(6, "level", json!("L1")), &[], "its specification defines its rows"),
+        ("final", altered(6, "level", json!("L1")), &[], "it is cancelled"),
+        ("none", altered(6, "level", json!("L1")), &[], "no such campaign"),
+    ] {
+        let error = append(campaign, &rows, replicates).await.expect_err(words);
+        assert!(error.message().contains(words), "{words}: {}", error.message());
+    }
+    assert_eq!(append("rows", &[], &[]).await.expect("nothing"), (0, 12), "none was added");
+    let violations = invariants::check(&folder.path().join("data")).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_larger_design_adds_the_rollouts_that_the_campaign_lacks() {
+    let (folder, serve) = Serve::anew();
+    let campaign = |command: &str, name: &str, flags: &[&str]| {
+        let name = if command == "create" { &["--name", name][..] } else { &[name] };
+        serve.command(&[&["campaign", command][..], name, flags].concat())
+    };
+    let policy = ["--policy", "expert", "--endpoint", "http://127.0.0.1:50051"];
+    let create = |name: &str, design: &[&str]| {
+        succeed(campaign("create", name, &[&policy[..], design].concat()))
+    };
+    create("first", &["--tasks", "libero_goal/7", "--configs", "0", "--axes", "camera,robot"]);
+    let mut worker = serve.worker("w").await;
+    while let Some(lease) = worker.claim(1).await.pop() {
+        worker.commit(&lease, true).await;
+    }
+    let more = ["--configs", "0-2", "--tasks", "libero_goal/8", "--levels", "L1,L2"];
+    let extended = succeed(campaign("extend", "first", &more));
+    // Two tasks with three configurations of one nominal and twice three perturbed rollouts.
+    assert_eq!(extended, "campaign first extended by 38 rollouts: 42 rollouts\n");
+    let extended = succeed(campaign("extend", "first", &more));
+    assert_eq!(extended, "campaign first extended by 0 rollouts: 42 rollouts\n");
+    succeed(campaign("extend", "first", &["--replicates", "2"]));
+    let larger = [
+        "--tasks",
+        "libero_goal/7-8",
+        "--configs",
+        "0-2",
+        "--axes",
+        "camera,robot",
+        "--levels",
+        "L1,L2",
+        "--replicates",
+        "2",
+    ];
+    let again = create("first", &larger);
+    assert!(again.contains("exists already, with this specification: 84 rollouts"), "{again}");
+    let mut measured = 0;
+    while let Some(lease) = worker.claim(1).await.pop() {
+        worker.commit(&lease, true).await;
+        measured += 1;
+    }
+    assert_eq!(measured, 80, "nothing is measured twice");
+    create("whole", &larger);
+    while let Some(lease) = worker.claim(1).await.pop() {
+        worker.commit(&lease, true).await;
+    }
+    let paired = |name: &str| {
+        let report = serve.command(&["report", name, "--json"]);
+        let report: Value = serde_json::from_slice(&report.stdout).expect("JSON");
+        report["paired"].clone()
+    };
+    assert_eq!(paired("first"), paired("whole"));
+
+    create(
+        "drawn",
+        &["--tasks", "libero_goal", "--axes", "camera,robot", "--stop", "I excludes 0"],
+    );
+    for (name, flags, words) in [
+        ("first", &["--replicates", "1"][..], "lacks some of its rollouts"),
+        ("first", &["--configs", "nine"], "read configuration `nine`"),
+        ("first", &["--manifest", "-"], "read manifest: 1 error"),
+        ("first", &[], "required"),
+        ("drawn", &["--replicates", "2"], "`stop`"),
+        ("drawn", &["--levels", "L3"], "it may stop early"),
+        ("other", &["--levels", "L3"], "no such campaign"),
+    ] {
+        let refused = campaign("extend", name, flags);
+        assert!(!refused.status.success(), "{name} {flags:?}");
+        assert!(text(&refused.stderr).contains(words), "{words}: {}", text(&refused.stderr));
+    }
+    let violations = invariants::check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
 }

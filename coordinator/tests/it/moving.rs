@@ -3,12 +3,14 @@
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
+use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use queue::invariants::check;
@@ -82,6 +84,17 @@ impl Bench {
     }
 
     /// Runs a command that must succeed. Returns its output.
+    /// Runs a search until it has added rollouts. Returns the lease of one.
+    pub(crate) async fn begin(&mut self, search: &[&str]) -> Lease {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_coordinator"));
+        let command = command.args(search).args(["--connect", &self.serve.url]);
+        let mut command = command.stdout(Stdio::null()).spawn().expect("starts");
+        let claim = self.worker.try_claim(30.0, "").await.expect("an answer");
+        command.kill().expect("a child");
+        command.wait().expect("a child");
+        claim.lease.expect("a rollout was added")
+    }
+
     pub(crate) fn succeed(&self, arguments: &[&str]) -> String {
         succeed(self.serve.command(arguments))
     }
@@ -475,20 +488,9 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
 async fn a_derived_campaign_is_imported_after_its_source() {
     let mut source = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     source.run(64, "").await;
-    source.succeed(&["explain", "moved", "--create", "--budget", "20"]);
     let name = "moved-explained";
-    // A background task of the coordinator derives the rollouts from the outcomes.
-    let began = Instant::now();
-    let lease = loop {
-        if let Some(lease) = source.worker.claim(1).await.pop() {
-            break lease;
-        }
-        assert!(began.elapsed() < Duration::from_secs(30), "no rollout was derived");
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    };
+    let lease = source.begin(&["explain", "moved", "--create", "--budget", "20"]).await;
     assert_eq!(source.worker.commit(&lease, true).await, Verdict::Accepted);
-    // The background task also adds jobs that are derived from this outcome.
-    tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(source.succeed(&["export", name, "--format", "jsonl"]).lines().count() > 0);
     let source_archive = source.archive("moved");
     let file = source.archive(name);

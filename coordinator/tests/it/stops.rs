@@ -13,10 +13,10 @@ use queue::expand::NewCampaign;
 use queue::{Side, Step, invariants};
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, kill_at_failpoint};
 use crate::harness::{Worker, rollout_id};
 use crate::page::http;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
+use crate::search::{PATIENCE, kill_at_failpoint, searched};
 
 /// Time for which a test observes that a campaign does not stop.
 const OBSERVATION_TIME: Duration = Duration::from_millis(400);
@@ -42,6 +42,10 @@ fn succeeds(id: &RolloutId) -> bool {
         2..5 => condition != "combination",
         _ => true,
     }
+}
+
+fn planted_outcome(id: &RolloutId) -> Outcome {
+    Outcome::from(succeeds(id))
 }
 
 /// A campaign with planted outcomes: its rollouts in the order of their leases, and the numbers of
@@ -246,7 +250,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
 
     // The transitions and thresholds of the configurations that count are all explained and
     // measured, although some rollouts will never have an outcome.
-    let explained = derived(&serve, &mut worker, &["explain", "early"]).await;
+    let explained = searched(&serve, &mut worker, &["explain", "early"], planted_outcome).await;
     assert_eq!(explained["explained"], explained["transitions"]);
     let report = printed(&serve, &["report", "early", "--json"]);
     let emergent = |level: &str| report["paired"]["p"][level]["b"].as_u64().expect("a count");
@@ -255,9 +259,9 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     assert!(changed > 0);
     assert_eq!(explained["transitions"], changed);
     #[rustfmt::skip]
-    let measured = derived(&serve, &mut worker, &[
+    let measured = searched(&serve, &mut worker, &[
         "thresholds", "early", "--axes", "simultaneous", "--max-radius", "8", "--tolerance", "4",
-    ]).await;
+    ], planted_outcome).await;
     assert_eq!(measured["looked_for"], planted.configurations);
     assert_eq!(measured["found"], planted.configurations);
     let is_of_later_configuration = |threshold: &Value| {
@@ -275,23 +279,6 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     }
     let violations = invariants::check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
-}
-
-/// Runs all rollouts of a derived campaign and returns the complete findings.
-async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Value {
-    let began = Instant::now();
-    loop {
-        let findings = printed(serve, &[arguments, &["--create", "--json"]].concat());
-        if findings["complete"] == true && findings["rollouts"].as_u64() > Some(0) {
-            return findings;
-        }
-        assert!(began.elapsed() < PATIENCE, "{findings}");
-        for lease in worker.claim(64).await {
-            let committed = worker.commit(&lease, succeeds(&id(&lease))).await;
-            assert_eq!(committed, Verdict::Accepted);
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
 }
 
 #[test]
@@ -332,6 +319,8 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     // Consecutive processes: each continues where the previous one was killed, and runs the
     // rollouts before the stop.
     let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = undisturbed.path().join("early.json");
+    let create = ["campaign", "create", "--spec", file.to_str().expect("UTF-8")];
     let outcome = |id: &RolloutId| match planted.ids[..planted.rollouts].contains(id) {
         true => Outcome::from(succeeds(id)),
         false => Outcome::Missing,
@@ -347,7 +336,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
         (Side::After, Step::Stop, 1),
     ] {
         let point = format!("{side:?}:{step:?}:{occurrence}");
-        kill_at_failpoint(folder.path(), &point, &spec("early"), outcome).await;
+        kill_at_failpoint(folder.path(), &point, &create, outcome).await;
         let violations = invariants::check(folder.path()).await.expect("a database");
         assert_eq!(violations, [], "{point}");
     }

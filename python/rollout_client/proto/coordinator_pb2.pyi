@@ -409,6 +409,32 @@ class CreateCampaignResponse(_message.Message):
     priority: int
     def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ..., priority: _Optional[int] = ...) -> None: ...
 
+class AppendRowsRequest(_message.Message):
+    __slots__ = ("campaign", "rows", "spec")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    rows: _containers.RepeatedCompositeFieldContainer[AppendedRow]
+    spec: str
+    def __init__(self, campaign: _Optional[str] = ..., rows: _Optional[_Iterable[_Union[AppendedRow, _Mapping]]] = ..., spec: _Optional[str] = ...) -> None: ...
+
+class AppendedRow(_message.Message):
+    __slots__ = ("manifest_row", "replicates")
+    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
+    REPLICATES_FIELD_NUMBER: _ClassVar[int]
+    manifest_row: str
+    replicates: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, manifest_row: _Optional[str] = ..., replicates: _Optional[_Iterable[int]] = ...) -> None: ...
+
+class AppendRowsResponse(_message.Message):
+    __slots__ = ("jobs_added", "jobs_total")
+    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
+    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
+    jobs_added: int
+    jobs_total: int
+    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ...) -> None: ...
+
 class ListCampaignsRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
@@ -434,7 +460,7 @@ class GetCampaignResponse(_message.Message):
     def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., spec: _Optional[str] = ...) -> None: ...
 
 class CampaignStatus(_message.Message):
-    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "may_grow", "policy_retry_secs")
+    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "policy_retry_secs")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[CampaignStatus.State]
@@ -481,7 +507,6 @@ class CampaignStatus(_message.Message):
     CREATED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
     EARLY_STOP_FIELD_NUMBER: _ClassVar[int]
     FOLLOWS_FROM_FIELD_NUMBER: _ClassVar[int]
-    MAY_GROW_FIELD_NUMBER: _ClassVar[int]
     POLICY_RETRY_SECS_FIELD_NUMBER: _ClassVar[int]
     campaign: str
     policy: str
@@ -504,9 +529,8 @@ class CampaignStatus(_message.Message):
     created_unix_ms: int
     early_stop: CampaignStatus.EarlyStop
     follows_from: str
-    may_grow: bool
     policy_retry_secs: float
-    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., may_grow: bool = ..., policy_retry_secs: _Optional[float] = ...) -> None: ...
+    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., policy_retry_secs: _Optional[float] = ...) -> None: ...
 
 class ChangeCampaignRequest(_message.Message):
     __slots__ = ("campaign", "change")

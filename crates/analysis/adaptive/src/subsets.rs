@@ -21,6 +21,7 @@ mod next;
 mod order;
 mod plan;
 mod proportion;
+mod rollouts;
 mod summary;
 
 pub use campaign::{configurations, own_configurations};
@@ -33,4 +34,5 @@ pub use lattice::{Lattice, LatticeError};
 pub use next::{Request, Strategy, next};
 pub use plan::{Sample, plan};
 pub use proportion::clopper_pearson;
+pub use rollouts::{Addition, additions, illustrative};
 pub use summary::{Explained, Occurrence, SubsetOutcome, occurrences, outcomes};

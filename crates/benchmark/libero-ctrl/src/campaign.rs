@@ -156,23 +156,7 @@ impl CampaignSpec {
                     return Err(SpecError::Latency { given });
                 }
             }
-            Rollouts::Manifest(rows) => {
-                manifest::check(rows)?;
-                if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
-                    return Err(SpecError::VariantRow { id: row.id });
-                }
-                let row_model = self.rollouts.execution();
-                if !row_model.is_wait() && row_model != self.execution {
-                    let given = self.execution.clone();
-                    return Err(SpecError::Execution { given, row_model });
-                }
-                let mut ids = rows.iter().map(|row| row.id);
-                let has_latency = ids.any(|id| id.condition() == Condition::Latency);
-                if has_latency && !self.execution.is_wait() {
-                    let given = self.execution.clone();
-                    return Err(SpecError::Latency { given });
-                }
-            }
+            Rollouts::Manifest(rows) => self.check_rows(rows)?,
             Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
                 let defined_by = match &self.rollouts {
                     Rollouts::SuiteFile(file) => {
@@ -225,6 +209,27 @@ impl CampaignSpec {
                 Rollouts::Explanation(_) => return Err(derived("explains").into()),
                 Rollouts::Thresholds(_) => return Err(derived("thresholds").into()),
             }
+        }
+        Ok(())
+    }
+
+    /// Validates rows to be run under this specification.
+    pub fn check_rows(&self, rows: &[ManifestRow]) -> Result<(), SpecError> {
+        manifest::check(rows)?;
+        if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
+            return Err(SpecError::VariantRow { id: row.id });
+        }
+        let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
+        let row_model = rows.iter().find(|row| !is_late(row)).map(|row| &row.execution);
+        if let Some(row_model) = row_model.filter(|model| !model.is_wait())
+            && *row_model != self.execution
+        {
+            let (given, row_model) = (self.execution.clone(), row_model.clone());
+            return Err(SpecError::Execution { given, row_model });
+        }
+        if rows.iter().any(|row| is_late(&row)) && !self.execution.is_wait() {
+            let given = self.execution.clone();
+            return Err(SpecError::Latency { given });
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::seeds::policy_seed;
 use libero_ctrl::{
-    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, Rollouts, SpecError, Stop, Wanted,
+    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, SpecError, Stop, Wanted,
 };
 use libero_family::TaskKey;
 use paired::{Unit, drawn_order};
@@ -34,13 +34,12 @@ pub struct NewCampaign {
     pub record: &'static str,
     /// Requirements on the workers.
     pub wanted: Wanted,
-    /// Rollouts that are derived from another campaign's outcomes; `None` if this campaign is not
-    /// derived.
-    pub derived: Option<Rollouts>,
+    /// Name of the campaign whose results are compared with this one's; `None` if there is none.
+    pub source: Option<CampaignName>,
     /// Number of configurations if the campaign may stop early, in which case its jobs follow a
     /// random order of the configurations; `None` in other campaigns.
     pub stoppable_configurations: Option<usize>,
-    /// Jobs in the campaign's order; empty at first in a derived campaign.
+    /// Jobs in the campaign's order; none in a campaign that has a source.
     pub jobs: Vec<NewJob>,
     /// Sum of the control steps of all rollouts if none reaches its goal.
     pub step_budget: u64,
@@ -140,13 +139,7 @@ impl NewCampaign {
             realisation: spec.realisation.to_string(),
             execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
-            derived: match &spec.rollouts {
-                Rollouts::Design(_)
-                | Rollouts::Manifest(_)
-                | Rollouts::Variants(_)
-                | Rollouts::SuiteFile(_) => None,
-                derived => Some(derived.clone()),
-            },
+            source: spec.rollouts.source().map(CampaignName::parse).transpose()?,
             stoppable_configurations,
             record: match spec.record {
                 Record::None => "none",

@@ -25,6 +25,7 @@ mod tasks;
 mod timing;
 
 pub use operations::alter::Alteration;
+pub use operations::append::AppendedRow;
 pub use operations::artifacts::{
     ARTIFACTS_FOLDER, ArtifactError, MAX_ARTIFACT_BYTES, MOVING_PREFIX, Upload,
     remove_partial_files,

@@ -2,6 +2,7 @@
 //! writes the outcome in the writing transaction.
 
 pub(crate) mod alter;
+pub(crate) mod append;
 pub(crate) mod artifacts;
 pub(crate) mod backup;
 pub(crate) mod batches;
@@ -11,7 +12,6 @@ mod choose;
 pub(crate) mod claim;
 pub(crate) mod commit;
 pub(crate) mod context;
-pub(crate) mod derive;
 pub(crate) mod error;
 pub(crate) mod filming;
 pub(crate) mod films;
@@ -21,11 +21,11 @@ pub(crate) mod in_flight;
 pub(crate) mod lacking;
 pub(crate) mod local_videos;
 pub(crate) mod portable;
+pub(crate) mod records;
 mod register;
 pub(crate) mod release;
 pub(crate) mod removals;
 pub(crate) mod retry;
-pub(crate) mod settled;
 pub(crate) mod shared;
 mod skip;
 pub(crate) mod start;

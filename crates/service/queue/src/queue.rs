@@ -20,7 +20,7 @@ use crate::operations::heartbeat::Heartbeat;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
-use crate::operations::{batches, derive, stop};
+use crate::operations::{batches, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
 use crate::remote_storage::RemoteStorage;
@@ -37,8 +37,8 @@ pub struct Queue {
     pub(crate) shared: Arc<Shared>,
     /// Operations of workers, waiting for the next transaction.
     operations: mpsc::Sender<Operation>,
-    /// Tasks that execute operations, checkpoint the log, and derive jobs or stop campaigns as
-    /// outcomes arrive; they end with the queue.
+    /// Tasks that execute operations, checkpoint the log, and stop campaigns as outcomes arrive;
+    /// they end with the queue.
     tasks: tokio::sync::Mutex<Tasks>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) filming: Filming,
@@ -104,7 +104,6 @@ impl Queue {
         tasks.spawn("the deletion of incomplete campaigns", removal);
         tasks.spawn("the database's writer", writer::run(shared.clone(), received));
         tasks.spawn("the checkpointer", checkpoint_log(shared.clone()));
-        tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));
         tasks.spawn("the early stop", stop::run(shared.clone()));
         Ok(Arc::new(Queue {
             last_sweep: AtomicI64::new(shared.now().0),
@@ -138,9 +137,8 @@ impl Queue {
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
-        let (now, timing, settled) = (shared.now(), shared.timing, shared.settled.clone());
-        let lacking = shared.lacking.clone();
-        View::begin(&shared.store, now, timing, settled, self.held(), filming, lacking).await
+        let (now, timing, lacking) = (shared.now(), shared.timing, shared.lacking.clone());
+        View::begin(&shared.store, now, timing, self.held(), filming, lacking).await
     }
 
     /// Returns a watch for commits.

@@ -30,12 +30,10 @@ use sqlx::{Sqlite, SqliteConnection, Transaction};
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::operations::lacking::LackingTasks;
-use crate::operations::settled::SettlementWatch;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
 pub use crate::store::campaigns::Campaign;
-pub use crate::store::derivations::Source;
 pub use crate::store::outcomes::OutcomeRow;
 pub use crate::store::stops::EarlyStop;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
@@ -59,10 +57,6 @@ pub struct View {
     /// Number of videos that each worker renders or uploads; workers without videos are absent.
     filming: BTreeMap<WorkerId, u32>,
     lacking: Arc<LackingTasks>,
-    /// Counts of the transactions that settled jobs.
-    settled: Arc<SettlementWatch>,
-    /// Settling transactions that derivation had processed when the view began.
-    processed: u64,
 }
 
 impl View {
@@ -70,22 +64,11 @@ impl View {
         store: &Store,
         now: UnixMillis,
         timing: Timing,
-        settled: Arc<SettlementWatch>,
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
         lacking: Arc<LackingTasks>,
     ) -> Result<View, StoreError> {
-        let processed = settled.processed();
-        Ok(View {
-            transaction: store.read().await?,
-            now,
-            timing,
-            held,
-            filming,
-            lacking,
-            settled,
-            processed,
-        })
+        Ok(View { transaction: store.read().await?, now, timing, held, filming, lacking })
     }
 
     fn tx(&mut self) -> &mut SqliteConnection {

@@ -2,7 +2,6 @@
 
 pub mod campaign;
 pub mod choice;
-pub(crate) mod explanation;
 pub mod lease;
 pub mod outage;
 pub(crate) mod pairing;

@@ -10,7 +10,6 @@ pub(crate) mod attached;
 pub(crate) mod backup;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
-pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod hidden;
@@ -49,10 +48,10 @@ pub const DATABASE_FILE: &str = "coordinator.sqlite";
 /// private. Other users of the machine go through the coordinator.
 const PRIVATE_FOLDER_MODE: u32 = 0o700;
 const PRIVATE_MODE: u32 = 0o600;
-/// Number of read-only connections beside the writer. Large reads take at most eight: two answers
-/// to operators, two statistics and two comparisons of pages, derived campaigns and early stops.
-/// The others serve small queries.
-const READERS: u32 = 11;
+/// Number of read-only connections beside the writer. Large reads take at most seven: two answers
+/// to operators, two statistics and two comparisons of pages, and early stops. The others serve
+/// small queries.
+const READERS: u32 = 10;
 /// Longest wait of a statement for a lock held by another process, such as a backup or an
 /// interactive shell.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);

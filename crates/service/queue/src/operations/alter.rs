@@ -10,7 +10,7 @@ use crate::queue::Queue;
 use crate::read::Counts;
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
-use crate::store::{campaigns, derivations, policies};
+use crate::store::{campaigns, policies};
 
 /// A change of a campaign; fields that are `None` stay as they are.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -115,8 +115,7 @@ impl Context<'_> {
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
         campaigns::rename(&mut self.tx, campaign, name).await?;
-        for derived in derivations::derived_names(&mut self.tx, campaign.id).await? {
-            let derived = self.campaign_named(&derived).await?;
+        for derived in campaigns::derived_from(&mut self.tx, campaign.id).await? {
             let (spec, digest) =
                 self.altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str())).await?;
             campaigns::set_spec(&mut self.tx, derived.id, &spec, &digest).await?;

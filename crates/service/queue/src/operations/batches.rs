@@ -48,7 +48,7 @@ async fn insert_jobs(
 ) -> Result<(), StoreError> {
     for batch in new.jobs.chunks(JOBS_PER_BATCH) {
         let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
-        campaigns::insert_jobs(&mut context.tx, id, batch).await?;
+        campaigns::append_jobs(&mut context.tx, id, batch).await?;
         context.commit().await?;
     }
     let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
@@ -200,7 +200,7 @@ pub(super) mod tests {
                 let id = id.expect("stored");
                 hidden::hide_new(tx, id).await.expect("hidden");
                 let batch = &new.jobs[..JOBS_PER_BATCH];
-                campaigns::insert_jobs(tx, id, batch).await.expect("stored");
+                campaigns::append_jobs(tx, id, batch).await.expect("stored");
                 context.commit().await.expect("stored");
             }
             let part = count(&queue, "SELECT count(*) FROM job").await;

@@ -1,6 +1,6 @@
 //! Creating, pausing, resuming, cancelling and deleting campaigns.
 
-use libero_ctrl::{CampaignSpec, Realisation, Rollouts};
+use libero_ctrl::Realisation;
 
 use super::batches::{self, JOBS_PER_BATCH, remove as remove_hidden};
 use super::context::Context;
@@ -16,9 +16,7 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as removal_marks;
-use crate::store::{
-    Doing, StoreError, campaigns, derivations, hidden, jobs, policies, stops, undecodable,
-};
+use crate::store::{StoreError, campaigns, hidden, jobs, policies, stops};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Created {
@@ -33,8 +31,8 @@ impl Queue {
     /// Stores a campaign and its jobs. Creating the same specification again adds nothing.
     ///
     /// # Errors
-    /// If a campaign of this name has another specification; if the source campaign does not exist,
-    /// measures another policy or cannot be derived from; or if the database fails.
+    /// If a campaign of this name has another specification; if the source campaign does not exist
+    /// or its results could not be compared; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -52,7 +50,7 @@ impl Queue {
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > JOBS_PER_BATCH {
-            // The campaign is not derived from another: derived campaigns are created without jobs.
+            // The campaign has no source: one that has is created without jobs.
             drop(context);
             batches::insert(shared, new, &folder).await?;
             return Ok(report_created(shared, new));
@@ -60,8 +58,7 @@ impl Queue {
         let source = context.source_of(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
         if let Some(source) = source {
-            derivations::insert(&mut context.tx, id, source).await?;
-            context.settles = true;
+            campaigns::set_source(&mut context.tx, id, source).await?;
         }
         if let Some(configurations) = new.stoppable_configurations {
             stops::insert(&mut context.tx, id, configurations).await?;
@@ -125,12 +122,9 @@ impl Queue {
                 leased: counts.leased,
             });
         }
-        let derived = derivations::derived_names(&mut context.tx, campaign.id).await?;
-        if let Some(derived) = derived.first() {
-            return Err(QueueError::HasDerived {
-                campaign: name.clone(),
-                derived: derived.clone(),
-            });
+        let derived = campaigns::derived_from(&mut context.tx, campaign.id).await?;
+        if let Some(Campaign { name: derived, .. }) = derived.into_iter().next() {
+            return Err(QueueError::HasDerived { campaign: name.clone(), derived });
         }
         let folder = artifacts::campaign_folder(&campaign.folder);
         let is_large = counts.total() > JOBS_PER_BATCH as u64;
@@ -179,73 +173,30 @@ pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
 }
 
 impl Context<'_> {
-    /// Returns the source campaign of a new derived campaign; `None` if the new campaign is not
-    /// derived.
+    /// Returns the source of a new campaign, whose results can be compared with the new ones; `None`
+    /// if it has no source.
     async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
-        let Some(derived) = &new.derived else {
+        let Some(name) = &new.source else {
             return Ok(None);
         };
-        let name = derived.source().unwrap_or_default();
-        let name = CampaignName::parse(name).map_err(|error| QueueError::Unspecified {
-            campaign: new.name.clone(),
-            problem: error.to_string(),
-        })?;
-        let source = self.campaign_named(&name).await?;
-        if source.mode()? != Realisation::Matched {
-            return Err(QueueError::Unmatched { campaign: source.name });
-        }
-        if (&source.policy, &source.endpoint) != (&new.policy, &new.policy_endpoint) {
-            return Err(QueueError::OtherPolicy {
-                campaign: source.name,
-                policy: source.policy,
-                endpoint: source.endpoint,
-            });
-        }
-        if source.execution != new.execution {
-            let (name, execution) = (&source.name, &source.execution);
-            return Err(QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: format!(
-                    "`execution` is {}, but its source campaign `{name}` ran under {execution}: \
-                     write {execution}",
-                    new.execution
-                ),
-            });
-        }
-        let spec = campaigns::spec(&mut self.tx, source.id).await?;
-        let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
-        let spec = spec.doing("read the specification of the source campaign")?;
-        // A derived campaign may get further rollouts, so that its outcomes are never final.
-        if let Some(first) = spec.rollouts.source() {
-            return Err(QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: format!(
-                    "its source campaign `{}` is itself derived from `{first}`: name `{first}`",
-                    source.name
-                ),
-            });
-        }
-        let benchmark = match &spec.rollouts {
-            Rollouts::Variants(variants) => Some(variants.benchmark.name()),
-            Rollouts::SuiteFile(file) => Some(file.name.as_str()),
-            _ => None,
+        let source = self.campaign_named(name).await?;
+        let Campaign { policy, endpoint, execution, .. } = &source;
+        let problem = if source.mode()? != Realisation::Matched {
+            "has the realisation reference, in which each condition perturbs an axis differently; \
+             name a campaign whose realisation is matched"
+                .to_owned()
+        } else if (policy, endpoint) != (&new.policy, &new.policy_endpoint) {
+            format!("measures policy `{policy}` at {endpoint}; name the same policy")
+        } else if *execution != new.execution {
+            format!(
+                "ran under {execution}, but `execution` is {}; write {execution}",
+                new.execution
+            )
+        } else {
+            return Ok(Some(source.id));
         };
-        if let Some(benchmark) = benchmark {
-            return Err(QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: format!(
-                    "its source campaign `{}` is of {}, which has no axes to explain and no \
-                     thresholds: name a campaign of LIBERO-CTRL",
-                    source.name, benchmark
-                ),
-            });
-        }
-        if let Rollouts::Thresholds(thresholds) = derived {
-            let possible = thresholds.check_measurable(&spec.rollouts);
-            possible
-                .map_err(|problem| QueueError::NoThresholds { campaign: source.name, problem })?;
-        }
-        Ok(Some(source.id))
+        let problem = format!("its source campaign `{name}` {problem}");
+        Err(QueueError::Unspecified { campaign: new.name.clone(), problem })
     }
 
     pub(super) async fn campaign_named(

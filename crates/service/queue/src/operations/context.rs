@@ -33,8 +33,8 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// True if derived campaigns may grow or a campaign may stop early after the transaction, for
-    /// example because it settles a job.
+    /// True if a campaign may stop early after the transaction, for example because it settles a
+    /// job.
     pub(super) settles: bool,
 }
 
@@ -76,9 +76,11 @@ impl<'a> Context<'a> {
     }
 
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
-        let _settling = self.settles.then(|| self.shared.settled.begin());
         self.tx.commit().await?;
         self.cache.committed();
+        if self.settles {
+            self.shared.settled.send_replace(());
+        }
         Ok(())
     }
 

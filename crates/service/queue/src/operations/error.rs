@@ -1,6 +1,5 @@
 //! Errors of requests to the queue.
 
-use libero_ctrl::NotMeasurable;
 use rollout_types::AttemptId;
 use sqlx::SqliteConnection;
 
@@ -55,23 +54,6 @@ pub enum QueueError {
         "delete campaign `{campaign}`: campaign `{derived}` is derived from it; delete that one first"
     )]
     HasDerived { campaign: CampaignName, derived: CampaignName },
-    /// A campaign with the realisation `reference` cannot be derived from.
-    #[error(
-        "derive from campaign `{campaign}`: its realisation is reference, in which each condition \
-         perturbs an axis differently; name a campaign whose realisation is matched"
-    )]
-    Unmatched { campaign: CampaignName },
-    #[error(
-        "derive from campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the \
-         same policy"
-    )]
-    OtherPolicy { campaign: CampaignName, policy: String, endpoint: String },
-    #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
-    NoThresholds {
-        campaign: CampaignName,
-        /// Reason. Part of the message, because a caller receives only the message.
-        problem: NotMeasurable,
-    },
     #[error(
         "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` lists its rollouts"
     )]

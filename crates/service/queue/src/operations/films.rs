@@ -6,16 +6,16 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use adaptive::subsets::illustrative;
 use libero_ctrl::Rollouts;
 use paired::{Record, Records, Transition};
 use rollout_types::Pin;
 use sqlx::SqliteConnection;
 
-use super::derive::{on_blocking_thread, records, specification};
 use super::error::QueueError;
+use super::records::{on_blocking_thread, records, specification};
 use crate::ids::{CampaignId, CampaignName, JobId};
 use crate::queue::Queue;
-use crate::rules::explanation;
 use crate::store::films::{self, FilmableRow};
 use crate::store::{Doing, StoreError, campaigns, undecodable};
 
@@ -71,7 +71,7 @@ async fn unfilmed_illustrations(
     let source = records(view, source).await?;
     let own_records = records(view, campaign).await?;
     let unfilmed = on_blocking_thread(move || {
-        let illustrative = explanation::illustrative(&source, &own_records, &explanation);
+        let illustrative = illustrative(&source, &own_records, &explanation);
         let illustrative: BTreeSet<(String, u32)> =
             illustrative.into_iter().map(|(id, replicate)| (id.to_string(), replicate)).collect();
         let is_illustrative = |row: &FilmableRow| {

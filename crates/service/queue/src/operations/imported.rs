@@ -13,7 +13,7 @@ use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
 use super::batches::JOBS_PER_BATCH;
-use super::derive::on_blocking_thread;
+use super::records::on_blocking_thread;
 use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;
@@ -69,8 +69,8 @@ pub enum WorkerProblem {
     Count { worker: WorkerId, column: &'static str, given: i64 },
 }
 
-/// Rows that a specification expands to, and the number of their replicates; `None` if the rows
-/// derive from the outcomes of another campaign.
+/// Rows that a specification expands to, and the number of their replicates; `None` if clients add
+/// the rows, which follow from outcomes.
 type Expansion = Option<(BTreeMap<RolloutId, ManifestRow>, u32)>;
 
 /// Checks the jobs, results and workers of a database that holds one campaign. Returns the first

@@ -16,7 +16,6 @@ use super::context::Context;
 use super::error::QueueError;
 use super::imported::{self, RowsError};
 use super::removals;
-use super::settled::SettlementWatch;
 use crate::expand::altered;
 use crate::ids::{CampaignId, CampaignName};
 use crate::invariants::{self, SCHEMA_INVARIANT, Violation};
@@ -26,7 +25,7 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, CopyTarget};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, hidden, instants,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, hidden, instants, outcomes,
     removals as removal_marks, schema, undecodable,
 };
 use crate::timing::Timing;
@@ -134,9 +133,7 @@ impl Portable {
     /// has neither live workers nor leases, so ages do not matter.
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
-        let settled = Arc::new(SettlementWatch::new());
-        let lacking = Arc::default();
-        View::begin(&self.store, now, Timing::default(), settled, None, filming, lacking).await
+        View::begin(&self.store, now, Timing::default(), None, filming, Arc::default()).await
     }
 
     /// Returns the videos, by path; the database lists no other kind of artifact.
@@ -333,7 +330,7 @@ impl Queue {
         hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
         portable::copy_stop_and_state(&mut context.tx, (id, old)).await?;
         if let Some(source) = local_source {
-            derivations::insert(&mut context.tx, id, source).await?;
+            campaigns::set_source(&mut context.tx, id, source).await?;
         }
         context.settles = true;
         context.cache.clear_campaigns();
@@ -473,7 +470,7 @@ async fn outcomes_digest(
     campaign: &Campaign,
 ) -> Result<String, StoreError> {
     let mut digest = Sha256::new();
-    for row in derivations::outcomes(tx, campaign.id).await? {
+    for row in outcomes::of_campaign(tx, campaign.id).await? {
         let outcome = match row.outcome() {
             Outcome::Success => "success",
             Outcome::Failure => "failure",

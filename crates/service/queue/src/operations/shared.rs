@@ -11,7 +11,6 @@ use tokio::sync::{Notify, watch};
 use super::cache::Cache;
 use super::in_flight::Films;
 use super::lacking::LackingTasks;
-use super::settled::SettlementWatch;
 use crate::clock::{Clock, UnixMillis};
 use crate::remote_storage::RemoteStorage;
 use crate::store::Store;
@@ -36,9 +35,8 @@ pub(crate) struct Shared {
     pub(crate) work: Notify,
     /// True if waiting claims were not notified of a job.
     pub(super) passed_over: AtomicBool,
-    /// Notified when jobs are settled, since further jobs may derive from their outcomes, or a
-    /// campaign's stop rule may be met.
-    pub(crate) settled: Arc<SettlementWatch>,
+    /// Notified when jobs are settled, since a campaign's stop rule may be met.
+    pub(crate) settled: watch::Sender<()>,
     /// True once the coordinator is shutting down and leases no more jobs.
     pub(crate) draining: watch::Sender<bool>,
     /// Reason why leasing is suspended; `None` while jobs are leased.
@@ -65,7 +63,7 @@ impl Shared {
             remote_storage,
             work: Notify::new(),
             passed_over: AtomicBool::new(false),
-            settled: Arc::new(SettlementWatch::new()),
+            settled: watch::Sender::new(()),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }

@@ -13,7 +13,6 @@ use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
-use crate::store::derivations::{self, Source};
 use crate::store::stops::{self, EarlyStop};
 use crate::store::workers::Live;
 use crate::store::{Doing, StoreError, claims, workers};
@@ -52,17 +51,14 @@ pub struct CampaignStatus {
     pub eta_secs: Option<f64>,
     /// Live workers that meet the campaign's requirements and its pin.
     pub live_workers: u32,
-    /// Reason why no job is leased although jobs wait, or why a derived campaign has no jobs to run
-    /// yet; empty if there is no such reason.
+    /// Reason why no job is leased although jobs wait; empty if there is no such reason.
     pub waiting_reason: String,
     /// Mix of fingerprints among the campaign's results; `None` unless there are several.
     pub fingerprints: Option<Fingerprints>,
     /// Early-stopping rule, with the point at which the campaign stopped; `None` without a rule.
     pub stop: Option<EarlyStop>,
     /// Source of a derived campaign; `None` in other campaigns.
-    pub source: Option<Source>,
-    /// True if further rollouts may be added automatically.
-    pub may_grow: bool,
+    pub source: Option<CampaignName>,
 }
 
 impl Counts {
@@ -186,19 +182,9 @@ impl View {
         };
         let able = live.iter().filter(|live| campaign.accepts(&live.pin));
         let able: Vec<&Live> = able.collect();
-        let source = derivations::awaited(self.tx(), campaign.id).await?;
-        let may_grow = match &source {
-            _ if campaign.state.is_over() => false,
-            None => false,
-            Some(source) if source.awaited > 0 => !source.is_cancelled,
-            Some(_) => !self.settled.is_current(self.processed),
-        };
+        let source = self.source(campaign.id).await?.map(|source| source.name);
         let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
         let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
-            (false, ..) if counts.queued + counts.leased == 0 => {
-                let source = source.as_ref().filter(|_| !campaign.state.is_over());
-                source.map_or_else(String::new, awaited_reason)
-            }
             (false, ..) => String::new(),
             (true, Some(reason), _) => reason.clone(),
             (true, None, Some(reason)) => {
@@ -224,7 +210,6 @@ impl View {
             fingerprints,
             stop,
             source,
-            may_grow,
         })
     }
 }
@@ -255,23 +240,6 @@ async fn rate(
     };
     let span = now.since(window.max(UnixMillis(first_began))).as_secs_f64();
     Ok((span > 0.0).then(|| committed as f64 / span))
-}
-
-/// Describes the outcomes that a derived campaign waits for; empty if it waits for none.
-fn awaited_reason(source: &Source) -> String {
-    let Source { name, awaited, is_cancelled } = source;
-    let rollouts = match awaited {
-        0 => return String::new(),
-        1 => "1 rollout".to_owned(),
-        n => format!("{n} rollouts"),
-    };
-    match is_cancelled {
-        false => format!("it waits for campaign `{name}`, which has {rollouts} left"),
-        true => format!(
-            "no rollout can be derived from campaign `{name}`, which was cancelled with {rollouts} \
-             left"
-        ),
-    }
 }
 
 fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {

@@ -2,10 +2,9 @@
 
 use super::View;
 use crate::ids::CampaignId;
-use crate::operations::error::QueueError;
 use crate::store::campaigns::{self, Campaign};
 use crate::store::outcomes::OutcomeRow;
-use crate::store::{Doing, StoreError, derivations, json};
+use crate::store::{Doing, StoreError, json};
 
 /// One rollout of a configuration, with the fields that an explanation of the configuration needs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
@@ -20,25 +19,15 @@ pub struct SubsetRow {
 impl View {
     /// Returns the source of a derived campaign; `None` for other campaigns.
     pub async fn source(&mut self, campaign: CampaignId) -> Result<Option<Campaign>, StoreError> {
-        match derivations::source(self.tx(), campaign).await? {
-            Some(source) => Ok(Some(campaigns::by_id(self.tx(), source).await?)),
-            None => Ok(None),
-        }
+        campaigns::source(self.tx(), campaign).await
     }
 
     /// Returns the campaigns that derive from a campaign, oldest first.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn derived_campaigns(
         &mut self,
         campaign: CampaignId,
-    ) -> Result<Vec<Campaign>, QueueError> {
-        let mut list = Vec::new();
-        for name in derivations::derived_names(self.tx(), campaign).await? {
-            list.push(self.campaign(&name).await?);
-        }
-        Ok(list)
+    ) -> Result<Vec<Campaign>, StoreError> {
+        campaigns::derived_from(self.tx(), campaign).await
     }
 
     /// Returns the named rollouts that exist in a campaign, in every replicate, by rollout id, then

@@ -20,7 +20,7 @@ pub struct Edition {
     committed: i64,
     quarantined: i64,
     divergent: i64,
-    // Number of jobs, which grows in a derived campaign.
+    // Number of jobs, to which clients may add.
     jobs: i64,
     // True if the campaign stopped early, so that not all of its results count.
     has_stopped: bool,

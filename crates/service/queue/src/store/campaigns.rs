@@ -1,6 +1,8 @@
 //! Statements on `campaign`, `campaign_task` and `former_name`: creating,
 //! pinning, altering, deleting, and reading a campaign with its policy.
 
+use std::collections::BTreeSet;
+
 use libero_ctrl::{Realisation, Wanted};
 use rollout_types::Pin;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
@@ -46,6 +48,8 @@ pub struct Campaign {
     pub wanted: Wanted,
     /// Priority: jobs of campaigns with a higher priority are leased first.
     pub priority: i32,
+    /// Number of jobs.
+    pub jobs: i64,
     pub created_ms: UnixMillis,
     /// Folder of the campaign's files below the artifacts folder: the campaign's original name, or
     /// that name with a number if another campaign has that folder.
@@ -88,7 +92,7 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.execution, c.record, c.wanted, c.priority, c.created_ms,
+                 c.realisation, c.execution, c.record, c.wanted, c.priority, c.jobs, c.created_ms,
                  coalesce(c.folder, c.name) AS folder, c.pinned_ms,
                  json_object('is', iif(s.stopped_ms IS NULL, c.state, 'stopped'),
                      'since', coalesce(s.stopped_ms, c.state_since_ms)) AS state,
@@ -150,6 +154,50 @@ pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, 
     .doing("list campaigns with waiting jobs")
 }
 
+/// Returns the campaign that a campaign explains, or whose thresholds it measures; `None` for other
+/// campaigns.
+pub(crate) async fn source(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.id = (SELECT source_id FROM derivation WHERE campaign_id = ?)"
+    ))
+    .bind(campaign)
+    .fetch_optional(tx)
+    .await
+    .doing("find the source of a campaign")
+}
+
+/// Returns the campaigns whose source is `source`, oldest first.
+pub(crate) async fn derived_from(
+    tx: &mut SqliteConnection,
+    source: CampaignId,
+) -> Result<Vec<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.id IN (SELECT campaign_id FROM derivation WHERE source_id = ?)"
+    ))
+    .bind(source)
+    .fetch_all(tx)
+    .await
+    .doing("list the campaigns derived from a campaign")
+}
+
+/// Stores the source of a campaign.
+pub(crate) async fn set_source(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    source: CampaignId,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO derivation (campaign_id, source_id) VALUES (?, ?)")
+        .bind(campaign)
+        .bind(source)
+        .execute(tx)
+        .await
+        .doing("store the source of a campaign")
+        .map(drop)
+}
+
 /// Returns a campaign's specification, JSON.
 pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
     sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
@@ -192,11 +240,11 @@ pub(crate) async fn insert(
 ) -> Result<CampaignId, StoreError> {
     take_name(tx, &campaign.name).await?;
     let id = insert_without_jobs(tx, campaign, folder, now).await?;
-    insert_jobs(tx, id, &campaign.jobs).await?;
+    append_jobs(tx, id, &campaign.jobs).await?;
     Ok(id)
 }
 
-/// Stores a campaign with its number of jobs; the jobs themselves are inserted separately.
+/// Stores a campaign without jobs, which are appended separately.
 pub(crate) async fn insert_without_jobs(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
@@ -205,10 +253,10 @@ pub(crate) async fn insert_without_jobs(
 ) -> Result<CampaignId, StoreError> {
     let policy =
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
-    let id: CampaignId = sqlx::query_scalar(
+    sqlx::query_scalar(
         "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
              wanted, jobs, created_ms, state_since_ms, priority, folder, execution)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, nullif(?11, ?1), ?12) RETURNING id",
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8, ?8, ?9, nullif(?10, ?1), ?11) RETURNING id",
     )
     .bind(&campaign.name)
     .bind(&campaign.spec)
@@ -217,34 +265,58 @@ pub(crate) async fn insert_without_jobs(
     .bind(&campaign.realisation)
     .bind(campaign.record)
     .bind(json(&campaign.wanted))
-    .bind(campaign.jobs.len() as i64)
     .bind(now)
     .bind(campaign.priority)
     .bind(folder)
     .bind(&campaign.execution)
-    .fetch_one(&mut *tx)
+    .fetch_one(tx)
     .await
-    .doing("store a campaign")?;
-    for task in campaign.tasks() {
-        sqlx::query("INSERT INTO campaign_task (campaign_id, task) VALUES (?, ?)")
-            .bind(id)
-            .bind(task)
-            .execute(&mut *tx)
-            .await
-            .doing("store a campaign's tasks")?;
-    }
-    Ok(id)
+    .doing("store a campaign")
 }
 
-pub(crate) async fn insert_jobs(
+/// Adds jobs to a campaign.
+pub(crate) async fn append_jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     jobs: &[NewJob],
 ) -> Result<(), StoreError> {
+    let tasks: BTreeSet<&str> = jobs.iter().map(|job| job.task.as_str()).collect();
+    sqlx::query(
+        "INSERT OR IGNORE INTO campaign_task (campaign_id, task)
+         SELECT ?, value FROM json_each(?)",
+    )
+    .bind(campaign)
+    .bind(json(tasks))
+    .execute(&mut *tx)
+    .await
+    .doing("store a campaign's tasks")?;
     for jobs in jobs.chunks(JOBS_PER_INSERT) {
         insert_some_jobs(&mut *tx, campaign, jobs).await?;
     }
-    Ok(())
+    sqlx::query("UPDATE campaign SET jobs = jobs + ? WHERE id = ?")
+        .bind(jobs.len() as i64)
+        .bind(campaign)
+        .execute(tx)
+        .await
+        .doing("count a campaign's jobs")
+        .map(drop)
+}
+
+/// Returns a campaign's jobs of some tasks: their manifest rows, JSON, and replicates.
+pub(crate) async fn rows_of_tasks(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    tasks: &BTreeSet<String>,
+) -> Result<Vec<(String, u32)>, StoreError> {
+    sqlx::query_as(
+        "SELECT manifest_row, replicate FROM job
+         WHERE campaign_id = ? AND task IN (SELECT value FROM json_each(?)) ORDER BY unit_order",
+    )
+    .bind(campaign)
+    .bind(json(tasks))
+    .fetch_all(tx)
+    .await
+    .doing("read a campaign's rows")
 }
 
 async fn insert_some_jobs(

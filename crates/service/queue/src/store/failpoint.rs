@@ -23,6 +23,8 @@ pub enum Step {
     /// An artifact of a rollout is recorded.
     Artifact,
     CreateCampaign,
+    /// Rows are added to a campaign.
+    AppendRows,
     ImportCampaign,
     /// A campaign is paused, resumed, cancelled or altered.
     ChangeCampaign,
@@ -31,8 +33,6 @@ pub enum Step {
     FinishRemoval,
     /// Jobs are taken out of quarantine, or quarantined because an operator skips them.
     RetryJobs,
-    /// Jobs are added to a derived campaign: one that explains another or measures its thresholds.
-    Derive,
     /// A campaign ends early.
     Stop,
 }
@@ -82,12 +82,12 @@ impl Step {
         Step::Sweep,
         Step::Artifact,
         Step::CreateCampaign,
+        Step::AppendRows,
         Step::ImportCampaign,
         Step::ChangeCampaign,
         Step::DeleteCampaign,
         Step::FinishRemoval,
         Step::RetryJobs,
-        Step::Derive,
         Step::Stop,
     ];
 }

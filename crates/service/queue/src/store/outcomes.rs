@@ -2,6 +2,10 @@
 
 use libero_ctrl::UnknownName;
 use paired::{Outcome, Record};
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::ids::CampaignId;
 
 /// A job and its outcome.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
@@ -40,4 +44,21 @@ impl OutcomeRow {
             outcome: self.outcome(),
         })
     }
+}
+
+/// Returns all jobs of a campaign with their outcomes so far, by rollout id, then replicate.
+pub(crate) async fn of_campaign(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<OutcomeRow>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
+             r.success
+         FROM job j LEFT JOIN result r ON r.job_id = j.id
+         WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read a campaign's outcomes")
 }

@@ -12,7 +12,7 @@ use super::methods::CLAIM;
 pub(super) type EncodedCall = (&'static str, Vec<u8>);
 
 /// Specification with two rollouts: one perturbed, one nominal.
-const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
+pub(super) const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
     "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
     "nominal":"eval"}"#;
 /// Seed of the coordinator's attempt ids.

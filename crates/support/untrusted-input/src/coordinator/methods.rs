@@ -1,7 +1,7 @@
 //! Methods of the coordinator under test.
 
 /// All methods; an input selects one by its index.
-pub(super) const METHODS: [&str; 25] = [
+pub(super) const METHODS: [&str; 26] = [
     "WorkerService/Register",
     CLAIM,
     "WorkerService/Heartbeat",
@@ -27,6 +27,7 @@ pub(super) const METHODS: [&str; 25] = [
     "OperatorService/ArchiveCampaign",
     "OperatorService/ImportCampaign",
     "OperatorService/SkipJobs",
+    "OperatorService/AppendRows",
 ];
 
 /// The only method that may wait before it answers, namely for a job.

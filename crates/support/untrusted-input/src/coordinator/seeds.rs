@@ -5,7 +5,8 @@ use proto::coordinator as wire;
 use tonic::codegen::Bytes;
 
 use super::messages::{
-    EncodedCall, attempt, claim, commit, create, digest, get_campaign, heartbeat, job, release,
+    EncodedCall, SPEC, attempt, claim, commit, create, digest, get_campaign, heartbeat, job,
+    release,
 };
 use super::methods::METHODS;
 use super::service::run_valid;
@@ -53,6 +54,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         change: wire::change_campaign_request::Change::Cancel.into(),
         ..pause.clone()
     };
+    let append = wire::AppendRowsRequest { campaign: "c".into(), rows: vec![], spec: SPEC.into() };
     let delete = wire::DeleteCampaignRequest { campaign: "c".into(), confirm: "c".into() };
     let import =
         wire::ImportChunk { name: "d".into(), archive: "c.tar.gz".into(), data: archive() };
@@ -64,6 +66,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     };
     let single_calls = [
         ("WorkerService/NextFilm", film.encode_to_vec()),
+        ("OperatorService/AppendRows", append.encode_to_vec()),
         ("OperatorService/ListCampaigns", vec![]),
         ("OperatorService/GetCampaign", campaign.clone()),
         ("OperatorService/ChangeCampaign", pause.encode_to_vec()),

@@ -1,27 +1,27 @@
-//! Next rollouts of a campaign that explains another. `adaptive::subsets` decides which
-//! subsets of axes to try; this module turns them into rollouts.
+//! Next rollouts of a campaign that explains another, and those that are worth filming.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use adaptive::subsets::{Sample, configurations, explain, plan};
 use libero_ctrl::{AxisSet, Condition, Explanation, RolloutId};
 use paired::Record;
 
+use super::{Sample, configurations, explain, plan};
+
 /// Rollouts of one subset of axes that are to be added.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Addition {
+pub struct Addition {
     /// The simultaneous rollout of the configuration in the explained campaign.
-    pub(crate) simultaneous: RolloutId,
+    pub simultaneous: RolloutId,
     /// The axes to perturb.
-    pub(crate) axes: AxisSet,
+    pub axes: AxisSet,
     /// Replicates to run, which neither campaign has yet.
-    pub(crate) replicates: Range<u32>,
+    pub replicates: Range<u32>,
 }
 
 /// Returns the rollouts to add, given the records of the explained and of the explaining
 /// campaign; empty if everything is explained or already requested.
-pub(crate) fn additions(
+pub fn additions(
     explained: &[Record],
     explaining: &[Record],
     explanation: &Explanation,
@@ -49,7 +49,7 @@ pub(crate) fn additions(
 /// filming: those under the minimal subsets of axes, and those under the largest subsets of each
 /// minimal subset that do not flip the outcome. For each of these subsets, returns the first
 /// replicate with the majority's outcome.
-pub(crate) fn illustrative(
+pub fn illustrative(
     explained: &[Record],
     explaining: &[Record],
     explanation: &Explanation,
