@@ -125,9 +125,9 @@ pub struct Detectable {
 /// The student's published outcomes (`examples/student`) at a level: `S_sim`, `R_d`, and the
 /// correlations within tasks of simultaneous success and of simultaneous − conjunction.
 const STUDENT: [(Level, [f64; 4]); 3] = [
-    (Level::L1, [0.7225, 0.2075, 0.3487, 0.0404]),
-    (Level::L2, [0.4175, 0.27, 0.2765, 0.0462]),
-    (Level::L3, [0.0875, 0.155, 0.1527, 0.0512]),
+    (Level::L1, [0.5575, 0.185, 0.4767, 0.0188]),
+    (Level::L2, [0.3025, 0.2275, 0.2783, 0.0776]),
+    (Level::L3, [0.0675, 0.1125, 0.0727, 0.0265]),
 ];
 
 impl Detectable {
