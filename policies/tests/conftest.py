@@ -159,3 +159,19 @@ def running(*command, **options):
         process.terminate()
         process.wait(timeout=60)
         process.stdout.close()
+
+
+@contextlib.contextmanager
+def serving_at(command):
+    """Runs a server as a separate process; yields its address."""
+    with running(*command) as (_, address):
+        yield address
+
+
+@contextlib.contextmanager
+def client_behind(program, *arguments):
+    """Runs a gateway with these arguments; yields a client of it."""
+    with serving_at([program, "--listen", "127.0.0.1:0", *arguments]) as address:
+        client = Client(address)
+        yield client
+        client.channel.close()

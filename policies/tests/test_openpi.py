@@ -13,7 +13,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from programs import client_behind, gateway_program, running
+from conftest import client_behind, gateway_program, serving_at
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -37,7 +37,7 @@ def received(tmp_path):
 
 
 def simulated(received, *arguments):
-    return running([sys.executable, str(SERVER), "--received", str(received), *arguments])
+    return serving_at([sys.executable, str(SERVER), "--received", str(received), *arguments])
 
 
 def observation(side=256):

@@ -8,6 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from conftest import gateway_program
 
 from rollout_policies import Camera, Description, Policy, State, start
 from rollout_policies.examples.colour_servo import ColourServo
@@ -64,9 +65,7 @@ class Leaking(PositionSensitive):
 @pytest.fixture
 def run_command():
     """Runs a command on servers of given policies: `run_command("doctor", policy) -> JSON`."""
-    program = os.environ.get("POLICY_GATEWAY")
-    if program is None:
-        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
+    program = gateway_program()
     servers = []
 
     def run(command, *policies):

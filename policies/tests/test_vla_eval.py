@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import grpc
 import numpy as np
 import pytest
-from programs import client_behind, gateway_program, running
+from conftest import client_behind, gateway_program, serving_at
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -45,7 +45,7 @@ def received(tmp_path):
 
 def serving(received, *arguments, **params):
     command = [sys.executable, str(SERVER), "--received", str(received)]
-    return running([*command, "--params", json.dumps(params), *arguments])
+    return serving_at([*command, "--params", json.dumps(params), *arguments])
 
 
 def gateway(program, server, options=""):

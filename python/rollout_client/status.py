@@ -69,33 +69,22 @@ class Status:
         is_complete = is_settled and not message.may_grow
         early = message.early_stop
         has_stopped = early.HasField("used")
-        has_rate, has_eta = message.HasField("rate_per_sec"), message.HasField("eta_secs")
-        return cls(
+        values = frames.fields(
+            message,
+            [item.name for item in fields(cls)],
             name=message.campaign,
-            policy=message.policy,
             endpoint=message.policy_endpoint,
-            priority=message.priority,
             state=state,
             is_finished=state in ("cancelled", "stopped") or is_complete,
-            total=message.total,
-            queued=message.queued,
-            leased=message.leased,
-            committed=message.committed,
-            succeeded=message.succeeded,
             failed=message.committed - message.succeeded,
-            quarantined=message.quarantined,
-            rate_per_sec=message.rate_per_sec if has_rate else None,
-            remaining_secs=message.eta_secs if has_eta else None,
-            live_workers=message.live_workers,
+            remaining_secs=message.eta_secs if message.HasField("eta_secs") else None,
             policy_outage=message.policy_pause_reason if message.policy_paused else None,
-            waiting_reason=message.waiting_reason or None,
-            mixed_fingerprints=message.mixed_fingerprints or None,
             stop_rule=early.rule or None,
             stopped_after=early.used if has_stopped else None,
             saved=message.queued if has_stopped else None,
-            follows_from=message.follows_from or None,
             created_at=frames.instant(message.created_unix_ms),
         )
+        return cls(**values)
 
 
 #: Types of columns by the annotation of a field of Status.

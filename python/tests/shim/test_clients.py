@@ -9,7 +9,6 @@ same version of Python, it also imports the clients from that environment."""
 
 from __future__ import annotations
 
-import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,6 @@ import pytest
 from frames import RENDERED_HERE, assert_close_frames
 from original import original_python, run, run_original
 
-import libero
-import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 
@@ -30,15 +27,6 @@ SUITE, TASK = "libero_object", 0
 UNTOUCHED = 34
 # Grasps amplify rounding errors, so success may come this number of steps earlier or later.
 SUCCESS_STEPS = 2
-
-
-@pytest.fixture(scope="module")
-def clients() -> str:
-    """Returns the Python of the clients' environment."""
-    python = os.environ.get("ROLLOUT_CLIENTS")
-    if not python or not Path(python).exists():
-        pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
-    return python
 
 
 @pytest.fixture(scope="module")
@@ -80,15 +68,6 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
     path = tmp_path_factory.mktemp("episode") / "actions.npy"
     np.save(path, np.array(executed))
     return path
-
-
-@pytest.fixture(scope="module")
-def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with only the packages under test."""
-    folder = tmp_path_factory.mktemp("packages")
-    for package in (rollout_libero, libero):
-        (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
-    return folder
 
 
 @pytest.mark.parametrize("client", CLIENTS)

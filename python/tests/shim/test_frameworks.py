@@ -25,14 +25,6 @@ NO_OP = [0.0] * 6 + [-1.0]
 PACKAGE = os.path.dirname(os.path.abspath(libero.libero.__file__))
 
 
-@pytest.fixture
-def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    file = tmp_path / "config.yaml"
-    monkeypatch.setattr(paths, "config_file", str(file))
-    monkeypatch.setattr(paths, "libero_config_path", str(tmp_path))
-    return file
-
-
 def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", code],

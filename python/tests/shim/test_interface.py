@@ -39,14 +39,6 @@ def env(bddl_file: str) -> Any:
     constructed.close()
 
 
-@pytest.fixture
-def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    file = tmp_path / "config.yaml"
-    monkeypatch.setattr(paths, "config_file", str(file))
-    monkeypatch.setattr(paths, "libero_config_path", str(tmp_path))
-    return file
-
-
 def test_a_problem_evaluates_any_predicate(env: Any) -> None:
     problem = env.env
     goals = problem.parsed_problem["goal_state"]
