@@ -179,10 +179,8 @@ class Writer:
             self._queue(full)
 
     def close(self) -> None:
-        """Writes the remaining episodes and ends the thread.
-
-        Raises:
-            OSError: if a shard could not be written."""
+        """Writes the remaining episodes and ends the thread. Raises OSError if a shard could not be
+        written."""
         if self._gathered:
             self._queue(self._gathered)
             self._gathered = []

@@ -36,9 +36,7 @@ def canonical(task: str) -> str:
 
 def draw(task: str, count: int, seed: int) -> list[str]:
     """Returns ``count`` different wordings of a task; the first is the benchmark's instruction.
-
-    Raises:
-        ValueError: if the grammar gives fewer wordings."""
+    Raises ValueError if the grammar gives fewer wordings."""
     rng = random.Random(f"{seed} {task}")
     held_out = held_out_digests()
     by_digest = {digest(canonical(task)): canonical(task)}

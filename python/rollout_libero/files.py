@@ -93,10 +93,8 @@ def sources_folder() -> Path:
 
 
 def sources() -> Path:
-    """Returns the folder of the sources, which are fetched if they are missing.
-
-    Raises:
-        FileNotFoundError: if they cannot be fetched."""
+    """Returns the folder of the sources, which are fetched if they are missing. Raises
+    FileNotFoundError if they cannot be fetched."""
     for wheel in _WHEELS:
         unpacked(wheel)
     return sources_folder()
@@ -105,9 +103,7 @@ def sources() -> Path:
 def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Path:
     """Returns the folder with the files of a wheel, which is fetched if they are missing.
     `complete` is called with the folder of the unpacked files, before it gets its final name.
-
-    Raises:
-        FileNotFoundError: if it cannot be fetched."""
+    Raises FileNotFoundError if it cannot be fetched."""
     folder = sources_folder()
     try:
         if not _is_unpacked(wheel, folder):
@@ -125,10 +121,8 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
 
 
 def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
-    """Returns the asset pack: the given pack, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
-
-    Raises:
-        MissingAssetsError: if the given folder is not an asset pack."""
+    """Returns the asset pack: the given pack, else ``$ROLLOUT_ASSETS``, else ``"libero"``. Raises
+    MissingAssetsError if the given folder is not an asset pack."""
     pack = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
     if pack in (LIBERO, PRIMITIVES):
         return str(pack)

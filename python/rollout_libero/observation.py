@@ -54,10 +54,8 @@ def action_space() -> spaces.Box:
 
 
 def is_mirrored(orientation: str) -> bool:
-    """Returns true if columns run from right to left.
-
-    Raises:
-        ValueError: if there is no such orientation."""
+    """Returns true if columns run from right to left. Raises ValueError if there is no such
+    orientation."""
     if orientation not in ("policy", "upright"):
         raise ValueError(
             f"failed to choose orientation {orientation!r}: it is 'policy' or 'upright'"

@@ -209,9 +209,7 @@ class Description:
     @classmethod
     def from_message(cls, message: pb.DescribeResponse) -> Description:
         """Returns the description that a server sent. The server's actions follow LIBERO's gripper
-        convention.
-
-        Raises ValueError if it is inconsistent."""
+        convention. Raises ValueError if it is inconsistent."""
         return cls(
             name=message.name,
             horizon=message.horizon,

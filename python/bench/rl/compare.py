@@ -147,10 +147,8 @@ def environment(flags: argparse.Namespace, arm: str) -> dict[str, str]:
 
 
 def call(command: list[Any], variables: dict[str, str], limit_secs: float) -> Any:
-    """Runs a program in a new session; returns the JSON of its last line.
-
-    Raises:
-        RuntimeError: with the end of the program's messages, if it fails or exceeds the limit."""
+    """Runs a program in a new session; returns the JSON of its last line. Raises RuntimeError with
+    the end of the program's messages, if it fails or exceeds the limit."""
     process = subprocess.Popen(
         [str(word) for word in command],
         env=variables,

@@ -83,9 +83,8 @@ def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
     """Returns a frame, uint8 [height, width, 3], after a JPEG round trip.
 
     Equals `tf.io.decode_image(tf.image.encode_jpeg(frame))`: quality 95, chroma at half the
-    resolution, the slow forward and the fast inverse transform.
-
-    Raises ValueError if a side is not a multiple of 16."""
+    resolution, the slow forward and the fast inverse transform. Raises ValueError if a side is not
+    a multiple of 16."""
     height, width, _ = frame.shape
     if height % UNIT or width % UNIT:
         raise ValueError(f"a frame of {width}x{height} is not a multiple of {UNIT}x{UNIT} pixels")

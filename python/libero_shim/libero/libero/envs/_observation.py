@@ -78,9 +78,8 @@ class Observer:
         return [name for name in self.modalities if name not in self._left_out]
 
     def include(self, name: str, included: bool) -> None:
-        """Includes a key in observations or leaves it out. Omitted pictures are not drawn.
-
-        Raises KeyError."""
+        """Includes a key in observations or leaves it out. Omitted pictures are not drawn. Raises
+        KeyError."""
         if name not in self.modalities:
             raise KeyError(
                 f"nothing is observed as `{name}`: there are {', '.join(self.modalities)}"
