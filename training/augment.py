@@ -2,8 +2,6 @@
 
 Random numbers are drawn, and pictures are changed, on the batch's device, usually the GPU."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial

@@ -6,8 +6,6 @@ By default, LIBERO's samplers place the objects. The final measurement is a camp
 benchmark's own states, not this command.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -4,8 +4,6 @@ instruction.
 The network keeps no state between queries. Its parameters have the names of the tensors in a
 weights file."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

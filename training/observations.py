@@ -1,7 +1,5 @@
 """Conversion of an environment's observations to the network's input."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -12,8 +12,6 @@ A shard has F frames and E episodes. Its arrays are
       driver         uint8   [E]      a ``Driver``
       perturbation   str     [E]      configuration, or "" for an unperturbed episode"""
 
-from __future__ import annotations
-
 import os
 import queue
 import shutil

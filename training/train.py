@@ -7,8 +7,6 @@
 The same command resumes an interrupted run at its last checkpoint.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import math

@@ -3,8 +3,6 @@
 Wordings exclude the sentences of the evaluation's language axis: ``data/held_out.txt`` has digests
 of these sentences, and a sentence with the same words as one of them is drawn again."""
 
-from __future__ import annotations
-
 import hashlib
 import random
 import re

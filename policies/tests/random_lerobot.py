@@ -6,8 +6,6 @@ them.
 
     python policies/tests/random_lerobot.py smolvla FOLDER"""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

@@ -432,10 +432,7 @@ def test_a_digest_changes_with_content_and_name(tmp_path):
 
 def command(*arguments):
     return subprocess.run(
-        [sys.executable, "-m", "rollout_policies", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-m", "rollout_policies", *arguments], capture_output=True, text=True
     )
 
 

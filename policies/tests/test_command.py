@@ -8,13 +8,13 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from conftest import Client, running
+from conftest import Client, Plain, running
 
 from rollout_policies import Description, Policy, run, start
 from rollout_policies import command as command_module
 
 
-class Flags(Policy):
+class Flags(Plain):
     """Answers zeros.
 
     In 100 % of the cases."""
@@ -35,9 +35,6 @@ class Flags(Policy):
         self.given = (checkpoint, steps, scale, fast, quiet, table, noise, note)
         self.description = Description(name="flags", horizon=8)
         print("loading")
-
-    def reset(self, episode):
-        pass
 
     def infer(self, observation):
         return np.zeros((8, 7))

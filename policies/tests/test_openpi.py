@@ -95,7 +95,6 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, recei
             [program, "check", f"ws://{server}?execute=10", "--suite", "libero_goal"],
             capture_output=True,
             text=True,
-            check=False,
         )
     assert check.returncode == 0, check.stdout + check.stderr
     assert "skip  the same seed gives the same actions: the policy's random numbers" in check.stdout
@@ -108,7 +107,7 @@ def test_the_check_finds_the_keys_that_a_server_misses_and_names_its_address(pro
     keys = "image,wrist_image_left,proprio,task_instruction"
     with simulated(received, "--keys", keys) as server:
         command = [program, "check", f"ws://{server}?execute=10&state=joints&size=128&rotate=0"]
-        check = subprocess.run(command, capture_output=True, text=True, check=False)
+        check = subprocess.run(command, capture_output=True, text=True)
     assert check.returncode == 0, check.stdout + check.stderr
     found = "image_key=image&wrist_key=wrist_image_left&state_key=proprio"
     found += "&prompt_key=task_instruction&rotate=0&size=128&state=joints"
@@ -120,7 +119,7 @@ def test_the_check_finds_the_keys_that_a_server_misses_and_names_its_address(pro
 
 def test_the_check_of_a_server_that_is_not_there_names_the_address_as_given(program):
     command = [program, "check", "ws://127.0.0.1:1?execute=10"]
-    check = subprocess.run(command, capture_output=True, text=True, check=False)
+    check = subprocess.run(command, capture_output=True, text=True)
     assert check.returncode == 1 and "grpc://127" not in check.stderr, check.stderr
     assert "ws://127.0.0.1:1?execute=10" in check.stderr
 

@@ -428,7 +428,6 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, recei
             [program, "check", f"vla-eval://{server}", "--suite", SUITE],
             capture_output=True,
             text=True,
-            check=False,
         )
     assert check.returncode == 0, check.stdout + check.stderr
     assert "skip  the same seed gives the same actions: the policy's random numbers" in check.stdout

@@ -27,7 +27,7 @@ class Program:
         if it fails."""
         command = [self._path(), *map(str, arguments)]
         try:
-            done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+            done = subprocess.run(command, input=text, capture_output=True, text=True)
         except OSError as error:
             raise ProgramError(
                 f"failed to run {command[0]}: {error.strerror}; name the program in"

@@ -1,8 +1,6 @@
 """Verdicts and tables of the RL comparison (python/bench/rl), from invented measurements. The arms
 O, S and V are described in `compare.py`."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

@@ -3,8 +3,6 @@ article, ``{y}`` a second object, ``{a}`` and ``{b}`` two objects of equal stand
 object's destination, ``{towards}`` the same after a verb of motion, ``{at}`` the object's position,
 ``{place}`` the same after "from"."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from training.grammar.template import Templates

@@ -1,7 +1,5 @@
 """Whole sentences around a clause."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from training.grammar.template import Templates

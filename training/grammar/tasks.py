@@ -1,7 +1,5 @@
 """The forty tasks: the benchmark's instruction of each, and its grammar."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from training.grammar.constructions import (

@@ -1,7 +1,5 @@
 """Names of objects and places, without an article."""
 
-from __future__ import annotations
-
 from training.grammar.template import Templates
 
 # fmt: off

@@ -4,8 +4,6 @@ both simulators. Also reads the name of the original's OpenGL renderer.
 usage: checks.py record TASK FILE    records the scripted expert's actions in rollout_libero
        checks.py replay TASK FILE    replays these actions in the installed `libero`; prints JSON"""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -13,8 +13,6 @@ Arms: O, the original, rendering through EGL. S, the shim. V, all environments i
 RLinf by `rollout_libero.rlinf`, which users name in RLINF_EXT_MODULE; otherwise by a
 TrainingEnvironment in place of SimpleVLA-RL's processes."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

@@ -3,8 +3,6 @@
 `compare.py` runs this program for each simulator in turn, with the simulator in `PYTHONPATH`.
 Options: --help."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json
@@ -44,7 +42,7 @@ class Policy:
             self._left, self._right = _matrices()
             _multiply(self._left, self._right)
 
-    def __enter__(self) -> Policy:
+    def __enter__(self) -> "Policy":
         if self.kind == "busy":
             context = multiprocessing.get_context("spawn")
             self._products = context.Value("L", 0)

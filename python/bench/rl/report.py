@@ -1,7 +1,5 @@
 """The results of a comparison as Markdown and JSON: medians over the rounds, with their range."""
 
-from __future__ import annotations
-
 import json
 import os
 import statistics

@@ -3,8 +3,6 @@ environment; and the rollouts of that loop as rows of a `TrainingEnvironment` in
 class has `reset`, which starts rollouts and executes their settling steps, `chunk`, which executes
 actions [environments, steps, 7] and receives the last observation, and `close`."""
 
-from __future__ import annotations
-
 import importlib.util
 import multiprocessing
 import pickle

@@ -270,7 +270,7 @@ def test_lerobot_doctor_accepts_the_dataset(archive, tmp_path):
     file, _ = archive
     folder = tmp_path / "dataset"
     assert main(["export", "lerobot", str(file), "--output", str(folder)]) == 0
-    done = subprocess.run([doctor, folder], capture_output=True, text=True, check=False)
+    done = subprocess.run([doctor, folder], capture_output=True, text=True)
     assert "FAIL" not in done.stdout, done.stdout
 
 

@@ -136,7 +136,7 @@ def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
     program = "import rollout_libero; rollout_libero.Environment('libero_goal/0', 'primitives')"
     done = subprocess.run(
         [sys.executable, "-c", program],
-        env=environment, capture_output=True, text=True, check=False,
+        env=environment, capture_output=True, text=True,
     )
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]

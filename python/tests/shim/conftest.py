@@ -1,7 +1,5 @@
 """Locations of the references for the shim's tests."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -1,8 +1,6 @@
 """The shim's references, in the folder `shared` beside the checkout. Tests that need the folder are
 skipped without it."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 
 For a framework that is in no package index, `FRAMEWORK_SOURCES` names the folder of a checkout."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import importlib.abc

@@ -2,8 +2,6 @@
 
 Each scenario is a list of labelled values, which `test_original.py` compares."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

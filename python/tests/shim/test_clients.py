@@ -7,8 +7,6 @@ touches something, and similar afterwards.
 clients.txt (`cargo xtask test` creates the environment if it can). If `ROLLOUT_ORIGINAL` has the
 same version of Python, it also imports the clients from that environment."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 """Regression tests: shortened copies of calls that reinforcement-learning frameworks make to
 LIBERO. Earlier versions of the shim failed in each call, or returned a different result."""
 
-from __future__ import annotations
-
 import ctypes.util
 import multiprocessing
 import os
@@ -32,7 +30,6 @@ def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[s
         capture_output=True,
         text=True,
         timeout=300,
-        check=False,
     )
 
 
@@ -336,7 +333,6 @@ def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
             capture_output=True,
             text=True,
             timeout=300,
-            check=False,
         )
 
     correct = doctor()

@@ -1,7 +1,5 @@
 """The shim's own behaviour: folders, suites, misuse and several environments."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess
@@ -67,7 +65,6 @@ def test_importing_needs_no_input_configuration_or_heavy_package(tmp_path: Path)
         capture_output=True,
         text=True,
         timeout=300,
-        check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
     assert not settings.exists()

@@ -4,8 +4,6 @@ RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py). 
 are in no package index: `ROLLOUT_FRAMEWORKS` names a folder with their checkouts, each named after
 its repository."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess
@@ -36,7 +34,6 @@ def roll_out(python: str, shim: Path, out: Path, framework: str, sources: Path |
         capture_output=True,
         text=True,
         timeout=600,
-        check=False,
     )
     assert done.returncode == 0, f"{framework}: {done.stdout[-2000:]}{done.stderr[-4000:]}"
     with open(file, "rb") as pickled:
@@ -53,7 +50,7 @@ def checkout(name: str) -> Path:
 def rlinf(python: str, installation: str) -> Path | None:
     if installation == "checkout":
         return checkout("RLinf")
-    if subprocess.run([python, "-c", "import rlinf"], capture_output=True, check=False).returncode:
+    if subprocess.run([python, "-c", "import rlinf"], capture_output=True).returncode:
         pytest.skip("RLinf is not among the clients")
     return None
 

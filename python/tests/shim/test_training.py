@@ -1,7 +1,5 @@
 """From equal starts, `TrainingEnvironment` gives the same bits as the shim's environments."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
