@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 TEXT, INTEGER, COUNT, OUTCOME = "string", "Int64", "int64", "boolean"
-FLAG, NUMBER, INSTANT = "bool", "float64", "datetime64[ms, UTC]"
+FLAG, NUMBER, INSTANT, ARRAY = "bool", "float64", "datetime64[ms, UTC]", "object"
 
 
 def of(dtype: str, names: str) -> dict[str, str]:
@@ -27,6 +27,13 @@ RESULTS = {
     **of(TEXT, "policy"), **of(NUMBER, "wall_s ik_res_mm"), **of(COUNT, "replicate"),
     **of(NUMBER, "placebo_radius"), **of(TEXT, "execution"),
     **of(INTEGER, "goal_predicates goal_at_end goal_at_most"), **of(TEXT, "protocol prompt"),
+}  # fmt: skip
+
+#: Columns of the results of an archive.
+ARCHIVED = {
+    **of(TEXT, "rollout_id"), **of(COUNT, "replicate"), **of(TEXT, "task instruction axis level"),
+    **of(FLAG, "success"), **of(COUNT, "steps"), **of(NUMBER, "wall_secs"),
+    **of(INSTANT, "committed_at"), **of(ARRAY, "path actions"),
 }  # fmt: skip
 
 #: Columns with the names of `coordinator jobs list --json`.
