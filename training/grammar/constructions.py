@@ -6,19 +6,7 @@ object's destination, ``{towards}`` the same after a verb of motion, ``{at}`` th
 from collections.abc import Mapping
 
 from training.grammar.template import Templates
-from training.grammar.things import (
-    BASKET,
-    BOWL,
-    CABINET,
-    DRAWER,
-    MIDDLE,
-    MOKA,
-    PLAIN_BOWL,
-    PLATE,
-    STOVE,
-    TOP,
-    WHITE_MUG,
-)
+from training.grammar.things import *
 
 # fmt: off
 # Lists of words are easier to read with several words to a line.

@@ -2,55 +2,9 @@
 
 from collections.abc import Mapping
 
-from training.grammar.constructions import (
-    CARRY,
-    CARRY_BOTH,
-    CARRY_FROM,
-    OPEN,
-    OPEN_AND_PUT,
-    PUSH,
-    PUT_AND_CLOSE,
-    PUT_TWO,
-    TURN_ON,
-    TURN_ON_AND_PUT,
-)
+from training.grammar.constructions import *
 from training.grammar.template import Grammar, Templates
-from training.grammar.things import (
-    BACK,
-    BASKET,
-    BBQ_SAUCE,
-    BOOK,
-    BOTTOM,
-    BOWL,
-    BUTTER,
-    CABINET,
-    CADDY,
-    COMPARTMENT,
-    COOKIE_BOX,
-    CREAM_CHEESE,
-    DRAWER,
-    KETCHUP,
-    LEFT_PLATE,
-    MICROWAVE,
-    MILK,
-    MOKA,
-    MOKAS,
-    ORANGE_JUICE,
-    PLAIN_BOWL,
-    PLATE,
-    PUDDING,
-    RACK,
-    RAMEKIN,
-    RIGHT_PLATE,
-    SALAD_DRESSING,
-    SOUP,
-    STOVE,
-    TABLE_CENTER,
-    TOMATO_SAUCE,
-    TOP,
-    WINE,
-    YELLOW_MUG,
-)
+from training.grammar.things import *
 from training.grammar.words import COMMON
 
 # fmt: off

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rollouts import SETTLING, task_files
 
 #: Largest number of control steps that the expert has for a task.
 MAX_STEPS = 300
@@ -36,6 +35,8 @@ def main() -> None:
 
 def record_actions(task: str) -> np.ndarray:
     """Returns the scripted expert's actions until shortly after success, [steps, 7]."""
+    from rollouts import SETTLING
+
     import rollout_libero
 
     envs = rollout_libero.VectorEnvironment(
@@ -57,6 +58,9 @@ def record_actions(task: str) -> np.ndarray:
 def replay(task: str, actions: np.ndarray) -> dict[str, Any]:
     """Executes actions. Returns the robot's readings per step, the steps of success and of the
     robot's first contact, and the renderer."""
+    # The import prepares the process for the original, so the program compare.py does not make it.
+    from rollouts import SETTLING, task_files
+
     from libero.libero.envs import OffScreenRenderEnv
 
     bddl, states = task_files(task)
