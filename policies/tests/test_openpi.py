@@ -13,7 +13,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from conftest import client_behind, gateway_program, serving_at
+from conftest import client_behind, gateway_program, refusal, serving_at
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -149,10 +149,8 @@ def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered
         client_behind(program, "--route", f"x=ws://{server}") as client,
     ):
         client.reset(instruction="raise")
-        with pytest.raises(grpc.RpcError) as caught:
-            client.infer(observation=message)
-        assert caught.value.code() == grpc.StatusCode.INTERNAL
-        assert "does not like this prompt" in caught.value.details()
+        code, text = refusal(client.infer, observation=message)
+        assert code == grpc.StatusCode.INTERNAL and "does not like this prompt" in text
         client.reset(instruction="reach")
         assert client.infer(observation=message).shape == (5, 7)
 
@@ -162,9 +160,8 @@ def test_actions_of_another_width_are_refused(program, received):
     with simulated(received, "--width", "14") as server:
         with client_behind(program, "--route", f"x=ws://{server}") as client:
             client.reset(instruction="reach")
-            with pytest.raises(grpc.RpcError) as caught:
-                client.infer(observation=message)
-    assert "its actions are 14 numbers wide, not 7" in caught.value.details()
+            _, text = refusal(client.infer, observation=message)
+    assert "its actions are 14 numbers wide, not 7" in text
 
 
 def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_path):
@@ -176,10 +173,8 @@ def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_
         key.touch(mode=0o600)
         key.write_text("worker another-key-than-that\n")
         with client_behind(program, "--config", str(config)) as client:
-            with pytest.raises(grpc.RpcError) as caught:
-                client.reset(instruction="reach")
-        assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
-        assert "401" in caught.value.details() and "`token_file`" in caught.value.details()
+            code, text = refusal(client.reset, instruction="reach")
+        assert code == grpc.StatusCode.UNAVAILABLE and "401" in text and "`token_file`" in text
         key.write_text(f"worker {KEY}\n")
         with client_behind(program, "--config", str(config)) as client:
             client.reset(instruction="reach")
