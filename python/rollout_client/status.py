@@ -89,14 +89,10 @@ class Status:
 
 #: Types of columns by the annotation of a field of Status.
 COLUMNS = {
-    "str": frames.TEXT,
-    "str | None": frames.TEXT,
-    "int": frames.COUNT,
-    "int | None": frames.INTEGER,
-    "bool": frames.FLAG,
-    "float | None": frames.NUMBER,
+    "str": frames.TEXT, "str | None": frames.TEXT, "int": frames.COUNT,
+    "int | None": frames.INTEGER, "bool": frames.FLAG, "float | None": frames.NUMBER,
     "datetime": frames.INSTANT,
-}
+}  # fmt: skip
 CAMPAIGNS = {item.name: COLUMNS[str(item.type)] for item in fields(Status)}
 
 

@@ -57,13 +57,9 @@ _WHEELS = (
         tuple(
             (_ROBOSUITE + path, path)
             for path in (
-                "base.xml",
-                "robots/panda/",
-                "grippers/panda_gripper.xml",
-                "grippers/meshes/panda_gripper/",
-                "mounts/rethink_mount.xml",
-                "mounts/null_mount.xml",
-                "mounts/meshes/rethink_mount/",
+                "base.xml", "robots/panda/", "grippers/panda_gripper.xml",
+                "grippers/meshes/panda_gripper/", "mounts/rethink_mount.xml",
+                "mounts/null_mount.xml", "mounts/meshes/rethink_mount/",
             )
         ),
     ),
@@ -77,7 +73,7 @@ _WHEELS = (
             ("libero/libero/init_files/", "init_files/"),
         ),
     ),
-)
+)  # fmt: skip
 # File that is written into an unpacked folder when the folder is complete; `cargo xtask setup`
 # writes the same file.
 _STAMP = ".unpacked"

@@ -27,14 +27,9 @@ fails."""
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS: Mapping[str, int] = {
-    "eef_pos": 3,
-    "eef_quat": 4,
-    "eef_axis_angle": 3,
-    "joint_pos": 7,
-    "joint_vel": 7,
-    "gripper_pos": 2,
-    "gripper_vel": 2,
-}
+    "eef_pos": 3, "eef_quat": 4, "eef_axis_angle": 3, "joint_pos": 7, "joint_vel": 7,
+    "gripper_pos": 2, "gripper_vel": 2,
+}  # fmt: skip
 ACTION_WIDTH = 7
 
 

@@ -18,14 +18,9 @@ from .upstream import UnusableOption
 
 #: The module of each policy in the catalogue.
 MODULES = {
-    "pi05": "pi05",
-    "openvla-oft": "openvla_oft",
-    "univla": "univla",
-    "smolvla": "smolvla",
-    "vla-jepa": "vla_jepa",
-    "predvla": "predvla",
-    "minerva": "minerva",
-}
+    "pi05": "pi05", "openvla-oft": "openvla_oft", "univla": "univla", "smolvla": "smolvla",
+    "vla-jepa": "vla_jepa", "predvla": "predvla", "minerva": "minerva",
+}  # fmt: skip
 
 #: Policies whose noise is drawn outside the network, so that each query of a batch gets its own.
 BATCHING = ("pi05", "smolvla")

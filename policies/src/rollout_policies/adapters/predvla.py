@@ -34,15 +34,9 @@ SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
 SIDE = 128
 #: The correction's settings, as published.
 CORRECTION = {
-    "window": 40,
-    "n_itr": 10,
-    "lr": 0.05,
-    "er_w": 1.0,
-    "er_opt": "adam",
-    "er_lambda_v": 1.0,
-    "er_lambda_q": 1.0,
-    "a_init": "prior",
-}
+    "window": 40, "n_itr": 10, "lr": 0.05, "er_w": 1.0, "er_opt": "adam", "er_lambda_v": 1.0,
+    "er_lambda_q": 1.0, "a_init": "prior",
+}  # fmt: skip
 #: Number of compiled variants of a step that torch may keep, as upstream sets it.
 COMPILED_VARIANTS = 32
 

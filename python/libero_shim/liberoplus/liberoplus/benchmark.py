@@ -16,18 +16,10 @@ from liberoplus.liberoplus.files import UNCHANGED
 from rollout_libero._native import PlusPath, PlusVariant
 
 __all__ = [
-    "BENCHMARK_MAPPING",
-    "Benchmark",
-    "Task",
-    "get_benchmark",
-    "get_benchmark_dict",
-    "grab_language_from_filename",
-    "libero_suites",
-    "libero_task_map",
-    "print_benchmark",
-    "register_benchmark",
-    "task_maps",
-]
+    "BENCHMARK_MAPPING", "Benchmark", "Task", "get_benchmark", "get_benchmark_dict",
+    "grab_language_from_filename", "libero_suites", "libero_task_map", "print_benchmark",
+    "register_benchmark", "task_maps",
+]  # fmt: skip
 
 libero_suites = list(_libero.libero_suites)
 #: Names of the variants by suite (of LIBERO's tasks in `libero_90`), in the benchmark's order.

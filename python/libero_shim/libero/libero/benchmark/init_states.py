@@ -117,18 +117,14 @@ class _Encoded:
 
 
 _PERMITTED: dict[tuple[str, str], Any] = {
-    ("_codecs", "encode"): _Encoded,
-    ("collections", "OrderedDict"): _Hooks,
-    ("numpy", "dtype"): _Dtype,
-    ("numpy", "ndarray"): _ArrayClass,
+    ("_codecs", "encode"): _Encoded, ("collections", "OrderedDict"): _Hooks,
+    ("numpy", "dtype"): _Dtype, ("numpy", "ndarray"): _ArrayClass,
     ("numpy._core.multiarray", "_reconstruct"): _Array,
     ("numpy.core.multiarray", "_reconstruct"): _Array,
     ("numpy._core.numeric", "_frombuffer"): _from_buffer,
-    ("numpy.core.numeric", "_frombuffer"): _from_buffer,
-    ("torch", "DoubleStorage"): "<f8",
-    ("torch", "FloatStorage"): "<f4",
-    ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
-}
+    ("numpy.core.numeric", "_frombuffer"): _from_buffer, ("torch", "DoubleStorage"): "<f8",
+    ("torch", "FloatStorage"): "<f4", ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
+}  # fmt: skip
 
 
 class _Unpickler(pickle.Unpickler):

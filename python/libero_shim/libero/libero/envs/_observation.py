@@ -21,15 +21,9 @@ _ROBOT = "robot0"
 #: MuJoCo's object type numbers.
 _GEOM, _SITE = 5, 6
 _PROPRIOCEPTION = (
-    "joint_pos",
-    "joint_pos_cos",
-    "joint_pos_sin",
-    "joint_vel",
-    "eef_pos",
-    "eef_quat",
-    "gripper_qpos",
-    "gripper_qvel",
-)
+    "joint_pos", "joint_pos_cos", "joint_pos_sin", "joint_vel", "eef_pos", "eef_quat",
+    "gripper_qpos", "gripper_qvel",
+)  # fmt: skip
 
 __all__ = ["Observation", "Observer"]
 
