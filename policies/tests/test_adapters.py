@@ -407,25 +407,15 @@ def command(*arguments):
     )
 
 
-def test_list_prints_every_policy_with_its_installation():
+def test_list_prints_every_policy_with_its_installation_and_downloads():
     listed = command("list")
     assert listed.returncode == 0
-    for name in MODULES:
-        assert f"{name}  (" in listed.stdout
-    assert "pip install 'lerobot[smolvla]" in listed.stdout
     assert max(map(len, listed.stdout.splitlines())) <= 80
-
-
-def test_list_prints_all_downloads():
-    listed = " ".join(command("list").stdout.split())
-    for name in (
-        "google/paligemma-3b-pt-224 (tokeniser; gated",
-        "HuggingFaceTB/SmolVLM2-500M-Video-Instruct",
-        "Qwen/Qwen3-VL-2B-Instruct (all of it, 4 GB",
-        "sentence-transformers/all-MiniLM-L6-v2",
-        "torchvision's resnet18",
-    ):
-        assert f"also downloads: {name}" in listed
+    text = " ".join(listed.stdout.split())
+    for name, one in entries().items():
+        assert f"{name} (" in text and " ".join(one.install.split()) in text
+        for download, about in one.downloads.items():
+            assert f"also downloads: {download} ({about})" in text
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import libero.libero
-from libero.libero import benchmark, get_libero_path, paths, set_libero_default_path
+from libero.libero import benchmark, get_libero_path, set_libero_default_path
 from libero.libero.envs import DummyVectorEnv, OffScreenRenderEnv, SubprocVectorEnv, venv
 
 NO_OP = [0.0] * 6 + [-1.0]
@@ -34,11 +34,6 @@ def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[s
 
 
 # RLinf: every process sets the package's folder in the configuration.
-
-
-def test_the_root_is_the_package_as_in_the_original(config_file: Path) -> None:
-    assert get_libero_path("benchmark_root") == PACKAGE
-    assert paths.get_default_path_dict()["benchmark_root"] == PACKAGE
 
 
 def test_the_packages_own_folder_is_the_default(config_file: Path, tmp_path: Path) -> None:
