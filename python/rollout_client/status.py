@@ -123,17 +123,13 @@ class Speed:
         """Converts a coordinator's message."""
         bottleneck = wire.Speed.Bottleneck.Name(message.bottleneck)
         is_known = message.HasField("enough_slots")
-        return cls(
-            results=message.results,
-            physics_secs=message.physics_secs,
-            drawing_secs=message.drawing_secs,
-            policy_secs=message.policy_secs,
-            waiting_secs=message.waiting_secs,
-            policy_queries=message.policy_queries,
+        values = frames.fields(
+            message,
+            [item.name for item in fields(cls)],
             bottleneck=bottleneck.removeprefix("BOTTLENECK_").lower() if is_known else None,
-            enough_slots=message.enough_slots if is_known else None,
             enough_slots_secs=message.enough_slots_secs if is_known else None,
         )
+        return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -170,14 +166,12 @@ class Forecast:
     @classmethod
     def of(cls, rollouts: Mapping[str, int], message: wire.ForecastResponse) -> Forecast:
         """Converts a coordinator's message."""
-        return cls(
+        values = frames.fields(
+            message,
+            [item.name for item in fields(cls)],
             rollouts=dict(rollouts),
-            workers=message.workers,
-            slots=message.slots,
-            secs=message.secs if message.HasField("secs") else None,
-            results=message.results,
-            is_of_policy=message.is_of_policy,
             unmeasured_suites=tuple(message.unmeasured_suites),
             cores=message.cores or None,
             speed=Speed.of(message.speed) if message.HasField("speed") else None,
         )
+        return cls(**values)

@@ -161,12 +161,8 @@ def fetch_assets(
             else pip's or uv's, else PyPI).
         wheels: a folder with the wheels, for a machine without a network.
 
-    Returns:
-        The folder with the assets.
-
-    Raises:
-        FileNotFoundError: if they cannot be fetched or written.
-        ValueError: if there is no such task."""
+    Returns the folder. Raises FileNotFoundError if they cannot be fetched or written, and
+    ValueError if there is no such task."""
     chosen = all_tasks() if tasks is None else map(_task, tasks)
     folder, _, _ = native.fetch_assets(
         sources(),

@@ -11,12 +11,8 @@ from training.grammar.words import COMMON
 # Lists of words are easier to read with several words to a line.
 
 def _carry_from(*, at: Templates, place: Templates = (), **entries: Templates) -> Grammar:
-    """Returns the grammar of a bowl that is carried from a position to the plate.
-
-    Args:
-        at: the position, as in "the bowl on the stove".
-        place: the position after "from", as in "take the bowl from the stove"; by default ``at``.
-        entries: further entries of the grammar."""
+    """Returns the grammar of a bowl that is carried to the plate from a position: `at` is as in
+    "the bowl on the stove", `place`, by default the same, as in "take the bowl from the stove"."""
     return {
         **COMMON, **CARRY_FROM, "at": at, "place": place or at, "cabinet": CABINET, "stove": STOVE,
         "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **entries,
