@@ -32,51 +32,40 @@ class Generated:
     sources: str
     #: The package's folder below `sources`.
     package: str
-    #: True if type stubs are kept beside the code.
-    has_stubs: bool
-
-    def files(self) -> list[str]:
-        """Returns the names of the generated files, below `sources`."""
-        stem = f"{self.package}/{pathlib.Path(self.source).stem}_pb2"
-        return [f"{stem}.py"] + [f"{stem}.pyi"] * self.has_stubs
+    #: Endings of the generated files.
+    endings: tuple[str, ...]
 
 
 PACKAGES = (
+    Generated("rollout/policy/v1/policy.proto", "policies/src", "rollout_policies/proto", (".py",)),
     Generated(
-        "rollout/policy/v1/policy.proto", "policies/src", "rollout_policies/proto", has_stubs=False
-    ),
-    Generated(
-        "rollout/coordinator/v1/coordinator.proto", "python", "rollout_client/proto", has_stubs=True
+        "rollout/coordinator/v1/coordinator.proto",
+        "python",
+        "rollout_client/proto",
+        (".py", ".pyi"),
     ),
 )
 
 
-def generate(wanted: Generated, folder: pathlib.Path) -> None:
-    """Writes a package's generated files below `folder`."""
+def generate(wanted: Generated, folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
+    """Generates a package's files below `folder`; returns their contents by place."""
     from grpc_tools import protoc
 
     source = HERE / wanted.source
     # The virtual path makes the generated imports name the package.
     arguments = ["protoc", f"-I{wanted.package}={source.parent}", f"--python_out={folder}"]
-    if wanted.has_stubs:
+    if ".pyi" in wanted.endings:
         arguments.append(f"--pyi_out={folder}")
     status = protoc.main([*arguments, f"{wanted.package}/{source.name}"])
     if status != 0:
         sys.exit(f"failed to generate from {source}: protoc exited with {status}")
-    code = folder / wanted.files()[0]
+    stem = f"{wanted.package}/{source.stem}_pb2"
+    contents = {end: (folder / f"{stem}{end}").read_bytes() for end in wanted.endings}
     # Positions in the serialized descriptor, which only copying descriptors in pure Python reads.
-    code.write_text(re.sub(r"  _globals\[.*_serialized_(start|end)=\d+\n", "", code.read_text()))
-
-
-def stale(wanted: Generated, folder: pathlib.Path) -> list[str]:
-    """Returns the version-controlled files, relative to the checkout, that differ from those
-    below `folder`."""
-    kept = ROOT / wanted.sources
-    return [
-        f"{wanted.sources}/{name}"
-        for name in wanted.files()
-        if not (kept / name).exists() or (kept / name).read_bytes() != (folder / name).read_bytes()
-    ]
+    positions = rb"  _globals\[.*_serialized_(start|end)=\d+\n"
+    contents[".py"] = re.sub(positions, b"", contents[".py"])
+    place = ROOT / wanted.sources
+    return {place / f"{stem}{end}": content for end, content in contents.items()}
 
 
 def main() -> None:
@@ -92,19 +81,18 @@ def main() -> None:
             f"failed to find the generator: grpcio-tools {GENERATOR} is needed, {installed} is"
             f" installed; run: pip install 'grpcio-tools=={GENERATOR}' 'setuptools<81'"
         )
-    with tempfile.TemporaryDirectory() as name:
-        folder = pathlib.Path(name)
-        names = []
+    stale = []
+    with tempfile.TemporaryDirectory() as folder:
         for wanted in PACKAGES:
-            generate(wanted, folder)
-            for path in stale(wanted, folder):
-                names.append(path)
+            for file, content in generate(wanted, pathlib.Path(folder)).items():
+                if file.exists() and file.read_bytes() == content:
+                    continue
+                stale.append(str(file.relative_to(ROOT)))
                 if not arguments.check:
-                    fresh = folder / path.removeprefix(f"{wanted.sources}/")
-                    (ROOT / path).write_bytes(fresh.read_bytes())
-                    print(f"wrote {path}")
-        if arguments.check and names:
-            sys.exit(f"stale: {', '.join(names)}; run: python {HERE.name}/regenerate.py")
+                    file.write_bytes(content)
+                    print(f"wrote {stale[-1]}")
+    if arguments.check and stale:
+        sys.exit(f"stale: {', '.join(stale)}; run: python {HERE.name}/regenerate.py")
 
 
 if __name__ == "__main__":

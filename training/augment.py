@@ -2,8 +2,6 @@
 
 Random numbers are drawn, and pictures are changed, on the batch's device, usually the GPU."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -59,14 +57,9 @@ def draw_changes(n: int, device: torch.device) -> PictureChange:
 
 
 def apply_changes(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tensor]:
-    """Returns both cameras' pictures with these changes, in the network's input format.
-
-    Args:
-        pictures: uint8 [n, 2, 128, 128, 3].
-
-    Returns:
-        Two tensors [n, 3, 128, 128], channels last in memory. Where a shift
-        uncovers an edge, the picture's own edge is repeated."""
+    """Returns both cameras' pictures, uint8 [n, 2, 128, 128, 3], with these changes, in the
+    network's input format: two tensors [n, 3, 128, 128], channels last in memory. Where a shift
+    uncovers an edge, the picture's own edge is repeated."""
     n, device = len(pictures), pictures.device
     positions = torch.arange(PICTURE, device=device)
     sources = (positions + change.shift[:, :, :, None]).clamp(0, PICTURE - 1)
@@ -99,13 +92,8 @@ class Wordings:
         self._per_task = per_task
 
     def draw(self, task: Tensor) -> tuple[Tensor, Tensor]:
-        """Draws a wording for each of n samples, and drops words of some wordings.
-
-        Args:
-            task: int64 [n], the index of each sample's task.
-
-        Returns:
-            The features' rows, int64 [n, w], and a mask [n, w]: 1 where there is a feature."""
+        """Draws a wording for each sample's task, int64 [n], and drops words of some wordings.
+        Returns the features' rows, int64 [n, w], and a mask [n, w]: 1 where there is a feature."""
         n, device = len(task), task.device
         number = torch.randint(self._per_task, (n,), device=device)
         canonical = torch.rand(n, device=device) < CANONICAL_SHARE

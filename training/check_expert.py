@@ -16,8 +16,6 @@ Rollouts begin at the benchmark's released states. With a disturbance, the step 
 benchmark's. No frames are rendered.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import time

@@ -8,8 +8,6 @@ LIBERO's samplers place the objects of every episode; the benchmark's released i
 never used. Earlier shards are kept: a further run adds shards with new seeds.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -2,8 +2,6 @@
 
 Each class serves n environments at once, and draws from a random generator."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

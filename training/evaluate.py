@@ -6,8 +6,6 @@ By default, LIBERO's samplers place the objects. The final measurement is a camp
 benchmark's own states, not this command.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time
@@ -85,10 +83,7 @@ def report(
     arguments: argparse.Namespace, results: Mapping[str, Sequence[tuple[int, bool]]], seconds: float
 ) -> None:
     """Prints the numbers of successes by suite and task, and writes the results to ``--table``, if
-    that file is given.
-
-    Args:
-        results: for each task, the number of the initial state and the success of each episode."""
+    that file is given: for each task, each episode's initial state and success."""
     if arguments.states == "released":
         # The environments of a task may together run more initial states than requested.
         results = {

@@ -8,8 +8,6 @@ file of `--reference` has four queries, each in a scene that LIBERO's samplers p
 answers of the rounded weights, computed in single precision on the CPU.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 python -m training.held_out"""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

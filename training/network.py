@@ -4,8 +4,6 @@ instruction.
 The network keeps no state between queries. Its parameters have the names of the tensors in a
 weights file."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -133,13 +131,9 @@ class Network(nn.Module):
     def forward(
         self, agentview: Tensor, wrist: Tensor, state: Tensor, rows: Tensor, present: Tensor
     ) -> Actions:
-        """Returns actions for n queries.
-
-        Args:
-            agentview, wrist: [n, 3, 128, 128], from -1 to 1.
-            state: [n, 14], unscaled: metres, and elements of a rotation matrix.
-            rows: [n, w] int64: the instruction's features, padded.
-            present: [n, w]: 1 where there is a feature, 0 where there is padding."""
+        """Returns actions for n queries. Pictures are [n, 3, 128, 128], from -1 to 1; `state` is
+        [n, 14], unscaled: metres, and elements of a rotation matrix; `rows`, int64 [n, w], has the
+        instruction's features, and `present`, [n, w], is 1 where there is one, else 0."""
         text = (self.words(rows) * present[:, :, None]).sum(dim=1)
         text = functional.relu(self.text2(functional.relu(self.text1(text))))
         robot = functional.relu(self.state1((state - self.state_mean) / self.state_std))

@@ -1,7 +1,5 @@
 """Conversion of an environment's observations to the network's input."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,13 +22,8 @@ RENDERED = 256
 
 
 def shrink(pictures: Tensor) -> Tensor:
-    """Halves height and width: a pixel becomes the rounded mean of four.
-
-    Args:
-        pictures: uint8 [..., 2h, 2w, channels].
-
-    Returns:
-        uint8 [..., h, w, channels]: (a + b + c + d + 2) / 4 of each 2 × 2 block."""
+    """Halves height and width, uint8 [..., 2h, 2w, channels]: each 2 × 2 block becomes its rounded
+    mean, (a + b + c + d + 2) / 4."""
     height, width, channels = pictures.shape[-3:]
     blocks = pictures.view(*pictures.shape[:-3], height // 2, 2, width // 2, 2, channels)
     rows = blocks[..., 0, :, :, :].short() + blocks[..., 1, :, :, :]

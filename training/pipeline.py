@@ -15,8 +15,6 @@ the training time of all calls.
 states, which no other stage uses.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

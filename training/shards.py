@@ -12,8 +12,6 @@ A shard has F frames and E episodes. Its arrays are
       driver         uint8   [E]      a ``Driver``
       perturbation   str     [E]      configuration, or "" for an unperturbed episode"""
 
-from __future__ import annotations
-
 import os
 import queue
 import shutil
@@ -179,10 +177,8 @@ class Writer:
             self._queue(full)
 
     def close(self) -> None:
-        """Writes the remaining episodes and ends the thread.
-
-        Raises:
-            OSError: if a shard could not be written."""
+        """Writes the remaining episodes and ends the thread. Raises OSError if a shard could not be
+        written."""
         if self._gathered:
             self._queue(self._gathered)
             self._gathered = []

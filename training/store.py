@@ -1,7 +1,5 @@
 """Frames and targets in the memory of the training device."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """A trained student as a policy."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Conversion of instructions to the network's input: hashed words and pairs of neighbouring
 words."""
 
-from __future__ import annotations
-
 import re
 from functools import lru_cache
 from itertools import pairwise

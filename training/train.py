@@ -7,8 +7,6 @@
 The same command resumes an interrupted run at its last checkpoint.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import math
@@ -108,10 +106,8 @@ class Trainer:
             self._is_compiled = True
 
     def train_step(self, library: Library, wordings: Wordings, fraction: float) -> Tensor:
-        """Makes one optimizer step and returns the loss.
-
-        Args:
-            fraction: the spent share of the training time, from which the learning rate follows."""
+        """Makes one optimizer step and returns the loss. The learning rate follows from `fraction`,
+        the spent share of the training time."""
         rate = self._arguments.learning_rate * _schedule(self.step, fraction)
         for group in self._optimizer.param_groups:
             group["lr"] = rate

@@ -3,8 +3,6 @@
 Wordings exclude the sentences of the evaluation's language axis: ``data/held_out.txt`` has digests
 of these sentences, and a sentence with the same words as one of them is drawn again."""
 
-from __future__ import annotations
-
 import hashlib
 import random
 import re
@@ -36,9 +34,7 @@ def canonical(task: str) -> str:
 
 def draw(task: str, count: int, seed: int) -> list[str]:
     """Returns ``count`` different wordings of a task; the first is the benchmark's instruction.
-
-    Raises:
-        ValueError: if the grammar gives fewer wordings."""
+    Raises ValueError if the grammar gives fewer wordings."""
     rng = random.Random(f"{seed} {task}")
     held_out = held_out_digests()
     by_digest = {digest(canonical(task)): canonical(task)}

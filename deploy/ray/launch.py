@@ -159,7 +159,7 @@ class Fleet:
 def queue_depth(coordinator: str, connect: str) -> int | None:
     """Returns the number of queued and leased rollouts of running campaigns; None on failure."""
     command = [coordinator, "campaign", "status", "--json", "--connect", connect]
-    result = subprocess.run(command, check=False, capture_output=True, text=True)
+    result = subprocess.run(command, capture_output=True, text=True)
     if result.returncode != 0:
         log.warning("the number of waiting rollouts is unknown: %s", result.stderr.strip())
         return None

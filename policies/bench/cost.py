@@ -12,8 +12,6 @@ Hours of a whole campaign assume the given mean steps of successful rollouts and
 which last the whole budget. LeRobot's ten rollouts of a task last as long as the longest of them.
 """
 
-from __future__ import annotations
-
 import argparse
 import atexit
 import contextlib

@@ -9,8 +9,6 @@ its videos.
 Needs lerobot, hf-libero, robosuite 1.4.0, openpi-client and websockets.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import collections

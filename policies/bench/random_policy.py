@@ -14,8 +14,6 @@ matching, attending to the keys and values of the prefix. Weights are bfloat16 o
 Needs PyTorch, NumPy and this package. On a GPU every served batch size is captured as a CUDA graph,
 because launching its kernels one by one takes longer than running them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

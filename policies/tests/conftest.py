@@ -67,6 +67,18 @@ def serving():
         yield start_server
 
 
+class Plain(Policy):
+    """Answers zeros."""
+
+    description = Description(name="plain")
+
+    def reset(self, episode):
+        pass
+
+    def infer(self, observation):
+        return np.zeros(7)
+
+
 class Noisy(Policy):
     """Answers random numbers and counts its queries."""
 
@@ -100,16 +112,13 @@ class Recording(Policy):
         return np.zeros(7)
 
 
-class Answering(Policy):
+class Answering(Plain):
     """Answers its constructor's argument, or raises it if it is an exception."""
 
     description = Description(name="crooked", horizon=2)
 
     def __init__(self, answer):
         self.answer = answer
-
-    def reset(self, episode):
-        pass
 
     def infer(self, observation):
         if isinstance(self.answer, Exception):
@@ -135,7 +144,7 @@ def gateway_program():
 def assert_gateway_check_passes(url, *arguments):
     """Runs the gateway's conformance check on a server."""
     check = subprocess.run(
-        [gateway_program(), "check", url, *arguments], capture_output=True, text=True, check=False
+        [gateway_program(), "check", url, *arguments], capture_output=True, text=True
     )
     print(check.stdout)
     assert check.returncode == 0, check.stdout + check.stderr
@@ -159,3 +168,19 @@ def running(*command, **options):
         process.terminate()
         process.wait(timeout=60)
         process.stdout.close()
+
+
+@contextlib.contextmanager
+def serving_at(command):
+    """Runs a server as a separate process; yields its address."""
+    with running(*command) as (_, address):
+        yield address
+
+
+@contextlib.contextmanager
+def client_behind(program, *arguments):
+    """Runs a gateway with these arguments; yields a client of it."""
+    with serving_at([program, "--listen", "127.0.0.1:0", *arguments]) as address:
+        client = Client(address)
+        yield client
+        client.channel.close()

@@ -6,8 +6,6 @@ them.
 
     python policies/tests/random_lerobot.py smolvla FOLDER"""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
@@ -107,16 +105,12 @@ def smolvla(folder: Path) -> None:
             "vocab_size": len(words),
         },
         vision_config={
-            "hidden_size": 64,
-            "intermediate_size": 128,
-            "num_hidden_layers": 2,
-            "num_attention_heads": 2,
-            "image_size": 512,
-            "patch_size": 64,
+            "hidden_size": 64, "intermediate_size": 128, "num_hidden_layers": 2,
+            "num_attention_heads": 2, "image_size": 512, "patch_size": 64,
         },
         scale_factor=2,
         image_token_id=words.convert_tokens_to_ids("<image>"),
-    ).save_pretrained(backbone)
+    ).save_pretrained(backbone)  # fmt: skip
     SmolVLMProcessor(
         SmolVLMImageProcessor(), words, SmolVLMVideoProcessor(), image_seq_len=16
     ).save_pretrained(backbone)
@@ -235,18 +229,14 @@ def vla_jepa(folder: Path) -> None:
             "rope_scaling": {"rope_type": "default", "mrope_section": [4, 2, 2]},
         },
         vision_config={
-            "hidden_size": 32,
-            "intermediate_size": 64,
-            "depth": 2,
-            "num_heads": 2,
-            "out_hidden_size": 64,
-            "deepstack_visual_indexes": [0],
+            "hidden_size": 32, "intermediate_size": 64, "depth": 2, "num_heads": 2,
+            "out_hidden_size": 64, "deepstack_visual_indexes": [0],
         },
         image_token_id=tokens["<|image_pad|>"],
         video_token_id=tokens["<|video_pad|>"],
         vision_start_token_id=tokens["<|vision_start|>"],
         vision_end_token_id=tokens["<|vision_end|>"],
-    )
+    )  # fmt: skip
     torch.manual_seed(SEED)
     Qwen3VLForConditionalGeneration(config).save_pretrained(backbone)
     Qwen3VLProcessor(

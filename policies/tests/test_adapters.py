@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_conformance import adapters_with_computed_networks
 from test_processing import pattern
 
 from rollout_policies import Camera, Episode, Observation, State, UnderWay
@@ -35,11 +36,13 @@ from rollout_policies.adapters.upstream import (
     digest,
 )
 from rollout_policies.adapters.vla_jepa import VlaJepa
-from rollout_policies.catalogue import NoCheckpoint, entries, entry
+from rollout_policies.catalogue import SUITES, NoCheckpoint, entries, entry
 from rollout_policies.description import Language
 
 #: Half a turn about x: the orientation of a hand that points down.
 POINTING_DOWN = [1.0, 0.0, 0.0, 0.0]
+LOADED = {"suite": "libero_goal", "checkpoint": "weights"}
+BOUNDS = {"q01": [-2.0] * 7, "q99": [2.0] * 7, "mask": [True] * 6 + [False]}
 
 
 def observation(seed=7, query_index=0, suite="libero_goal", instruction="Open the Drawer"):
@@ -215,9 +218,7 @@ class RecordingOft:
 
 def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     model = RecordingOft()
-    policy = openvla_oft.OpenVlaOft(
-        entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights"
-    )
+    policy = openvla_oft.OpenVlaOft(entry("openvla-oft"), model, **LOADED)
     first_query = observation()
     policy.reset(first_query.episode)
     actions = policy.infer(first_query)
@@ -231,9 +232,7 @@ def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     assert actions.shape == (8, 7)
     assert (actions[:, 6] == -1).all() and (actions[:, :6] == 0.9).all()
     assert (policy.description.horizon, policy.description.execute) == (8, 8)
-    shorter = openvla_oft.OpenVlaOft(
-        entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights", execute=4
-    )
+    shorter = openvla_oft.OpenVlaOft(entry("openvla-oft"), model, **LOADED, execute=4)
     assert (shorter.description.horizon, shorter.description.execute) == (8, 4)
 
 
@@ -263,10 +262,7 @@ class RecordingUnivla:
 
 def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     model = RecordingUnivla()
-    bounds = {"q01": [-2.0] * 7, "q99": [2.0] * 7, "mask": [True] * 6 + [False]}
-    policy = univla.UniVla(
-        entry("univla"), model, bounds, suite="libero_goal", checkpoint="weights"
-    )
+    policy = univla.UniVla(entry("univla"), model, BOUNDS, **LOADED)
     first_query = observation()
     policy.reset(first_query.episode)
     first = policy.infer(first_query)
@@ -289,15 +285,7 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
 
 def test_univlas_study_protocol_uses_one_seed_and_crops_whole_pixels():
     model = RecordingUnivla()
-    bounds = {"q01": [-2.0] * 7, "q99": [2.0] * 7, "mask": [True] * 6 + [False]}
-    policy = univla.UniVla(
-        entry("univla"),
-        model,
-        bounds,
-        suite="libero_goal",
-        checkpoint="weights",
-        evaluation="study",
-    )
+    policy = univla.UniVla(entry("univla"), model, BOUNDS, **LOADED, evaluation="study")
     for seed in (1, 2):
         first_query = observation(seed)
         policy.reset(first_query.episode)
@@ -326,7 +314,7 @@ class RecordingPredvla:
 
 def test_predvla_gets_unturned_frames_at_every_fourth_step():
     model = RecordingPredvla()
-    policy = predvla.PredVla(entry("predvla"), model, suite="libero_goal", checkpoint="weights")
+    policy = predvla.PredVla(entry("predvla"), model, **LOADED)
     first_query = observation()
     policy.reset(first_query.episode)
     for query_index in range(6):
@@ -339,9 +327,7 @@ def test_predvla_gets_unturned_frames_at_every_fourth_step():
 
 
 def test_every_episode_of_predvla_has_its_own_instruction():
-    policy = predvla.PredVla(
-        entry("predvla"), RecordingPredvla(), suite="libero_goal", checkpoint="weights"
-    )
+    policy = predvla.PredVla(entry("predvla"), RecordingPredvla(), **LOADED)
     first, second = observation(instruction="one"), observation(instruction="two")
     policy.reset(first.episode)
     policy.reset(second.episode)
@@ -360,25 +346,14 @@ def test_a_relative_path_of_statistics_is_resolved_in_the_authors_repository(tmp
 # All adapters.
 
 
-@pytest.mark.parametrize("name", ["openvla-oft", "univla", "predvla"])
-def test_an_episode_of_another_suite_is_refused(name):
-    policy = {
-        "openvla-oft": lambda: openvla_oft.OpenVlaOft(
-            entry(name), RecordingOft(), suite="libero_10", checkpoint="w"
-        ),
-        "univla": lambda: univla.UniVla(
-            entry(name), RecordingUnivla(), {}, suite="libero_10", checkpoint="w"
-        ),
-        "predvla": lambda: predvla.PredVla(
-            entry(name), RecordingPredvla(), suite="libero_10", checkpoint="w"
-        ),
-    }[name]()
-    with pytest.raises(WrongSuite, match="libero_10, and the episode is of libero_goal"):
+@pytest.mark.parametrize("policy", adapters_with_computed_networks())
+def test_an_episode_of_another_suite_is_refused(policy):
+    with pytest.raises(WrongSuite, match="libero_object, and the episode is of libero_goal"):
         policy.reset(observation().episode)
 
 
 def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
-    listed = {suite: entry("predvla").checkpoint_for(suite) for suite in predvla_suites()}
+    listed = {suite: entry("predvla").checkpoint_for(suite) for suite in SUITES}
     assert listed == {
         "libero_spatial": "checkpoints/predvla_spatial_s1.pt",
         "libero_object": "checkpoints/predvla_object_s1.pt",
@@ -394,10 +369,6 @@ def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
         predvla._checkpoint_file(entry("predvla"), listed["libero_10"], tmp_path)
 
 
-def predvla_suites():
-    return ("libero_spatial", "libero_object", "libero_goal", "libero_10")
-
-
 def test_weights_of_predvla_that_were_trained_for_another_suite_are_refused():
     with pytest.raises(UnusableCheckpoint, match="trained for libero_10, and --suite says"):
         predvla._require_trained_for("libero_goal", {"data": {"suite": "libero_10"}}, "w.pt")
@@ -408,7 +379,7 @@ def test_every_policy_of_the_catalogue_has_an_adapter():
     assert list(entries()) == list(MODULES)
     for listed in entries().values():
         assert listed.install and listed.parameters > 0
-        for suite in ("libero_spatial", "libero_object", "libero_goal", "libero_10"):
+        for suite in SUITES:
             assert listed.checkpoint_for(suite)
 
 
@@ -432,32 +403,19 @@ def test_a_digest_changes_with_content_and_name(tmp_path):
 
 def command(*arguments):
     return subprocess.run(
-        [sys.executable, "-m", "rollout_policies", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-m", "rollout_policies", *arguments], capture_output=True, text=True
     )
 
 
-def test_list_prints_every_policy_with_its_installation():
+def test_list_prints_every_policy_with_its_installation_and_downloads():
     listed = command("list")
     assert listed.returncode == 0
-    for name in MODULES:
-        assert f"{name}  (" in listed.stdout
-    assert "pip install 'lerobot[smolvla]" in listed.stdout
     assert max(map(len, listed.stdout.splitlines())) <= 80
-
-
-def test_list_prints_all_downloads():
-    listed = " ".join(command("list").stdout.split())
-    for name in (
-        "google/paligemma-3b-pt-224 (tokeniser; gated",
-        "HuggingFaceTB/SmolVLM2-500M-Video-Instruct",
-        "Qwen/Qwen3-VL-2B-Instruct (all of it, 4 GB",
-        "sentence-transformers/all-MiniLM-L6-v2",
-        "torchvision's resnet18",
-    ):
-        assert f"also downloads: {name}" in listed
+    text = " ".join(listed.stdout.split())
+    for name, one in entries().items():
+        assert f"{name} (" in text and " ".join(one.install.split()) in text
+        for download, about in one.downloads.items():
+            assert f"also downloads: {download} ({about})" in text
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import re
 import grpc
 import numpy as np
 import pytest
-from conftest import Noisy, refusal
+from conftest import Noisy, Plain, refusal
 
-from rollout_policies import Description, Policy
+from rollout_policies import Description
 from rollout_policies.broken import BROKEN_WORDS
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -38,15 +38,12 @@ def test_a_query_of_a_batch_fails_alone_and_answers_do_not_depend_on_the_batch(s
     assert code == grpc.StatusCode.INVALID_ARGUMENT and "at most 3" in text
 
 
-class Batching(Policy):
+class Batching(Plain):
     """Raises `error` for a query of the session "bad", alone or in a batch."""
 
     def __init__(self, error, stateful=False):
         self.description = Description(name="batching", max_batch=4, stateful=stateful)
         self.error, self.single_queries = error, []
-
-    def reset(self, episode):
-        pass
 
     def infer(self, observation):
         self.single_queries.append(observation.episode.session)

@@ -21,19 +21,12 @@ def by_name(*names, **arguments):
 @pytest.mark.parametrize(
     ("scene", "wrist"),
     [
-        ("image", "image2"),
-        ("image", "wrist_image"),
-        ("agentview", "robot0_eye_in_hand"),
-        ("agentview_rgb", "eye_in_hand_rgb"),
-        ("front", "wrist"),
-        ("front", "cam_wrist"),
-        ("static", "gripper"),
-        ("scene", "hand"),
-        ("base_0_rgb", "left_wrist_0_rgb"),
-        ("camera1", "camera2"),
-        ("Third-Person-View", "Wrist-Image"),
+        ("image", "image2"), ("image", "wrist_image"), ("agentview", "robot0_eye_in_hand"),
+        ("agentview_rgb", "eye_in_hand_rgb"), ("front", "wrist"), ("front", "cam_wrist"),
+        ("static", "gripper"), ("scene", "hand"), ("base_0_rgb", "left_wrist_0_rgb"),
+        ("camera1", "camera2"), ("Third-Person-View", "Wrist-Image"),
     ],
-)
+)  # fmt: skip
 def test_known_names_get_their_cameras_in_any_order(scene, wrist):
     assert by_name(scene, wrist) == {scene: SCENE, wrist: WRIST}
     assert by_name(wrist, scene) == {scene: SCENE, wrist: WRIST}

@@ -4,8 +4,9 @@ import logging
 
 import numpy as np
 import pytest
+from conftest import Plain
 
-from rollout_policies import Description, Gripper, Policy
+from rollout_policies import Description, Gripper
 
 
 @pytest.mark.parametrize(
@@ -18,11 +19,8 @@ from rollout_policies import Description, Gripper, Policy
     ],
 )
 def test_a_declared_gripper_convention_becomes_the_simulators(serving, gripper, opens, closes):
-    class Gripping(Policy):
+    class Gripping(Plain):
         description = Description(name="gripping", horizon=2, gripper=gripper)
-
-        def reset(self, episode):
-            pass
 
         def infer(self, observation):
             return [[0.5] * 6 + [opens], [0.5] * 6 + [closes]]
@@ -34,12 +32,9 @@ def test_a_declared_gripper_convention_becomes_the_simulators(serving, gripper, 
 
 @pytest.mark.parametrize(("gripper", "warnings"), [(0.5, 1), (-0.5, 0)])
 def test_a_gripper_that_never_opens_is_logged_once(serving, caplog, gripper, warnings):
-    class Closed(Policy):
+    class Closed(Plain):
         # Actions that are not executed do not count as opening.
         description = Description(name="closed", horizon=20, execute=10)
-
-        def reset(self, episode):
-            pass
 
         def infer(self, observation):
             actions = np.zeros((20, 7))

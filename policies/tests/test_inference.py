@@ -9,7 +9,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from conftest import Client, running
+from conftest import Client, Plain, running
 from test_conformance import adapters_with_computed_networks
 
 from rollout_policies import Description, Policy, UnusableActions, fake_observation
@@ -47,21 +47,24 @@ def test_one_thread_creates_warms_up_and_queries_a_policy(tmp_path):
         threads.setdefault(method, set()).add(thread)
     model_threads = [threads[name] for name in threads if name != "prepare"]
     assert set(threads) == {
-        "__init__", "warm_up", "reset", "infer", "infer_batch", "end", "prepare",
+        "__init__",
+        "warm_up",
+        "reset",
+        "infer",
+        "infer_batch",
+        "end",
+        "prepare",
     }
     assert model_threads == [model_threads[0]] * len(model_threads) and len(model_threads[0]) == 1
     assert threads["prepare"].isdisjoint(model_threads[0])
 
 
 def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
-    class Waiting(Policy):
+    class Waiting(Plain):
         description = Description(name="waiting")
 
         def __init__(self):
             self.other_is_prepared = threading.Event()
-
-        def reset(self, episode):
-            pass
 
         def prepare(self, observation):
             if observation.episode.session == "b":
@@ -81,18 +84,12 @@ def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
 
 
 def test_an_exception_in_prepare_fails_its_query_only(serving):
-    class FailingPrepare(Policy):
+    class FailingPrepare(Plain):
         description = Description(name="picky", max_batch=2)
-
-        def reset(self, episode):
-            pass
 
         def prepare(self, observation):
             if observation.episode.session == "bad":
                 raise ValueError("no such frame")
-
-        def infer(self, observation):
-            return np.zeros(7)
 
     client = serving(FailingPrepare())
     client.reset("bad")
@@ -104,14 +101,11 @@ def test_an_exception_in_prepare_fails_its_query_only(serving):
 
 
 def test_a_query_cancelled_by_its_caller_is_not_computed(serving, monkeypatch):
-    class Slow(Policy):
+    class Slow(Plain):
         description = Description(name="slow", max_batch=2)
 
         def __init__(self):
             self.sessions, self.begun, self.release = [], threading.Event(), threading.Event()
-
-        def reset(self, episode):
-            pass
 
         def infer(self, observation):
             self.sessions.append(observation.episode.session)

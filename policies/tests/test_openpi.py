@@ -13,7 +13,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from programs import client_behind, gateway_program, running
+from conftest import client_behind, gateway_program, refusal, serving_at
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -37,7 +37,7 @@ def received(tmp_path):
 
 
 def simulated(received, *arguments):
-    return running([sys.executable, str(SERVER), "--received", str(received), *arguments])
+    return serving_at([sys.executable, str(SERVER), "--received", str(received), *arguments])
 
 
 def observation(side=256):
@@ -95,7 +95,6 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, recei
             [program, "check", f"ws://{server}?execute=10", "--suite", "libero_goal"],
             capture_output=True,
             text=True,
-            check=False,
         )
     assert check.returncode == 0, check.stdout + check.stderr
     assert "skip  the same seed gives the same actions: the policy's random numbers" in check.stdout
@@ -108,7 +107,7 @@ def test_the_check_finds_the_keys_that_a_server_misses_and_names_its_address(pro
     keys = "image,wrist_image_left,proprio,task_instruction"
     with simulated(received, "--keys", keys) as server:
         command = [program, "check", f"ws://{server}?execute=10&state=joints&size=128&rotate=0"]
-        check = subprocess.run(command, capture_output=True, text=True, check=False)
+        check = subprocess.run(command, capture_output=True, text=True)
     assert check.returncode == 0, check.stdout + check.stderr
     found = "image_key=image&wrist_key=wrist_image_left&state_key=proprio"
     found += "&prompt_key=task_instruction&rotate=0&size=128&state=joints"
@@ -120,7 +119,7 @@ def test_the_check_finds_the_keys_that_a_server_misses_and_names_its_address(pro
 
 def test_the_check_of_a_server_that_is_not_there_names_the_address_as_given(program):
     command = [program, "check", "ws://127.0.0.1:1?execute=10"]
-    check = subprocess.run(command, capture_output=True, text=True, check=False)
+    check = subprocess.run(command, capture_output=True, text=True)
     assert check.returncode == 1 and "grpc://127" not in check.stderr, check.stderr
     assert "ws://127.0.0.1:1?execute=10" in check.stderr
 
@@ -150,10 +149,8 @@ def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered
         client_behind(program, "--route", f"x=ws://{server}") as client,
     ):
         client.reset(instruction="raise")
-        with pytest.raises(grpc.RpcError) as caught:
-            client.infer(observation=message)
-        assert caught.value.code() == grpc.StatusCode.INTERNAL
-        assert "does not like this prompt" in caught.value.details()
+        code, text = refusal(client.infer, observation=message)
+        assert code == grpc.StatusCode.INTERNAL and "does not like this prompt" in text
         client.reset(instruction="reach")
         assert client.infer(observation=message).shape == (5, 7)
 
@@ -163,9 +160,8 @@ def test_actions_of_another_width_are_refused(program, received):
     with simulated(received, "--width", "14") as server:
         with client_behind(program, "--route", f"x=ws://{server}") as client:
             client.reset(instruction="reach")
-            with pytest.raises(grpc.RpcError) as caught:
-                client.infer(observation=message)
-    assert "its actions are 14 numbers wide, not 7" in caught.value.details()
+            _, text = refusal(client.infer, observation=message)
+    assert "its actions are 14 numbers wide, not 7" in text
 
 
 def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_path):
@@ -177,10 +173,8 @@ def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_
         key.touch(mode=0o600)
         key.write_text("worker another-key-than-that\n")
         with client_behind(program, "--config", str(config)) as client:
-            with pytest.raises(grpc.RpcError) as caught:
-                client.reset(instruction="reach")
-        assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
-        assert "401" in caught.value.details() and "`token_file`" in caught.value.details()
+            code, text = refusal(client.reset, instruction="reach")
+        assert code == grpc.StatusCode.UNAVAILABLE and "401" in text and "`token_file`" in text
         key.write_text(f"worker {KEY}\n")
         with client_behind(program, "--config", str(config)) as client:
             client.reset(instruction="reach")

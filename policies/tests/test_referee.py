@@ -8,14 +8,15 @@ import subprocess
 
 import numpy as np
 import pytest
+from conftest import Plain, gateway_program
 
-from rollout_policies import Camera, Description, Policy, State, start
+from rollout_policies import Camera, Description, State, start
 from rollout_policies.examples.colour_servo import ColourServo
 
 CAMERAS = (Camera("agentview", 128, 128), Camera("robot0_eye_in_hand", 128, 128))
 
 
-class PositionSensitive(Policy):
+class PositionSensitive(Plain):
     """Its answers depend on the content of each part of a frame, the state and the instruction."""
 
     description = Description(
@@ -24,9 +25,6 @@ class PositionSensitive(Policy):
         cameras=CAMERAS,
         state=(State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS),
     )
-
-    def reset(self, episode):
-        pass
 
     def frames(self, observation):
         return [observation.upright(camera.name) for camera in CAMERAS]
@@ -64,16 +62,14 @@ class Leaking(PositionSensitive):
 @pytest.fixture
 def run_command():
     """Runs a command on servers of given policies: `run_command("doctor", policy) -> JSON`."""
-    program = os.environ.get("POLICY_GATEWAY")
-    if program is None:
-        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
+    program = gateway_program()
     servers = []
 
     def run(command, *policies):
         servers.extend(start(policy) for policy in policies)
         urls = [f"grpc://{server.address}" for server in servers[-len(policies) :]]
         finished = subprocess.run(
-            [program, command, *urls, "--json"], capture_output=True, text=True, check=False
+            [program, command, *urls, "--json"], capture_output=True, text=True
         )
         assert finished.returncode in (0, 1) and finished.stdout, finished.stderr
         judgement = json.loads(finished.stdout)

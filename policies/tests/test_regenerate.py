@@ -15,7 +15,5 @@ def test_the_generated_files_are_current():
         version("grpcio-tools")
     except PackageNotFoundError:
         pytest.skip("grpcio-tools is not installed: pip install -e './policies[dev]'")
-    check = subprocess.run(
-        [sys.executable, SCRIPT, "--check"], capture_output=True, text=True, check=False
-    )
+    check = subprocess.run([sys.executable, SCRIPT, "--check"], capture_output=True, text=True)
     assert check.returncode == 0, check.stderr

@@ -14,8 +14,6 @@ writes an NPZ file per episode of T steps:
 Frames have the orientation of VLAs' training data for LIBERO: LIBERO's array [::-1, ::-1].
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

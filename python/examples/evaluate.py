@@ -5,8 +5,6 @@
 Replace RandomPolicy by your own policy: an object with `reset` and `act`.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from statistics import NormalDist

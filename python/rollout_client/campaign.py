@@ -145,16 +145,10 @@ def _name(campaign: Campaign | str) -> str:
 
 
 def _job(job: wire.Job) -> dict[str, Any]:
-    return {
-        "rollout_id": job.rollout_id,
-        "replicate": job.replicate,
-        "job_id": job.job_id,
-        "state": job.state,
-        "outcome": ("success" if job.success else "failure") if job.HasField("success") else None,
-        "steps": job.steps if job.HasField("steps") else None,
-        "attempts": job.attempt,
-        "charged_attempts": job.charged_attempts,
-        "attempt_id": job.attempt_id or None,
-        "worker_id": job.lease_owner or None,
-        "last_error": job.last_error or None,
-    }
+    return frames.fields(
+        job,
+        frames.JOBS,
+        outcome=("success" if job.success else "failure") if job.HasField("success") else None,
+        attempts=job.attempt,
+        worker_id=job.lease_owner or None,
+    )

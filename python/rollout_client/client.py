@@ -141,20 +141,12 @@ def _text(spec: Spec) -> str:
 
 
 def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:
-    return {
-        "worker_id": worker.worker_id,
-        "host": worker.host,
-        "slots": worker.slots,
-        "leases": worker.leases,
-        "asset_pack": worker.asset_pack,
-        "mujoco_version": worker.mujoco_version,
-        "renderer": worker.renderer,
-        "look": worker.look,
-        "program_version": worker.program_version,
-        "is_alive": worker.alive,
-        "has_signed_off": worker.signed_off,
-        "failures_in_a_row": worker.charged_in_a_row,
-        "stopped_reason": worker.stopped_reason or None,
-        "registered_at": frames.instant(worker.registered_unix_ms),
-        "last_call_at": frames.instant(worker.last_seen_unix_ms),
-    }
+    return frames.fields(
+        worker,
+        frames.WORKERS,
+        is_alive=worker.alive,
+        has_signed_off=worker.signed_off,
+        failures_in_a_row=worker.charged_in_a_row,
+        registered_at=frames.instant(worker.registered_unix_ms),
+        last_call_at=frames.instant(worker.last_seen_unix_ms),
+    )

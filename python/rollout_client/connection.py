@@ -26,13 +26,9 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
 ANSWER_TIMEOUT = 60.0
 #: Status codes that may mean a connection failure; all other codes come from a server.
 CONNECTION_CODES = (
-    grpc.StatusCode.UNAVAILABLE,
-    grpc.StatusCode.UNIMPLEMENTED,
-    grpc.StatusCode.DEADLINE_EXCEEDED,
-    grpc.StatusCode.CANCELLED,
-    grpc.StatusCode.INTERNAL,
-    grpc.StatusCode.UNKNOWN,
-)
+    grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.UNIMPLEMENTED, grpc.StatusCode.DEADLINE_EXCEEDED,
+    grpc.StatusCode.CANCELLED, grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN,
+)  # fmt: skip
 
 #: Start of gRPC's message about an answer from a web server.
 WEB_ANSWER = "Received http2 header with status: "

@@ -3,6 +3,7 @@ are `boolean`, and instants are in UTC. Absent values become missing values of p
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta, timezone
 from typing import Any
@@ -10,66 +11,45 @@ from typing import Any
 import pandas as pd
 
 TEXT, INTEGER, COUNT, OUTCOME = "string", "Int64", "int64", "boolean"
-FLAG, NUMBER, INSTANT = "bool", "float64", "datetime64[ms, UTC]"
+FLAG, NUMBER, INSTANT, ARRAY = "bool", "float64", "datetime64[ms, UTC]", "object"
+
+
+def of(dtype: str, names: str) -> dict[str, str]:
+    """Returns the type of each of the named columns."""
+    return dict.fromkeys(names.split(), dtype)
+
 
 #: Columns of the reference implementation's `rollouts.jsonl`, and then, from `replicate` on, those
 #: that `coordinator export` adds.
 RESULTS = {
-    "rollout_id": TEXT,
-    "success": FLAG,
-    "steps": COUNT,
-    "axis": TEXT,
-    "level": TEXT,
-    "suite": TEXT,
-    "task_id": COUNT,
-    "init_id": COUNT,
-    "config": INTEGER,
-    "policy": TEXT,
-    "wall_s": NUMBER,
-    "ik_res_mm": NUMBER,
-    "replicate": COUNT,
-    "placebo_radius": NUMBER,
-    "execution": TEXT,
-    "goal_predicates": INTEGER,
-    "goal_at_end": INTEGER,
-    "goal_at_most": INTEGER,
-    "protocol": TEXT,
-    "prompt": TEXT,
-}
+    **of(TEXT, "rollout_id"), **of(FLAG, "success"), **of(COUNT, "steps"),
+    **of(TEXT, "axis level suite"), **of(COUNT, "task_id init_id"), **of(INTEGER, "config"),
+    **of(TEXT, "policy"), **of(NUMBER, "wall_s ik_res_mm"), **of(COUNT, "replicate"),
+    **of(NUMBER, "placebo_radius"), **of(TEXT, "execution"),
+    **of(INTEGER, "goal_predicates goal_at_end goal_at_most"), **of(TEXT, "protocol prompt"),
+}  # fmt: skip
+
+#: Columns of the results of an archive.
+ARCHIVED = {
+    **of(TEXT, "rollout_id"), **of(COUNT, "replicate"), **of(TEXT, "task instruction axis level"),
+    **of(FLAG, "success"), **of(COUNT, "steps"), **of(NUMBER, "wall_secs"),
+    **of(INSTANT, "committed_at"), **of(ARRAY, "path actions"),
+}  # fmt: skip
 
 #: Columns with the names of `coordinator jobs list --json`.
 JOBS = {
-    "rollout_id": TEXT,
-    "replicate": COUNT,
-    "job_id": COUNT,
-    "state": TEXT,
-    "outcome": TEXT,
-    "steps": INTEGER,
-    "attempts": COUNT,
-    "charged_attempts": COUNT,
-    "attempt_id": TEXT,
-    "worker_id": TEXT,
-    "last_error": TEXT,
-}
+    **of(TEXT, "rollout_id"), **of(COUNT, "replicate job_id"), **of(TEXT, "state outcome"),
+    **of(INTEGER, "steps"), **of(COUNT, "attempts charged_attempts"),
+    **of(TEXT, "attempt_id worker_id last_error"),
+}  # fmt: skip
 
 #: Columns with the names of `coordinator workers --json`.
 WORKERS = {
-    "worker_id": TEXT,
-    "host": TEXT,
-    "slots": COUNT,
-    "leases": COUNT,
-    "asset_pack": TEXT,
-    "mujoco_version": TEXT,
-    "renderer": TEXT,
-    "look": TEXT,
-    "program_version": TEXT,
-    "is_alive": FLAG,
-    "has_signed_off": FLAG,
-    "failures_in_a_row": COUNT,
-    "stopped_reason": TEXT,
-    "registered_at": INSTANT,
-    "last_call_at": INSTANT,
-}
+    **of(TEXT, "worker_id host"), **of(COUNT, "slots leases"),
+    **of(TEXT, "asset_pack mujoco_version renderer look program_version"),
+    **of(FLAG, "is_alive has_signed_off"), **of(COUNT, "failures_in_a_row"),
+    **of(TEXT, "stopped_reason"), **of(INSTANT, "registered_at last_call_at"),
+}  # fmt: skip
 
 
 def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.DataFrame:
@@ -78,6 +58,20 @@ def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.D
     data = {name: _column([row.get(name) for row in rows], columns[name]) for name in columns}
     result: pd.DataFrame = pd.DataFrame(data)
     return result
+
+
+def fields(message: Any, names: Iterable[str], **others: Any) -> dict[str, Any]:
+    """Returns the fields of a message with these names; None for an unset number and an empty text.
+    `others` are fields that have another name or form."""
+
+    def field(name: str) -> Any:
+        value = getattr(message, name)
+        # Only fields that are declared optional can be unset; HasField refuses the others.
+        with contextlib.suppress(ValueError):
+            value = value if message.HasField(name) else None
+        return None if value == "" else value
+
+    return {name: others[name] if name in others else field(name) for name in names}
 
 
 def instant(unix_ms: int) -> datetime:

@@ -23,12 +23,11 @@ class Program:
 
     def run(self, *arguments: str | Path, text: str | None = None) -> str:
         """Runs the program with these arguments, and with `text` as its input. Returns its output.
-
-        Raises ProgramError if the program is missing, and RefusedError, with
-        the program's message, if it fails."""
+        Raises ProgramError if the program is missing, and RefusedError, with the program's message,
+        if it fails."""
         command = [self._path(), *map(str, arguments)]
         try:
-            done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+            done = subprocess.run(command, input=text, capture_output=True, text=True)
         except OSError as error:
             raise ProgramError(
                 f"failed to run {command[0]}: {error.strerror}; name the program in"

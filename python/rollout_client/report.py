@@ -14,7 +14,7 @@ import pandas as pd
 
 from . import frames
 from .connection import Connection
-from .frames import COUNT, INTEGER, NUMBER, OUTCOME, TEXT
+from .frames import COUNT, INTEGER, NUMBER, OUTCOME, TEXT, of
 from .program import Program
 
 AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
@@ -24,83 +24,37 @@ INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
 CLEAN, COMBINATION = "clean", "combination"
 
 SUCCESS = {
-    "policy": TEXT,
-    "level": TEXT,
-    "condition": TEXT,
-    "successes": COUNT,
-    "n": COUNT,
-    "rate": NUMBER,
-    "missing": COUNT,
-    "quarantined": COUNT,
-}
+    **of(TEXT, "policy level condition"), **of(COUNT, "successes n"), **of(NUMBER, "rate"),
+    **of(COUNT, "missing quarantined"),
+}  # fmt: skip
 
 PAIRED = {
-    "policy": TEXT,
-    "level": TEXT,
-    "n": COUNT,
-    "tasks": COUNT,
-    **{f"s_{axis}": NUMBER for axis in AXES},
-    "s_indep": NUMBER,
-    "s_conj": NUMBER,
-    "s_sim": NUMBER,
-    **{
-        column: NUMBER
-        for name in INTERVALS
-        for column in (name, f"{name}_ci95_low", f"{name}_ci95_high")
-    },
-    "b": COUNT,
-    "c": COUNT,
-    "emergent_share": NUMBER,
-    "mcnemar_p": NUMBER,
-    "no_interval": TEXT,
-}
+    **of(TEXT, "policy level"), **of(COUNT, "n tasks"),
+    **of(NUMBER, " ".join(f"s_{axis}" for axis in AXES)), **of(NUMBER, "s_indep s_conj s_sim"),
+    **of(NUMBER, " ".join(f"{name} {name}_ci95_low {name}_ci95_high" for name in INTERVALS)),
+    **of(COUNT, "b c"), **of(NUMBER, "emergent_share mcnemar_p"), **of(TEXT, "no_interval"),
+}  # fmt: skip
 
 #: Columns of `coordinator report --table`, with the types of its Parquet files.
 CONFIGURATIONS = {
-    "policy": TEXT,
-    "origin": TEXT,
-    "replicate": COUNT,
-    "level": TEXT,
-    "suite": TEXT,
-    "task": COUNT,
-    "config": COUNT,
-    "init_id": COUNT,
-    "nominal": OUTCOME,
-    **{axis: OUTCOME for axis in AXES},
-    "latency": OUTCOME,
-    "conjunction": OUTCOME,
-    "combination": OUTCOME,
-    "transition": TEXT,
-    "unresolved": TEXT,
+    **of(TEXT, "policy origin"), **of(COUNT, "replicate"), **of(TEXT, "level suite"),
+    **of(COUNT, "task config init_id"),
+    **of(OUTCOME, " ".join(("nominal", *AXES, "latency conjunction combination"))),
+    **of(TEXT, "transition unresolved"),
     **{
         f"{condition}_{column}": type_
         for condition in ("nominal", *AXES, "combination")
         for column, type_ in (("goal", NUMBER), ("steps", INTEGER))
     },
-}
+}  # fmt: skip
 
 CELLS = {
-    "level": TEXT,
-    "condition": TEXT,
-    "shared": COUNT,
-    "missing": COUNT,
-    "quarantined": COUNT,
-    "n": INTEGER,
-    "tasks": INTEGER,
-    "s_a": NUMBER,
-    "s_b": NUMBER,
-    "difference": NUMBER,
-    "difference_ci95_low": NUMBER,
-    "difference_ci95_high": NUMBER,
-    "no_interval": TEXT,
-    "both": INTEGER,
-    "a_only": INTEGER,
-    "b_only": INTEGER,
-    "neither": INTEGER,
-    "mcnemar_p": NUMBER,
-    "difference_worst": NUMBER,
-    "difference_best": NUMBER,
-}
+    **of(TEXT, "level condition"), **of(COUNT, "shared missing quarantined"),
+    **of(INTEGER, "n tasks"),
+    **of(NUMBER, "s_a s_b difference difference_ci95_low difference_ci95_high"),
+    **of(TEXT, "no_interval"), **of(INTEGER, "both a_only b_only neither"),
+    **of(NUMBER, "mcnemar_p difference_worst difference_best"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

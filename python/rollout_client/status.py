@@ -68,45 +68,30 @@ class Status:
         is_settled = message.committed + message.quarantined >= message.total
         early = message.early_stop
         has_stopped = early.HasField("used")
-        has_rate, has_eta = message.HasField("rate_per_sec"), message.HasField("eta_secs")
-        return cls(
+        values = frames.fields(
+            message,
+            [item.name for item in fields(cls)],
             name=message.campaign,
-            policy=message.policy,
             endpoint=message.policy_endpoint,
-            priority=message.priority,
             state=state,
             is_finished=state in ("cancelled", "stopped") or is_settled,
-            total=message.total,
-            queued=message.queued,
-            leased=message.leased,
-            committed=message.committed,
-            succeeded=message.succeeded,
             failed=message.committed - message.succeeded,
-            quarantined=message.quarantined,
-            rate_per_sec=message.rate_per_sec if has_rate else None,
-            remaining_secs=message.eta_secs if has_eta else None,
-            live_workers=message.live_workers,
+            remaining_secs=message.eta_secs if message.HasField("eta_secs") else None,
             policy_outage=message.policy_pause_reason if message.policy_paused else None,
-            waiting_reason=message.waiting_reason or None,
-            mixed_fingerprints=message.mixed_fingerprints or None,
             stop_rule=early.rule or None,
             stopped_after=early.used if has_stopped else None,
             saved=message.queued if has_stopped else None,
-            follows_from=message.follows_from or None,
             created_at=frames.instant(message.created_unix_ms),
         )
+        return cls(**values)
 
 
 #: Types of columns by the annotation of a field of Status.
 COLUMNS = {
-    "str": frames.TEXT,
-    "str | None": frames.TEXT,
-    "int": frames.COUNT,
-    "int | None": frames.INTEGER,
-    "bool": frames.FLAG,
-    "float | None": frames.NUMBER,
+    "str": frames.TEXT, "str | None": frames.TEXT, "int": frames.COUNT,
+    "int | None": frames.INTEGER, "bool": frames.FLAG, "float | None": frames.NUMBER,
     "datetime": frames.INSTANT,
-}
+}  # fmt: skip
 CAMPAIGNS = {item.name: COLUMNS[str(item.type)] for item in fields(Status)}
 
 
@@ -137,17 +122,13 @@ class Speed:
         """Converts a coordinator's message."""
         bottleneck = wire.Speed.Bottleneck.Name(message.bottleneck)
         is_known = message.HasField("enough_slots")
-        return cls(
-            results=message.results,
-            physics_secs=message.physics_secs,
-            drawing_secs=message.drawing_secs,
-            policy_secs=message.policy_secs,
-            waiting_secs=message.waiting_secs,
-            policy_queries=message.policy_queries,
+        values = frames.fields(
+            message,
+            [item.name for item in fields(cls)],
             bottleneck=bottleneck.removeprefix("BOTTLENECK_").lower() if is_known else None,
-            enough_slots=message.enough_slots if is_known else None,
             enough_slots_secs=message.enough_slots_secs if is_known else None,
         )
+        return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -184,14 +165,12 @@ class Forecast:
     @classmethod
     def of(cls, rollouts: Mapping[str, int], message: wire.ForecastResponse) -> Forecast:
         """Converts a coordinator's message."""
-        return cls(
+        values = frames.fields(
+            message,
+            [item.name for item in fields(cls)],
             rollouts=dict(rollouts),
-            workers=message.workers,
-            slots=message.slots,
-            secs=message.secs if message.HasField("secs") else None,
-            results=message.results,
-            is_of_policy=message.is_of_policy,
             unmeasured_suites=tuple(message.unmeasured_suites),
             cores=message.cores or None,
             speed=Speed.of(message.speed) if message.HasField("speed") else None,
         )
+        return cls(**values)

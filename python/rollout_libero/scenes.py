@@ -28,11 +28,8 @@ MAX_NAMES = 5
 
 
 def scene_of_task(task: Task, assets: str | PathLike[str] | None, look: str | None) -> native.Scene:
-    """Returns the compiled scene of a task, with its initial states.
-
-    Raises:
-        FileNotFoundError: if files are missing.
-        ValueError: if there is no such look."""
+    """Returns the compiled scene of a task, with its initial states. Raises FileNotFoundError if
+    files are missing; ValueError if there is no such look."""
     init = files.sources() / "libero" / "init_files" / task.suite / f"{task.file}.pruned_init"
     return scene(str(files.bddl_file(task)), assets, look, init_file=str(init))
 
@@ -45,11 +42,8 @@ def scene(
     init_file: str | None = None,
 ) -> native.Scene:
     """Returns the compiled scene of a BDDL file. With the pack ``libero``, files that the scene
-    needs are fetched if they are missing.
-
-    Raises:
-        FileNotFoundError: if files are missing.
-        ValueError: if there is no such look."""
+    needs are fetched if they are missing. Raises FileNotFoundError if files are missing; ValueError
+    if there is no such look."""
     sources, pack, look = str(files.sources()), files.assets(assets), files.look(look)
     key = (_version(bddl_file), pack, look, init_file and _version(init_file))
     # Compiling takes a second; two threads that need the same scene wait for one compilation.

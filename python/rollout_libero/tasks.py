@@ -24,18 +24,13 @@ class Task(NamedTuple):
 
     @classmethod
     def of(cls, name: str) -> Task:
-        """Returns the task of this name.
-
-        Raises:
-            ValueError: if there is no such task; the message lists the tasks."""
+        """Returns the task of this name. Raises ValueError if there is no such task; the message
+        lists the tasks."""
         suite, index, file, instruction, max_steps = native.task(name)
         return cls(f"{suite}/{index}", file, suite, instruction, max_steps)
 
 
 def tasks(suite: str | None = None) -> list[Task]:
-    """Returns the tasks of a suite, or all forty.
-
-    Raises:
-        ValueError: if there is no such suite."""
+    """Returns the tasks of a suite, or all forty. Raises ValueError if there is no such suite."""
     suites = SUITES if suite is None else (suite,)
     return [Task.of(f"{suite}/{index}") for suite in suites for index in range(TASKS_PER_SUITE)]

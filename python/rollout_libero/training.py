@@ -119,11 +119,9 @@ class TrainingEnvironment:
         render: Literal["last", "none"] = "last",
     ) -> Observation:
         """Begins a rollout in each of the rows, by default in all, with a start for each. Returns
-        the observations of these rows, without frames if ``render="none"``.
-
-        Raises:
-            FileNotFoundError: if files are missing.
-            ValueError: if there is no such task or row, or a state is of another task.
+        the observations of these rows, without frames if ``render="none"``. Raises
+        FileNotFoundError if files are missing; ValueError if there is no such task or row, or a
+        state is of another task.
 
         After an error, other rows may have begun their rollouts, or lost their earlier ones."""
         rows = self._rows(rows)
@@ -166,11 +164,8 @@ class TrainingEnvironment:
         self, actions: ArrayLike, rows: Sequence[int] | None = None, render: Render = "last"
     ) -> Stepped:
         """Executes control steps of the rows, by default of all, with actions [rows, steps, 7]. All
-        actions are executed, even past success.
-
-        Raises:
-            ValueError: for actions of another shape, and for rows without a rollout; no row has
-                moved then."""
+        actions are executed, even past success. Raises ValueError for actions of another shape, and
+        for rows without a rollout; no row has moved then."""
         rows = self._rows(rows)
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 3 or actions.shape[0] != len(rows) or not actions.shape[1]:
@@ -188,10 +183,7 @@ class TrainingEnvironment:
         self, rows: Sequence[int] | None = None, render: Literal["last", "none"] = "last"
     ) -> Observation:
         """Returns the last observations of the rows, by default of all; without frames if
-        ``render="none"``.
-
-        Raises:
-            ValueError: if a row has no rollout."""
+        ``render="none"``. Raises ValueError if a row has no rollout."""
         rows = self._rows(rows)
         simulations = [self._simulation(row) for row in rows]
         no_actions = np.empty((len(rows), 0, ACTION_WIDTH))

@@ -327,11 +327,9 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return commands, schedules
 
     def set_perturbation(self, index: int, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Changes an environment's perturbation, from its next rollout on.
-
-        Raises:
-            ValueError: if the task has no such configuration, or it does not fit the control or the
-                execution model; the previous perturbation stays in effect."""
+        """Changes an environment's perturbation, from its next rollout on. Raises ValueError if the
+        task has no such configuration, or it does not fit the control or the execution model; the
+        previous perturbation stays in effect."""
         self.starts[index].perturb(perturbation)
 
     def snapshot(self) -> VectorSnapshot:
@@ -342,10 +340,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         )
 
     def restore(self, snapshot: VectorSnapshot) -> None:
-        """Returns to a snapshot.
-
-        Raises:
-            ValueError: if the snapshot is of other tasks; no environment has changed then."""
+        """Returns to a snapshot. Raises ValueError if the snapshot is of other tasks; no
+        environment has changed then."""
         self._batch.restore(snapshot.simulations)
         self._rollouts = [replace(rollout) for rollout in snapshot.rollouts]
 

@@ -27,7 +27,5 @@ def blocks():
 @pytest.mark.parametrize("program", blocks())
 def test_a_documents_code_block_runs(program, monkeypatch):
     monkeypatch.setenv("ROLLOUT_ASSETS", "primitives")
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

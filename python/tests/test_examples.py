@@ -19,7 +19,7 @@ except PackageNotFoundError:
 
 def run(*words):
     done = subprocess.run(
-        [sys.executable, *map(str, words)], capture_output=True, text=True, check=False
+        [sys.executable, *map(str, words)], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -1,7 +1,5 @@
 """Whole sentences around a clause."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from training.grammar.template import Templates
@@ -13,8 +11,7 @@ FRAMES: Mapping[str, Templates] = {
     "do": (
         "please {do}",
         "{do}[, please| please| now| for me| if you can| if you would| right away| when you are "
-        "ready]",
-        "[gently|carefully|slowly|quickly|now|next|just|simply|safely] {do}",
+        "ready]", "[gently|carefully|slowly|quickly|now|next|just|simply|safely] {do}",
         "[could|can|will|would] you [|please |kindly |maybe |possibly ]{do}[|, please| for me]?",
         "[i want|i need|i would like|i'd like|we want|we need] you to {do}",
         "[your|the] [task|job|goal|objective|mission|assignment|aim|next step|duty] is to {do}",
@@ -25,14 +22,12 @@ FRAMES: Mapping[str, Templates] = {
         "do not forget to|help me|help me to|let us|let's|see if you can|see that you|attempt to] "
         "{do}",
         "[use|with|using] [the|your] [arm|gripper|robot arm|hand|robotic arm|manipulator][| to|,] "
-        "{do}",
-        "[it is time|it's time|time|we have|there is a need] to {do}",
+        "{do}", "[it is time|it's time|time|we have|there is a need] to {do}",
         "[would it be possible|is it possible|are you able] to {do}?",
         "[i was wondering|i wonder] if you could {do}",
         "[what i need is for you|the thing to do is|all you have to do is|what you have to do is|"
         "the plan is|the idea is|what we want is] to {do}",
-        "in this [scene|room|setting|kitchen|workspace], {do}",
-        "[kindly|do|please do] {do}",
+        "in this [scene|room|setting|kitchen|workspace], {do}", "[kindly|do|please do] {do}",
         "[in order ]to [finish|complete|solve] [this|the task|the job], {do}",
     ),
     "doing": (
@@ -42,22 +37,19 @@ FRAMES: Mapping[str, Templates] = {
         "[i need help|help me|i need you to help me|assist me in|assist with|help with|try|start|"
         "begin by|please start|take care of|see to|see about|i suggest|how about|what about|work "
         "on|be in charge of|we need help|go about|get on with|please handle|you are responsible "
-        "for] {doing}",
-        "[finish|complete|do] [the job|the task|this|this task] by {doing}",
+        "for] {doing}", "[finish|complete|do] [the job|the task|this|this task] by {doing}",
         "[tidy up|help|help out|clean up|sort things out|be useful] by {doing}",
         "{doing}[| is the task| is what i want| is your job| is what you should do| is the goal| "
         "is needed| would be great| would help]",
     ),
     "must": (
-        "{must}",
-        "{must}[|, please| now]",
+        "{must}", "{must}[|, please| now]",
         "[i think|i believe|remember,|note that|as requested,|please see to it:|now|ok,|so|well,|"
         "listen:|as a next step,|you know,] {must}",
     ),
     "is": (
         "[make sure|make certain|ensure|see to it|see|check|be sure|take care|guarantee][| that] "
-        "{is}",
-        "[arrange|set|organize|organise|rearrange|fix] [things|it|the scene|the objects|"
+        "{is}", "[arrange|set|organize|organise|rearrange|fix] [things|it|the scene|the objects|"
         "everything] so[| that] {is}",
         "[i want it so that|i want to see that|i want|i would like it if|i'd like it if|i would be "
         "happy if|it would be good if|it would be nice if|what i want is that|what matters is "

@@ -1,70 +1,18 @@
 """The forty tasks: the benchmark's instruction of each, and its grammar."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
-from training.grammar.constructions import (
-    CARRY,
-    CARRY_BOTH,
-    CARRY_FROM,
-    OPEN,
-    OPEN_AND_PUT,
-    PUSH,
-    PUT_AND_CLOSE,
-    PUT_TWO,
-    TURN_ON,
-    TURN_ON_AND_PUT,
-)
+from training.grammar.constructions import *
 from training.grammar.template import Grammar, Templates
-from training.grammar.things import (
-    BACK,
-    BASKET,
-    BBQ_SAUCE,
-    BOOK,
-    BOTTOM,
-    BOWL,
-    BUTTER,
-    CABINET,
-    CADDY,
-    COMPARTMENT,
-    COOKIE_BOX,
-    CREAM_CHEESE,
-    DRAWER,
-    KETCHUP,
-    LEFT_PLATE,
-    MICROWAVE,
-    MILK,
-    MOKA,
-    MOKAS,
-    ORANGE_JUICE,
-    PLAIN_BOWL,
-    PLATE,
-    PUDDING,
-    RACK,
-    RAMEKIN,
-    RIGHT_PLATE,
-    SALAD_DRESSING,
-    SOUP,
-    STOVE,
-    TABLE_CENTER,
-    TOMATO_SAUCE,
-    TOP,
-    WINE,
-    YELLOW_MUG,
-)
+from training.grammar.things import *
 from training.grammar.words import COMMON
 
 # fmt: off
 # Lists of words are easier to read with several words to a line.
 
 def _carry_from(*, at: Templates, place: Templates = (), **entries: Templates) -> Grammar:
-    """Returns the grammar of a bowl that is carried from a position to the plate.
-
-    Args:
-        at: the position, as in "the bowl on the stove".
-        place: the position after "from", as in "take the bowl from the stove"; by default ``at``.
-        entries: further entries of the grammar."""
+    """Returns the grammar of a bowl that is carried to the plate from a position: `at` is as in
+    "the bowl on the stove", `place`, by default the same, as in "take the bowl from the stove"."""
     return {
         **COMMON, **CARRY_FROM, "at": at, "place": place or at, "cabinet": CABINET, "stove": STOVE,
         "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **entries,
@@ -129,10 +77,8 @@ TASKS: Mapping[str, tuple[str, Grammar]] = {
     "libero_spatial/0": (
         "pick up the black bowl between the plate and the ramekin and place it on the plate",
         _carry_from(at=(
-            "{between} the {plate} and the {ramekin}",
-            "{between} the {plate} and the {ramekin}",
-            "{between} the {plate} and the {ramekin}",
-            "{between} the {ramekin} and the {plate}",
+            "{between} the {plate} and the {ramekin}", "{between} the {plate} and the {ramekin}",
+            "{between} the {plate} and the {ramekin}", "{between} the {ramekin} and the {plate}",
             "{between} the {plate} and {ramekin}",
             "with the {plate} on one side and the {ramekin} on the other",
             "that has the {plate} on one side and the {ramekin} on the other",
@@ -153,10 +99,8 @@ TASKS: Mapping[str, tuple[str, Grammar]] = {
     "libero_spatial/2": (
         "pick up the black bowl from table center and place it on the plate",
         _carry_from(at=TABLE_CENTER, place=(
-            "the [center|centre|middle] of the [table|tabletop]",
-            "table [center|centre]",
-            "the table's [center|centre|middle]",
-            "the [center|centre|middle]",
+            "the [center|centre|middle] of the [table|tabletop]", "table [center|centre]",
+            "the table's [center|centre|middle]", "the [center|centre|middle]",
         )),
     ),
     "libero_spatial/3": (
@@ -174,15 +118,12 @@ TASKS: Mapping[str, tuple[str, Grammar]] = {
         _carry_from(at=(
             "[in|inside|within|inside of] the {top} {drawer} of the {cabinet}",
             "[in|inside|within] the {top} {drawer} of the {cabinet}",
-            "[in|inside] the {top} {drawer}",
-            "[in|inside] the {cabinet}'s {top} {drawer}",
-            "[in|inside] the {drawer} at the top of the {cabinet}",
-            "[in|inside] the {drawer}",
+            "[in|inside] the {top} {drawer}", "[in|inside] the {cabinet}'s {top} {drawer}",
+            "[in|inside] the {drawer} at the top of the {cabinet}", "[in|inside] the {drawer}",
             "[in|inside] the open {drawer} of the {cabinet}",
             "[in|inside] the {drawer} of the {cabinet}",
             "[in|inside] the {top} {drawer} [in|on] the {cabinet}",
-            "[in|inside] the open {top} {drawer}",
-            "[in|inside] the {cabinet}",
+            "[in|inside] the open {top} {drawer}", "[in|inside] the {cabinet}",
         ), place=(
             "the {top} {drawer} of the {cabinet}", "inside the {top} {drawer} of the {cabinet}",
             "the {top} {drawer}", "the {cabinet}'s {top} {drawer}", "within the {drawer}",
@@ -314,16 +255,11 @@ TASKS: Mapping[str, tuple[str, Grammar]] = {
         {**COMMON, **PUT_AND_CLOSE,
          "y": ("the {bowl}", "the {bowl}", "the {bowl}", "that {bowl}", "a {bowl}"),
          "x": (
-             "the {bottom} {drawer} of the {cabinet}",
-             "the {bottom} {drawer} of the {cabinet}",
-             "the {bottom} {drawer}",
-             "the {cabinet}'s {bottom} {drawer}",
-             "the {drawer} at the bottom",
-             "the {drawer} at the bottom of the {cabinet}",
-             "the {bottom} {drawer} [in|on|at] the {cabinet}",
-             "the {bottom} one of the drawers",
-             "the {bottom} {cabinet} {drawer}",
-             "the open {bottom} {drawer}",
+             "the {bottom} {drawer} of the {cabinet}", "the {bottom} {drawer} of the {cabinet}",
+             "the {bottom} {drawer}", "the {cabinet}'s {bottom} {drawer}",
+             "the {drawer} at the bottom", "the {drawer} at the bottom of the {cabinet}",
+             "the {bottom} {drawer} [in|on|at] the {cabinet}", "the {bottom} one of the drawers",
+             "the {bottom} {cabinet} {drawer}", "the open {bottom} {drawer}",
              "the {cabinet} {drawer} at the bottom",
          ),
          "it": (
@@ -351,27 +287,20 @@ TASKS: Mapping[str, tuple[str, Grammar]] = {
         _carry(BOOK, (
             "{in} the {back} {compartment} of the {caddy}",
             "{in} the {back} {compartment} of the {caddy}",
-            "{in} the {back} {compartment} of the {caddy}",
-            "{in} the {back} {compartment}",
-            "{in} the {caddy}'s {back} {compartment}",
-            "{in} the {back} of the {caddy}",
+            "{in} the {back} {compartment} of the {caddy}", "{in} the {back} {compartment}",
+            "{in} the {caddy}'s {back} {compartment}", "{in} the {back} of the {caddy}",
             "{in} the {compartment} at the [back|rear] of the {caddy}",
-            "{in} the {compartment} at the [back|rear]",
-            "{in} the {caddy}, at the [back|rear]",
-            "{in} the {caddy}'s back",
-            "{in} the {back} {compartment} [in|on|inside] the {caddy}",
-            "at the [back|rear] of the {caddy}",
-            "{in} the {caddy}, in the {back} {compartment}",
+            "{in} the {compartment} at the [back|rear]", "{in} the {caddy}, at the [back|rear]",
+            "{in} the {caddy}'s back", "{in} the {back} {compartment} [in|on|inside] the {caddy}",
+            "at the [back|rear] of the {caddy}", "{in} the {caddy}, in the {back} {compartment}",
         ),
                (
-                   "to the {back} {compartment} of the {caddy}",
-                   "to the {back} of the {caddy}",
+                   "to the {back} {compartment} of the {caddy}", "to the {back} of the {caddy}",
                    "to the {caddy}'s {back} {compartment}",
                ),
                caddy=CADDY, back=BACK, compartment=COMPARTMENT,
                do=(
-                   *CARRY["do"],
-                   "[slide|insert|file|tuck|slip|stand|fit|slot] {x} {to}",
+                   *CARRY["do"], "[slide|insert|file|tuck|slip|stand|fit|slot] {x} {to}",
                    "{take} {x} {then} [slide|insert|slip|slot|tuck|fit] it {to}",
                ),
                doing=(*CARRY["doing"], "[sliding|inserting|slipping|fitting] {x} {to}")),

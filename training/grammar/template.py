@@ -1,7 +1,5 @@
 """The types of which a grammar consists."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 Templates = Sequence[str]

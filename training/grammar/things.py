@@ -1,7 +1,5 @@
 """Names of objects and places, without an article."""
 
-from __future__ import annotations
-
 from training.grammar.template import Templates
 
 # fmt: off
@@ -59,18 +57,12 @@ STOVE: Templates = (
 )
 TABLE_CENTER: Templates = (
     "[in|at|from|on] [the|] [center|centre|middle] of the [table|tabletop|table top|desk|surface|"
-    "workspace]",
-    "[in|at|from|on] table [center|centre]",
+    "workspace]", "[in|at|from|on] table [center|centre]",
     "[in|at|from] the table's [center|centre|middle]",
-    "[in|at|from] the [table|tabletop] [center|centre|middle]",
-    "in the [center|centre|middle]",
+    "[in|at|from] the [table|tabletop] [center|centre|middle]", "in the [center|centre|middle]",
     "at the central [spot|position|place|part|point|location|area] [of|on] the table",
-    "in the middle area of the table",
-    "from the center",
-    "centered on the table",
-    "at the middle point of the table",
-    "in the central area",
-    "midway on the table",
+    "in the middle area of the table", "from the center", "centered on the table",
+    "at the middle point of the table", "in the central area", "midway on the table",
     "from the middle part of the table",
 )
 BASKET: Templates = (

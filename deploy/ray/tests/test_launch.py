@@ -1,7 +1,5 @@
 """The launcher on a Ray cluster of several nodes in this machine, with real programs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

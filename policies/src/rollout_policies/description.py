@@ -44,15 +44,9 @@ class State(enum.Enum):
 
 
 _SIZES = {
-    State.EEF_POS: 3,
-    State.EEF_QUAT_XYZW: 4,
-    State.EEF_AXIS_ANGLE: 3,
-    State.EEF_ROTATION: 9,
-    State.JOINT_POS: 7,
-    State.JOINT_VEL: 7,
-    State.GRIPPER_POS: 2,
-    State.GRIPPER_VEL: 2,
-}
+    State.EEF_POS: 3, State.EEF_QUAT_XYZW: 4, State.EEF_AXIS_ANGLE: 3, State.EEF_ROTATION: 9,
+    State.JOINT_POS: 7, State.JOINT_VEL: 7, State.GRIPPER_POS: 2, State.GRIPPER_VEL: 2,
+}  # fmt: skip
 
 
 class Language(enum.Enum):
@@ -209,9 +203,7 @@ class Description:
     @classmethod
     def from_message(cls, message: pb.DescribeResponse) -> Description:
         """Returns the description that a server sent. The server's actions follow LIBERO's gripper
-        convention.
-
-        Raises ValueError if it is inconsistent."""
+        convention. Raises ValueError if it is inconsistent."""
         return cls(
             name=message.name,
             horizon=message.horizon,

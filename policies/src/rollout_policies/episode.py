@@ -98,9 +98,8 @@ class UnusableObservation(ValueError):
 def read_observation(
     message: pb.Observation, episode: Episode, query_index: int, description: Description
 ) -> Observation:
-    """Checks an observation against the description and unpacks it.
-
-    Raises UnusableObservation, which names the missing or misshapen input."""
+    """Checks an observation against the description and unpacks it. Raises UnusableObservation,
+    which names the missing or misshapen input."""
     frames = {image.camera: image for image in message.images}
     readings = {reading.field: reading for reading in message.state}
     images = {}

@@ -81,13 +81,9 @@ class UnusableDescription(TypeError):
 
 #: Methods that the server calls, with the names of their arguments.
 _CALLS = {
-    "reset": ("episode",),
-    "infer": ("observation",),
-    "infer_batch": ("observations",),
-    "prepare": ("observation",),
-    "end": ("episode",),
-    "warm_up": (),
-}
+    "reset": ("episode",), "infer": ("observation",), "infer_batch": ("observations",),
+    "prepare": ("observation",), "end": ("episode",), "warm_up": (),
+}  # fmt: skip
 
 
 def require_methods(policy_class: type[Policy]) -> None:

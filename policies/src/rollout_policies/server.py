@@ -125,10 +125,8 @@ def serve(
     Prints the resolved settings to stderr, warms the policy up, and prints the address as one line
     to stdout. `tls` holds the files of a certificate chain and its key; `token_file` has a line
     `ROLE TOKEN` for each accepted token (or ROLLOUT_TOKENS has these lines). An address that other
-    machines can reach needs both, or `insecure`.
-
-    Raises UnusableDescription, UnguardedAddress, AccessError, CannotListen, and
-    exceptions of the warm-up."""
+    machines can reach needs both, or `insecure`. Raises UnusableDescription, UnguardedAddress,
+    AccessError, CannotListen, and exceptions of the warm-up."""
     description = description_of(policy)
     credentials, tokens = require_servable(listen, tls, token_file, insecure)
     for line in description.lines():

@@ -4,14 +4,12 @@ both simulators. Also reads the name of the original's OpenGL renderer.
 usage: checks.py record TASK FILE    records the scripted expert's actions in rollout_libero
        checks.py replay TASK FILE    replays these actions in the installed `libero`; prints JSON"""
 
-from __future__ import annotations
-
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stand_ins import prepare
 
 #: Largest number of control steps that the expert has for a task.
 MAX_STEPS = 300
@@ -22,14 +20,11 @@ SUCCESS_STEPS = 2
 #: Index of the initial state.
 _STATE = 0
 NO_OP = [0.0] * 6 + [-1.0]
-#: Number of steps after a reset in which objects settle.
-SETTLING = 10
 READINGS = ("robot0_joint_pos", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 
 
 def main() -> None:
     """Runs the command line."""
-    prepare()
     work, task, file = sys.argv[1:]
     if work == "record":
         np.save(file, record_actions(task))
@@ -40,6 +35,8 @@ def main() -> None:
 
 def record_actions(task: str) -> np.ndarray:
     """Returns the scripted expert's actions until shortly after success, [steps, 7]."""
+    from rollouts import SETTLING
+
     import rollout_libero
 
     envs = rollout_libero.VectorEnvironment(
@@ -61,7 +58,8 @@ def record_actions(task: str) -> np.ndarray:
 def replay(task: str, actions: np.ndarray) -> dict[str, Any]:
     """Executes actions. Returns the robot's readings per step, the steps of success and of the
     robot's first contact, and the renderer."""
-    from rollouts import task_files
+    # The import prepares the process for the original, so the program compare.py does not make it.
+    from rollouts import SETTLING, task_files
 
     from libero.libero.envs import OffScreenRenderEnv
 
@@ -88,10 +86,8 @@ def replay(task: str, actions: np.ndarray) -> dict[str, Any]:
 
 
 def touches(env: Any) -> bool | None:
-    """Returns True if the robot touches another body; None without robosuite, as in the shim."""
-    try:
-        from robosuite.utils import binding_utils  # noqa: F401
-    except ImportError:
+    """Returns True if the robot touches another body; None in the shim."""
+    if not _is_original():
         return None
     model, data = env.sim.model, env.sim.data
     for number in range(data.ncon):
@@ -105,13 +101,18 @@ def touches(env: Any) -> bool | None:
     return False
 
 
+def _is_original() -> bool:
+    import libero
+
+    return not Path(str(libero.__file__)).with_name("_absent.py").exists()
+
+
 def _renderer() -> str | None:
     """Returns the name of the current OpenGL renderer; None without one."""
-    try:
-        import robosuite  # noqa: F401
-        from OpenGL import GL
-    except ImportError:
+    if not _is_original():
         return None
+    from OpenGL import GL
+
     name = GL.glGetString(GL.GL_RENDERER)
     return name.decode() if name else None
 

@@ -9,14 +9,9 @@ both simulators need must be in both `FOLDERS`, or installed in Python's environ
 uses LIBERO_CONFIG_PATH, and rollout_libero uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are
 written after every run, so that an interrupted comparison keeps the results of its complete runs.
 
-Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
-a chunk. S, the shim with every frame read. S+, the shim with only the last frames of chunks read:
-it renders only frames that are read. V, all environments in one process: in RLinf by
-`rollout_libero.rlinf`, which users name in RLINF_EXT_MODULE; otherwise by a TrainingEnvironment in
-place of SimpleVLA-RL's processes. RLinf reads every frame, so its S+ equals S.
-"""
-
-from __future__ import annotations
+Arms: O, the original, rendering through EGL. S, the shim. V, all environments in one process: in
+RLinf by `rollout_libero.rlinf`, which users name in RLINF_EXT_MODULE; otherwise by a
+TrainingEnvironment in place of SimpleVLA-RL's processes."""
 
 import argparse
 import itertools
@@ -25,17 +20,16 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import checks
 import report
-from rollouts import SETTLING
-from stand_ins import LAST_OF_CHUNK
 
 HERE = Path(__file__).resolve().parent
-ARMS = {"rlinf": ("O", "O'", "S", "V"), "simplevla": ("O", "O'", "S", "S+", "V")}
+FRAMEWORKS, ARMS = ["rlinf", "simplevla"], ["O", "S", "V"]
+#: Longest duration of one arm, s.
+LIMIT_SECS = 3600
 #: Largest number of environments of a framework: RLinf starts each in a different one of a task's
 #: 50 states, and SimpleVLA-RL runs few at a time.
 MAX_ENVIRONMENTS = {"rlinf": 50, "simplevla": 16}
@@ -45,29 +39,18 @@ def main() -> int:
     """Runs the command line."""
     flags = arguments()
     flags.out.mkdir(parents=True, exist_ok=True)
-    end = time.monotonic() + 60 * flags.minutes
     results: dict[str, Any] = {"machine": report.machine(), "command": sys.argv[1:], "runs": []}
     results["checks"] = fairness(flags) if flags.checks else {}
     report.write(results, flags.out)
-    longest: dict[Any, float] = {}
-    for round_number, (framework, count), task in itertools.product(
-        range(1, flags.rounds + 1), sizes(flags.environments, flags.frameworks), flags.tasks
-    ):
-        scenario = {"framework": framework, "task": task, "environments": count}
-        arms = [arm for arm in ARMS[framework] if arm in flags.arms]
-        keys = {arm: (framework, task, count, arm) for arm in arms}
-        # A round has all of its arms or none, so that all are measured under the same conditions.
-        # The factor 1.1 leaves a margin over the longest durations so far.
-        if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
-            print(f"{scenario}, round {round_number}: skipped for lack of time", flush=True)
-            continue
-        for arm, key in keys.items():
-            start = time.monotonic()
-            measured = measure(flags, framework, arm, task, count, end - start)
-            longest[key] = max(longest.get(key, 0.0), time.monotonic() - start)
-            results["runs"].append({**scenario, "arm": arm, "round": round_number, **measured})
-            print(f"{key}, round {round_number}: {json.dumps(measured)}", flush=True)
-            report.write(results, flags.out)
+    for round_number, (framework, count), task, arm in itertools.product(
+        range(1, flags.rounds + 1), sizes(flags.environments, flags.frameworks), flags.tasks,
+        flags.arms,
+    ):  # fmt: skip
+        run = {"framework": framework, "task": task, "environments": count, "arm": arm}
+        run |= {"round": round_number, **measure(flags, framework, arm, task, count)}
+        results["runs"].append(run)
+        print(json.dumps(run), flush=True)
+        report.write(results, flags.out)
     print(report.markdown(results))
     fair = all(task["same_motion"] and task["same_success"] for task in results["checks"].values())
     return 0 if fair else 1
@@ -87,8 +70,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--original-python", default=sys.executable)
     parser.add_argument("--shim-python", default=sys.executable)
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
-    parser.add_argument("--frameworks", nargs="+", default=list(ARMS), choices=list(ARMS))
-    parser.add_argument("--arms", nargs="+", default=["O", "O'", "S", "S+", "V"])
+    parser.add_argument("--frameworks", nargs="+", default=FRAMEWORKS, choices=FRAMEWORKS)
+    parser.add_argument("--arms", nargs="+", default=ARMS)
     parser.add_argument("--tasks", nargs="+", default=["libero_goal/8"])
     parser.add_argument(
         "--environments",
@@ -105,14 +88,7 @@ def arguments() -> argparse.Namespace:
         default=["none", "sleep:100"],
         help="none or sleep:MS; with PyTorch and an accelerator also card:MS or busy",
     )
-    parser.add_argument(
-        "--shared-reset",
-        action="store_true",
-        help="reset once per process: each policy continues the rollout of the previous policy, and"
-        " the time of the reset counts for every policy",
-    )
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--minutes", type=float, default=24 * 60.0, help="largest duration")
     parser.add_argument("--no-checks", dest="checks", action="store_false")
     parser.add_argument("--gl", default="egl", help="MUJOCO_GL of the original")
     return parser.parse_args()
@@ -135,20 +111,15 @@ def fairness(flags: argparse.Namespace) -> dict[str, Any]:
 
 
 def measure(
-    flags: argparse.Namespace, framework: str, arm: str, task: str, count: int, limit_secs: float
+    flags: argparse.Namespace, framework: str, arm: str, task: str, count: int
 ) -> dict[str, Any]:
-    """Runs one arm for at most `limit_secs`. Returns the measurements of `measure.py`, or an
-    error."""
+    """Runs one arm. Returns the measurements of `measure.py`, or an error."""
     python = flags.original_python if arm.startswith("O") else flags.shim_python
     command = [python, HERE / "measure.py", framework, arm, task]
     command += ["--environments", count, "--chunk", flags.chunk, "--steps", flags.steps]
     command += ["--policies", *flags.policies]
-    command += ["--shared-reset"] if flags.shared_reset else []
-    variables = environment(flags, arm)
-    if arm == "O'":
-        variables[LAST_OF_CHUNK] = f"{SETTLING[framework]}:{flags.chunk}"
     try:
-        return call(command, variables, limit_secs)
+        return call(command, environment(flags, arm), LIMIT_SECS)
     except RuntimeError as error:
         return {"error": str(error)}
 
@@ -174,10 +145,8 @@ def environment(flags: argparse.Namespace, arm: str) -> dict[str, str]:
 
 
 def call(command: list[Any], variables: dict[str, str], limit_secs: float) -> Any:
-    """Runs a program in a new session; returns the JSON of its last line.
-
-    Raises:
-        RuntimeError: with the end of the program's messages, if it fails or exceeds the limit."""
+    """Runs a program in a new session; returns the JSON of its last line. Raises RuntimeError with
+    the end of the program's messages, if it fails or exceeds the limit."""
     process = subprocess.Popen(
         [str(word) for word in command],
         env=variables,

@@ -1,43 +1,32 @@
 """Rollouts in frameworks: RLinf's `LiberoEnv`; SimpleVLA-RL's loop, with a process for each
-environment; and the rollouts of that loop as rows of a `TrainingEnvironment` in one process."""
+environment; and the rollouts of that loop as rows of a `TrainingEnvironment` in one process. Each
+class has `reset`, which starts rollouts and executes their settling steps, `chunk`, which executes
+actions [environments, steps, 7] and receives the last observation, and `close`."""
 
-from __future__ import annotations
-
-import functools
-import importlib
+import importlib.util
 import multiprocessing
-import os
 import pickle
 import sys
+import types
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+# The file prepares a process for the import of RLinf's unmodified files.
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "shim"))
+from rl_rollouts import rlinf_env
+
+# The original imports PyTorch, and does not call it in these rollouts.
+if importlib.util.find_spec("torch") is None:
+    sys.modules["torch"] = types.ModuleType("torch")
+
 #: Side of a frame, pixels.
 SIDE = 256
-#: Settling steps at the start of a rollout, by framework.
-SETTLING = {"rlinf": 15, "simplevla": 10}
+#: Settling steps at the start of a rollout of SimpleVLA-RL.
+SETTLING = 10
 _NO_OP = [0.0] * 6 + [-1.0]
-
-
-class Rollouts(Protocol):
-    """Environments of a framework. `loop` names the code that runs them."""
-
-    loop: str
-
-    def reset(self) -> None:
-        """Starts a rollout in each environment, and executes its settling steps."""
-
-    def chunk(self, actions: np.ndarray) -> None:
-        """Executes a chunk of actions, [environments, steps, 7], and receives the observation after
-        the last step."""
-
-    def close(self) -> None:
-        """Ends all processes."""
 
 
 class RLinf:
@@ -46,34 +35,18 @@ class RLinf:
     With `together`, `rollout_libero.rlinf` simulates all environments in this process."""
 
     def __init__(self, task: str, count: int, steps: int, *, together: bool) -> None:
-        from omegaconf import OmegaConf
-
-        module = importlib.import_module("rlinf.envs.libero.libero_env")
-        if together:
-            importlib.import_module("rollout_libero.rlinf").register()
         suite, number = task.split("/")
-        settings = {
-            "task_suite_name": suite,
-            "task_id_filter": [int(number)],
-            "seed": 11,
-            "group_size": 1,
-            "use_fixed_reset_state_ids": True,
-            "use_ordered_reset_state_ids": True,
-            "specific_reset_id": None,
-            "ignore_terminations": True,
-            "auto_reset": False,
-            "is_eval": False,
-            "use_rel_reward": True,
-            "use_step_penalty": False,
-            "reward_coef": 1.0,
-            "max_episode_steps": 10 * steps,
-            "reset_gripper_open": True,
-            "video_cfg": {"save_video": False},
-            "init_params": {"camera_heights": SIDE, "camera_widths": SIDE},
-        }
         self._count = count
-        self.loop = str(module.LiberoEnv.__module__)
-        self._env = module.LiberoEnv(OmegaConf.create(settings), count, 0, 1, None)
+        self._env = rlinf_env(
+            count,
+            together,
+            suite,
+            SIDE,
+            task_id_filter=[int(number)],
+            use_ordered_reset_state_ids=True,
+            ignore_terminations=True,
+            max_episode_steps=10 * steps,
+        )
 
     def reset(self) -> None:
         self._env.is_start = True
@@ -95,43 +68,27 @@ class RLinf:
 
 
 class SimpleVLA:
-    """Processes of SimpleVLA-RL: a new process is forked for each rollout.
+    """Processes as in SimpleVLA-RL: a new process is forked for each rollout, and sends the
+    observation at the end of each chunk through a queue."""
 
-    The processes send the observation at the end of each chunk through a queue. They run the
-    framework's own `env_worker` if `ROLLOUT_FRAMEWORKS` names a folder with a checkout
-    `SimpleVLA-RL`, otherwise `_roll_out`, the same loop. With `every_frame`, the frames of every
-    step are read, not only those that are sent."""
-
-    def __init__(self, task: str, count: int, *, every_frame: bool) -> None:
+    def __init__(self, task: str, count: int) -> None:
         # Imported before the processes are forked, as the framework does.
-        from libero.libero.envs import env_wrapper
+        from libero.libero.envs import env_wrapper  # noqa: F401
 
         self._task = task
         self._count = count
         self._context = multiprocessing.get_context("fork")
         self._started: list[tuple[Any, Any, Any]] = []
         self._states = len(task_files(task)[1])
-        self._work = _env_worker()
-        if every_frame:
-            for method in ("reset", "set_init_state", "step"):
-                _read_frames_of(env_wrapper.ControlEnv, method)
-
-    @property
-    def loop(self) -> str:
-        """The loop that runs in the processes."""
-        if self._work is _roll_out:
-            return "a loop like SimpleVLA-RL's"
-        return str(self._work.__module__)
 
     def reset(self) -> None:
         self.close()
-        suite, number = self._task.split("/")
-        config = SimpleNamespace(model_family="openvla", num_steps_wait=SETTLING["simplevla"])
         for at in range(self._count):
             actions, answers = self._context.Queue(), self._context.Queue()
-            start = (suite, int(number), at % self._states, config, actions, answers)
             process = self._context.Process(
-                target=_run_and_report_failure, args=(self._work, answers, *start), daemon=True
+                target=_run_and_report_failure,
+                args=(self._task, at % self._states, actions, answers),
+                daemon=True,
             )
             process.start()
             self._started.append((process, actions, answers))
@@ -162,16 +119,12 @@ class SimpleVLA:
 class Rows:
     """SimpleVLA-RL's rollouts as rows of `TrainingEnvironment`, in this process."""
 
-    loop = "TrainingEnvironment"
-
     def __init__(self, task: str, count: int) -> None:
         from rollout_libero.training import Start, TrainingEnvironment
 
         bddl, states = task_files(task)
         self._starts = [Start(bddl, states[at % len(states)]) for at in range(count)]
-        self._envs = TrainingEnvironment(
-            count, height=SIDE, width=SIDE, settle_steps=SETTLING["simplevla"]
-        )
+        self._envs = TrainingEnvironment(count, height=SIDE, width=SIDE, settle_steps=SETTLING)
 
     def reset(self) -> None:
         self._envs.reset(self._starts)
@@ -185,37 +138,22 @@ class Rows:
         self._envs.close()
 
 
-def _env_worker() -> Callable[..., None]:
-    """Returns SimpleVLA-RL's `env_worker`, or `_roll_out` if there is no checkout."""
-    checkout = Path(os.environ.get("ROLLOUT_FRAMEWORKS") or "/nowhere") / "SimpleVLA-RL"
-    if not checkout.is_dir():
-        return _roll_out
-    sys.path.insert(0, str(checkout))
-    work: Callable[..., None] = importlib.import_module(
-        "verl.workers.rollout.rob_rollout"
-    ).env_worker
-    return work
-
-
-def _run_and_report_failure(work: Callable[..., None], answers: Any, *start: Any) -> None:
+def _run_and_report_failure(task: str, trial: int, actions: Any, answers: Any) -> None:
     try:
-        # Arguments: no validation, training step 0, and practically no limit of steps.
-        work(*start, False, 0, 1 << 30)
+        _roll_out(task, trial, actions, answers)
     except Exception as error:
         answers.put(f"{type(error).__name__}: {error}")
 
 
-def _roll_out(
-    suite: str, number: int, trial: int, config: Any, actions: Any, answers: Any, *_rest: Any
-) -> None:
+def _roll_out(task: str, trial: int, actions: Any, answers: Any) -> None:
     from libero.libero.envs import OffScreenRenderEnv
 
-    bddl, states = task_files(f"{suite}/{number}")
+    bddl, states = task_files(task)
     env = OffScreenRenderEnv(bddl_file_name=bddl, camera_heights=SIDE, camera_widths=SIDE)
     env.seed(0)
     env.reset()
     observation = env.set_init_state(states[trial])
-    for _ in range(config.num_steps_wait):
+    for _ in range(SETTLING):
         observation, *_ = env.step(_NO_OP)
     answers.put({"obs": observation})
     while (chunk := actions.get()) is not None:
@@ -223,21 +161,7 @@ def _roll_out(
             observation, *_ = env.step(action.tolist())
         answers.put({"obs": observation})
     env.close()
-    answers.put({"type": "terminate"})
-
-
-def _read_frames_of(environment: Any, method: str) -> None:
-    """Changes a method of an environment class so that it reads all frames of the observation that
-    it returns."""
-    call = getattr(environment, method)
-
-    @functools.wraps(call)
-    def read(*arguments: Any, **named: Any) -> Any:
-        result = call(*arguments, **named)
-        dict(result[0] if method == "step" else result)
-        return result
-
-    setattr(environment, method, read)
+    answers.put(None)
 
 
 def task_files(task: str) -> tuple[str, np.ndarray]:

@@ -12,15 +12,8 @@ _MODULES = {
         f"libero.libero.utils.{module}": "only time_utils of LIBERO's utilities is included; get "
         f"folders from libero.libero.get_libero_path and videos from imageio; {_USE} otherwise"
         for module in (
-            "bddl_generation_utils",
-            "benchmark_utils",
-            "dataset_utils",
-            "download_utils",
-            "mu_utils",
-            "object_utils",
-            "task_generation_utils",
-            "utils",
-            "video_utils",
+            "bddl_generation_utils", "benchmark_utils", "dataset_utils", "download_utils",
+            "mu_utils", "object_utils", "task_generation_utils", "utils", "video_utils",
         )
     },
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
@@ -28,19 +21,11 @@ _MODULES = {
         f"libero.libero.envs.{module}": "the environment's sim, get_object and parsed_problem "
         f"describe its simulation; {_USE} otherwise"
         for module in (
-            "arenas",
-            "base_object",
-            "object_states",
-            "objects",
-            "predicates",
-            "problems",
-            "regions",
-            "robots",
-            "textures",
-            "utils",
+            "arenas", "base_object", "object_states", "objects", "predicates", "problems",
+            "regions", "robots", "textures", "utils",
         )
     },
-}
+}  # fmt: skip
 
 
 class AbsentModules:

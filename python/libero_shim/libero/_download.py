@@ -26,4 +26,4 @@ def command(arguments: Sequence[str] | None = None) -> list[str]:
 def main() -> int:
     """Fetches the assets and returns the exit status."""
     module = [sys.executable, "-m", "rollout_libero"]
-    return subprocess.run([*module, *command()], check=False).returncode
+    return subprocess.run([*module, *command()]).returncode

@@ -190,9 +190,7 @@ def certificates(tmp_path_factory):
 
 
 def openssl(folder, command):
-    done = subprocess.run(
-        ["openssl", *command.split()], cwd=folder, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(["openssl", *command.split()], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

@@ -8,12 +8,7 @@ import threading
 import pytest
 
 from rollout_client import Client
-from rollout_client.errors import (
-    AccessDeniedError,
-    CoordinatorError,
-    SettingsError,
-    UnreachableError,
-)
+from rollout_client.errors import AccessDeniedError, SettingsError, UnreachableError
 
 from .conftest import specification
 
@@ -180,8 +175,3 @@ def test_a_waiting_client_gets_its_answer_when_the_coordinator_starts(
         waiting.join(60)
     assert len(answers) == 1
     assert "refused" in caplog.text and "trying again for 60 s" in caplog.text
-
-
-def test_every_error_is_a_coordinator_error():
-    kinds = (AccessDeniedError, SettingsError, UnreachableError)
-    assert all(issubclass(kind, CoordinatorError) for kind in kinds)

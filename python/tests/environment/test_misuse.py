@@ -41,30 +41,6 @@ def test_a_closed_environment_raises_closed_error(make):
             use()
 
 
-def test_messages_begin_with_failed_to_and_a_verb(make, make_vector):
-    environment = make()
-
-    def closed():
-        environment.close()
-        environment.reset()
-
-    misuses = [
-        lambda: environment.step(np.zeros(7)),
-        lambda: environment.reset(options={"init_state": 50}),
-        lambda: rollout_libero.Environment("libero_goal/99"),
-        lambda: rollout_libero.Environment("libero_goal/0", assets="/nowhere"),
-        lambda: rollout_libero.Environment("libero_goal/0", cameras=["behind"]),
-        lambda: rollout_libero.Environment("libero_goal/0", assets="primitives", renderer="crayon"),
-        lambda: rollout_libero.VectorEnvironment([]),
-        lambda: make_vector().step(np.zeros(7)),
-        lambda: rollout_libero.Schedule("dawdle", "libero_goal/0", 0),
-        closed,
-    ]
-    for misuse in misuses:
-        with pytest.raises(Exception, match=r"\Afailed to [a-z]+ ?"):
-            misuse()
-
-
 def test_two_threads_in_one_environment_raise_busy_error(make):
     environment = make(height=512, width=512)
     environment.reset()
@@ -136,7 +112,7 @@ def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
     program = "import rollout_libero; rollout_libero.Environment('libero_goal/0', 'primitives')"
     done = subprocess.run(
         [sys.executable, "-c", program],
-        env=environment, capture_output=True, text=True, check=False,
+        env=environment, capture_output=True, text=True,
     )
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]

@@ -3,8 +3,6 @@
 Scripts that run with the original and with the shim import this module. With the shim, the module
 changes nothing."""
 
-from __future__ import annotations
-
 import importlib.util
 from typing import Any
 

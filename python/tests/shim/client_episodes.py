@@ -3,8 +3,6 @@
 The script runs with the shim and with the original. `CLIENT_PACKAGES` names a folder of packages,
 which Python searches after its own packages."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pickle

@@ -1,7 +1,6 @@
 """Locations of the references for the shim's tests."""
 
-from __future__ import annotations
-
+import importlib
 import os
 import sys
 import tempfile
@@ -35,6 +34,36 @@ def real_assets() -> Path:
     if folder is None:
         pytest.skip("LIBERO's assets cannot be fetched")
     return folder
+
+
+@pytest.fixture(scope="module")
+def clients() -> str:
+    """The Python of an environment with PyTorch and clients of LIBERO."""
+    path = os.environ.get("ROLLOUT_CLIENTS")
+    if not path or not Path(path).exists():
+        pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
+    return path
+
+
+@pytest.fixture(scope="module")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with only the packages under test."""
+    folder = tmp_path_factory.mktemp("packages")
+    for name in ("rollout_libero", "libero", "liberoplus"):
+        package = importlib.import_module(name)
+        (folder / name).symlink_to(Path(str(package.__file__)).parent)
+    return folder
+
+
+@pytest.fixture
+def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of LIBERO's configuration, which does not exist yet."""
+    from libero.libero import paths
+
+    file = tmp_path / "config.yaml"
+    monkeypatch.setattr(paths, "config_file", str(file))
+    monkeypatch.setattr(paths, "libero_config_path", str(tmp_path))
+    return file
 
 
 @pytest.fixture

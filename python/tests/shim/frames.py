@@ -1,7 +1,5 @@
 """Permitted differences of frames from the original's, as in docs/dev/FIDELITY.md."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

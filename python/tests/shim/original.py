@@ -3,8 +3,6 @@
 `ROLLOUT_ORIGINAL` names the Python of an environment with the original (hf-libero 0.1.4, robosuite
 1.4.0, MuJoCo 3.3.7) and its assets."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess
@@ -40,7 +38,6 @@ def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
             capture_output=True,
             text=True,
             timeout=MINUTES * 60,
-            check=False,
         )
         assert done.returncode == 0, f"{script} {arguments} with {python}:\n{done.stderr[-4000:]}"
         return pickle.loads(out.read_bytes())

@@ -3,8 +3,7 @@
 
 For a framework that is in no package index, `FRAMEWORK_SOURCES` names the folder of a checkout."""
 
-from __future__ import annotations
-
+import functools
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -29,7 +28,7 @@ Rollouts = dict[str, Any]
 SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
 #: Packages for policies and training that the frameworks' files import but do not call here.
 _REPLACED = (
-    *("codetiming", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
+    *("codetiming", "cv2", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
 )
 
@@ -76,9 +75,9 @@ sys.meta_path.insert(0, _PlainFolders())
 sys.meta_path.append(_StandIns())
 
 
-def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollouts:
-    """Runs two resets, with two chunks each, of two environments."""
-    import torch
+def rlinf_env(count: int, together: bool, suite: str, size: int, **settings: Any) -> Any:
+    """Returns RLinf's `LiberoEnv`. If `together`, `rollout_libero.rlinf` simulates all environments
+    in this process."""
     from omegaconf import OmegaConf
 
     # RLinf's own logger needs Ray.
@@ -88,28 +87,34 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
     module = importlib.import_module("rlinf.envs.libero.libero_env")
     if together:
         importlib.import_module("rollout_libero.rlinf").register()
-    cfg = OmegaConf.create(
-        {
-            "task_suite_name": suite,
-            "seed": 11,
-            "group_size": 1,
-            "use_fixed_reset_state_ids": True,
-            "use_ordered_reset_state_ids": False,
-            "specific_reset_id": None,
-            "ignore_terminations": False,
-            "auto_reset": False,
-            "is_eval": False,
-            "use_rel_reward": True,
-            "use_step_penalty": False,
-            "reward_coef": 1.0,
-            "max_episode_steps": 16,
-            "reset_gripper_open": True,
-            "video_cfg": {"save_video": False},
-            "init_params": {"camera_heights": SIZE, "camera_widths": SIZE},
-            **settings,
-        }
-    )
-    env = module.LiberoEnv(cfg, 2, 0, 1, None)
+    cfg = {
+        "task_suite_name": suite,
+        "seed": 11,
+        "group_size": 1,
+        "use_fixed_reset_state_ids": True,
+        "use_ordered_reset_state_ids": False,
+        "specific_reset_id": None,
+        "ignore_terminations": False,
+        "auto_reset": False,
+        "is_eval": False,
+        "use_rel_reward": True,
+        "use_step_penalty": False,
+        "reward_coef": 1.0,
+        "max_episode_steps": 16,
+        "reset_gripper_open": True,
+        "video_cfg": {"save_video": False},
+        "init_params": {"camera_heights": size, "camera_widths": size},
+        **settings,
+    }
+    return module.LiberoEnv(OmegaConf.create(cfg), count, 0, 1, None)
+
+
+def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollouts:
+    """Runs two resets, with two chunks each, of two environments."""
+    import torch
+
+    env = rlinf_env(2, together, suite, SIZE, **settings)
+    is_filmed = "video_cfg" in settings
     rng = np.random.default_rng(2)
     outputs: list[Any] = []
     start = time.perf_counter()
@@ -120,7 +125,7 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
         for _ in range(2):
             chunk = torch.from_numpy(rng.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
             *results, infos = env.chunk_step(chunk)
-            observed = results[0] if cfg.video_cfg.save_video else results[0][-1]
+            observed = results[0] if is_filmed else results[0][-1]
             outputs.append([observed, *results[1:], infos[-1].get("episode")])
             outputs.append(len(results[0]))
         env.update_reset_state_ids()
@@ -128,32 +133,6 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
     env.env.close()
     tasks = [str(task) for task in env.task_descriptions]
     return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": seconds}
-
-
-def rlinf_of_130() -> Rollouts:
-    """Runs `rlinf` with the tasks of all suites, numbered consecutively in the suites' order."""
-    return rlinf(suite="libero_130", specific_reset_id=None)
-
-
-def rlinf_together() -> Rollouts:
-    """Runs `rlinf` with all environments in one process."""
-    return rlinf(together=True)
-
-
-def rlinf_auto_reset() -> Rollouts:
-    return rlinf(auto_reset=True)
-
-
-def rlinf_auto_reset_together() -> Rollouts:
-    return rlinf(together=True, auto_reset=True)
-
-
-def rlinf_evaluated() -> Rollouts:
-    return rlinf(auto_reset=True, is_eval=True, use_rel_reward=False)
-
-
-def rlinf_evaluated_together() -> Rollouts:
-    return rlinf(together=True, auto_reset=True, is_eval=True, use_rel_reward=False)
 
 
 def rlinf_plus(together: bool = False) -> Rollouts:
@@ -179,10 +158,6 @@ def rlinf_plus(together: bool = False) -> Rollouts:
         use_fixed_reset_state_ids=False,
         auto_reset=True,
     )
-
-
-def rlinf_plus_together() -> Rollouts:
-    return rlinf_plus(together=True)
 
 
 def _task(i: int) -> tuple[str, Any]:
@@ -304,14 +279,6 @@ def ript_vla() -> Rollouts:
     return {"outputs": as_arrays(outputs), "tasks": [], "seconds": seconds}
 
 
-def rlinf_recorded() -> Rollouts:
-    return rlinf(video_cfg={"save_video": True})
-
-
-def rlinf_recorded_together() -> Rollouts:
-    return rlinf(together=True, video_cfg={"save_video": True})
-
-
 def as_arrays(value: Any) -> Any:
     if hasattr(value, "detach"):
         return value.detach().cpu().numpy()
@@ -322,31 +289,24 @@ def as_arrays(value: Any) -> Any:
     return value
 
 
-FRAMEWORKS: dict[str, Callable[[], Rollouts]] = {
-    framework.__name__: framework
-    for framework in (
-        rlinf,
-        rlinf_together,
-        rlinf_of_130,
-        rlinf_auto_reset,
-        rlinf_auto_reset_together,
-        rlinf_evaluated,
-        rlinf_evaluated_together,
-        rlinf_recorded,
-        rlinf_recorded_together,
-        rlinf_plus,
-        rlinf_plus_together,
-        simplevla_rl,
-        verl_vla,
-        vlarl,
-        siirl,
-        ript_vla,
-    )
+#: Settings of RLinf by the name of a run; the name with `_together` is a run in one process.
+RLINF: dict[str, dict[str, Any]] = {
+    "rlinf": {},
+    "rlinf_auto_reset": {"auto_reset": True},
+    "rlinf_evaluated": {"auto_reset": True, "is_eval": True, "use_rel_reward": False},
+    "rlinf_recorded": {"video_cfg": {"save_video": True}},
+    # The tasks of all suites, numbered consecutively in the suites' order.
+    "rlinf_of_130": {"suite": "libero_130"},
+}
+FRAMEWORKS: dict[str, Callable[..., Rollouts]] = {
+    **{name: functools.partial(rlinf, **settings) for name, settings in RLINF.items()},
+    **{run.__name__: run for run in (rlinf_plus, simplevla_rl, verl_vla, vlarl, siirl, ript_vla)},
 }
 
 if __name__ == "__main__":
     framework, out = sys.argv[1:]
     sys.path[:0] = filter(None, [os.environ.get("FRAMEWORK_SOURCES")])
-    rollouts = FRAMEWORKS[framework]()
+    name = framework.removesuffix("_together")
+    rollouts = FRAMEWORKS[name](together=True) if name != framework else FRAMEWORKS[name]()
     with open(out, "wb") as file:
         pickle.dump(rollouts, file)

@@ -2,8 +2,6 @@
 
 Each scenario is a list of labelled values, which `test_original.py` compares."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle
@@ -260,32 +258,11 @@ def details() -> Log:
         ("contacts", bool(domain.check_contact(domain.objects[0]))),
         ("reward", domain.reward()),
     ]  # fmt: skip
-    for array in (
-        "cam_pos",
-        "cam_quat",
-        "cam_fovy",
-        "light_pos",
-        "site_rgba",
-        "geom_size",
-        "jnt_range",
-    ):
+    of_model = "cam_pos cam_quat cam_fovy light_pos site_rgba geom_size jnt_range"
+    for array in of_model.split():
         log.append((array, np.array(getattr(sim.model, array))))
-    for array in (
-        "qpos",
-        "qvel",
-        "ctrl",
-        "body_xpos",
-        "body_xquat",
-        "body_xmat",
-        "xipos",
-        "site_xpos",
-        "site_xmat",
-        "geom_xpos",
-        "geom_xmat",
-        "cam_xpos",
-        "cam_xmat",
-        "qfrc_bias",
-    ):
+    of_bodies = "qpos qvel ctrl body_xpos body_xquat body_xmat xipos site_xpos site_xmat"
+    for array in f"{of_bodies} geom_xpos geom_xmat cam_xpos cam_xmat qfrc_bias".split():
         log.append((array, np.array(getattr(sim.data, array))))
     joint = domain.objects[0].joints[-1]
     moved = np.array(sim.data.get_joint_qpos(joint)) + [0.02, 0, 0, 0, 0, 0, 0]

@@ -1,8 +1,6 @@
 """Environments without a scene. They are in a separate module, which the environments' processes
 import too."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -7,9 +7,6 @@ touches something, and similar afterwards.
 clients.txt (`cargo xtask test` creates the environment if it can). If `ROLLOUT_ORIGINAL` has the
 same version of Python, it also imports the clients from that environment."""
 
-from __future__ import annotations
-
-import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -18,9 +15,8 @@ import numpy as np
 import pytest
 from frames import RENDERED_HERE, assert_close_frames
 from original import original_python, run, run_original
+from reference import put_into_basket
 
-import libero
-import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 
@@ -30,15 +26,6 @@ SUITE, TASK = "libero_object", 0
 UNTOUCHED = 34
 # Grasps amplify rounding errors, so success may come this number of steps earlier or later.
 SUCCESS_STEPS = 2
-
-
-@pytest.fixture(scope="module")
-def clients() -> str:
-    """Returns the Python of the clients' environment."""
-    python = os.environ.get("ROLLOUT_CLIENTS")
-    if not python or not Path(python).exists():
-        pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
-    return python
 
 
 @pytest.fixture(scope="module")
@@ -54,41 +41,13 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
     env.set_init_state(suite.get_task_init_states(TASK)[0])
     for _ in range(10):
         observation, *_ = env.step([0.0] * 6 + [-1.0])
-    target = env.obj_of_interest[0]
-    position, basket = observation[f"{target}_pos"], observation["basket_1_pos"]
-    above, lifted = position + [0, 0, 0.12], position + [0, 0, 0.25]
-    open_, closed = -1.0, 1.0
-    # Steps, position of the hand, m, and gripper.
-    plan = [
-        (22, above, open_),
-        (20, position, open_),
-        (8, position, closed),
-        (15, lifted, closed),
-        (30, basket + [0, 0, 0.3], closed),
-        (10, basket + [0, 0, 0.2], closed),
-        (35, basket + [0, 0, 0.2], open_),
-    ]
-    executed = []
-    for steps, goal, gripper in plan:
-        for _ in range(steps):
-            towards = np.clip((goal - observation["robot0_eef_pos"]) / 0.05, -1, 1)
-            # Clients convert actions to single precision.
-            executed.append(np.float32([*towards, 0, 0, 0, gripper]))
-            observation, _, done, _ = env.step(executed[-1])
+    episode = list(put_into_basket(env, observation))
+    _, (_, _, done, _) = episode[-1]
     assert done, "the script did not put the object into the basket"
     env.close()
     path = tmp_path_factory.mktemp("episode") / "actions.npy"
-    np.save(path, np.array(executed))
+    np.save(path, np.array([action for action, _ in episode]))
     return path
-
-
-@pytest.fixture(scope="module")
-def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with only the packages under test."""
-    folder = tmp_path_factory.mktemp("packages")
-    for package in (rollout_libero, libero):
-        (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
-    return folder
 
 
 @pytest.mark.parametrize("client", CLIENTS)

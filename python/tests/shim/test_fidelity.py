@@ -1,7 +1,5 @@
 """Compares the shim with recordings of the original: 23 tasks, two initial states each."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

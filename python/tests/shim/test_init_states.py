@@ -1,7 +1,5 @@
 """Malformed files of initial states are refused."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import pickle

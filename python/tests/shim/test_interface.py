@@ -1,7 +1,5 @@
 """The shim's own behaviour: folders, suites, misuse and several environments."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess
@@ -39,14 +37,6 @@ def env(bddl_file: str) -> Any:
     constructed.close()
 
 
-@pytest.fixture
-def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    file = tmp_path / "config.yaml"
-    monkeypatch.setattr(paths, "config_file", str(file))
-    monkeypatch.setattr(paths, "libero_config_path", str(tmp_path))
-    return file
-
-
 def test_a_problem_evaluates_any_predicate(env: Any) -> None:
     problem = env.env
     goals = problem.parsed_problem["goal_state"]
@@ -75,7 +65,6 @@ def test_importing_needs_no_input_configuration_or_heavy_package(tmp_path: Path)
         capture_output=True,
         text=True,
         timeout=300,
-        check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
     assert not settings.exists()

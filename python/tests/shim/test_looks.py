@@ -1,7 +1,5 @@
 """Both looks of one scene, from the worker, the environments and LIBERO's own interface."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

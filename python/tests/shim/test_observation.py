@@ -1,8 +1,6 @@
 """Pictures of observations are drawn when they are read. However and whenever an observation is
 read, copied or sent, its pictures equal pictures drawn at once, bit for bit."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import pickle

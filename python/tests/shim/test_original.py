@@ -1,7 +1,5 @@
 """The same scenarios, run with the shim and with the original, have the same results."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

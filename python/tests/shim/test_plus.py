@@ -1,8 +1,6 @@
 """LIBERO-Plus' package: suites, environments compared with recordings of LIBERO-Plus' own code, and
 the imports and calls of RLinf with `LIBERO_TYPE=plus`."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

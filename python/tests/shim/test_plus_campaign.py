@@ -2,8 +2,6 @@
 the worker's rollouts of the student, in variants of each dimension for which LIBERO's assets
 suffice."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -65,7 +63,7 @@ def rollouts(
 
     def worker(*arguments: Any) -> subprocess.CompletedProcess[str]:
         command = list(map(str, (programs / "worker", *arguments)))
-        return subprocess.run(command, capture_output=True, text=True, check=False)
+        return subprocess.run(command, capture_output=True, text=True)
 
     fetched = worker("assets", "fetch", "--suite", "libero-plus")
     if fetched.returncode:

@@ -1,8 +1,6 @@
 """LIBERO-Plus in one process, called as RLinf calls environments in subprocesses. Rollouts must
 equal those of `liberoplus` environments that each have their own global generator."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

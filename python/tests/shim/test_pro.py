@@ -1,7 +1,5 @@
 """LIBERO-PRO's package, imported and called as RLinf does with `LIBERO_TYPE=pro`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Errors and the end of the processes of `SubprocVectorEnv`."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from typing import Any

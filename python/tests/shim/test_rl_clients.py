@@ -4,8 +4,6 @@ RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py). 
 are in no package index: `ROLLOUT_FRAMEWORKS` names a folder with their checkouts, each named after
 its repository."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess
@@ -15,32 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import libero
-import liberoplus
-import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 
 SCRIPT = Path(__file__).with_name("rl_rollouts.py")
 SUITE, SIZE = "libero_spatial", 64
-
-
-@pytest.fixture(scope="module")
-def python() -> str:
-    """The Python of an environment with PyTorch."""
-    path = os.environ.get("ROLLOUT_CLIENTS")
-    if not path or not Path(path).exists():
-        pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
-    return path
-
-
-@pytest.fixture(scope="module")
-def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with only the packages under test."""
-    folder = tmp_path_factory.mktemp("packages")
-    for package in (rollout_libero, libero, liberoplus):
-        (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
-    return folder
 
 
 def roll_out(python: str, shim: Path, out: Path, framework: str, sources: Path | None) -> Any:
@@ -57,7 +34,6 @@ def roll_out(python: str, shim: Path, out: Path, framework: str, sources: Path |
         capture_output=True,
         text=True,
         timeout=600,
-        check=False,
     )
     assert done.returncode == 0, f"{framework}: {done.stdout[-2000:]}{done.stderr[-4000:]}"
     with open(file, "rb") as pickled:
@@ -74,7 +50,7 @@ def checkout(name: str) -> Path:
 def rlinf(python: str, installation: str) -> Path | None:
     if installation == "checkout":
         return checkout("RLinf")
-    if subprocess.run([python, "-c", "import rlinf"], capture_output=True, check=False).returncode:
+    if subprocess.run([python, "-c", "import rlinf"], capture_output=True).returncode:
         pytest.skip("RLinf is not among the clients")
     return None
 
@@ -98,11 +74,11 @@ def assert_same(ours: Any, theirs: Any, label: str) -> None:
     "kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded", "rlinf_plus"]
 )
 def test_rlinf_in_one_process_equals_rlinfs_processes(
-    kind: str, installation: str, python: str, shim: Path, tmp_path: Path
+    kind: str, installation: str, clients: str, shim: Path, tmp_path: Path
 ) -> None:
-    sources = rlinf(python, installation)
-    theirs = roll_out(python, shim, tmp_path, kind, sources)
-    ours = roll_out(python, shim, tmp_path, f"{kind}_together", sources)
+    sources = rlinf(clients, installation)
+    theirs = roll_out(clients, shim, tmp_path, kind, sources)
+    ours = roll_out(clients, shim, tmp_path, f"{kind}_together", sources)
     assert ours["tasks"] == theirs["tasks"]
     # Two resets, each with an observation, and with results and a count for each of two chunks.
     assert len(theirs["outputs"]) == 10
@@ -112,9 +88,9 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
 
 @pytest.mark.parametrize("installation", ["package", "checkout"])
 def test_rlinf_runs_tasks_of_all_suites(
-    installation: str, python: str, shim: Path, tmp_path: Path
+    installation: str, clients: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = roll_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, installation))
+    rollouts = roll_out(clients, shim, tmp_path, "rlinf_of_130", rlinf(clients, installation))
     instructions = {
         task.language
         for suite in benchmark.libero_suites
@@ -125,9 +101,9 @@ def test_rlinf_runs_tasks_of_all_suites(
 
 
 def test_simplevla_rl_rolls_out_in_a_forked_process(
-    python: str, shim: Path, tmp_path: Path
+    clients: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = roll_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
+    rollouts = roll_out(clients, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
     first, *steps = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     env = OffScreenRenderEnv(
@@ -156,9 +132,9 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
     ("framework", "name"), [("verl_vla", "verl-vla"), ("vlarl", "vlarl"), ("siirl", "siiRL")]
 )
 def test_a_frameworks_several_environments_equal_the_shims(
-    framework: str, name: str, python: str, shim: Path, tmp_path: Path
+    framework: str, name: str, clients: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = roll_out(python, shim, tmp_path, framework, checkout(name))
+    rollouts = roll_out(clients, shim, tmp_path, framework, checkout(name))
     initial, observations, rewards, dones, infos = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
@@ -197,8 +173,8 @@ def test_a_frameworks_several_environments_equal_the_shims(
     assert infos == [{"env_id": 0}, {"env_id": 1}]
 
 
-def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
-    rollouts = roll_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
+def test_ript_wraps_one_environment_and_several(clients: str, shim: Path, tmp_path: Path) -> None:
+    rollouts = roll_out(clients, shim, tmp_path, "ript_vla", checkout("ript-vla"))
     alone, several = rollouts["outputs"][:4], rollouts["outputs"][4:]
     # `reset_ori` returns an observation from before it sets the states; `reset` sets them first.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):

@@ -1,7 +1,5 @@
 """Frames that the processes of `SubprocVectorEnv` pass through shared memory."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle

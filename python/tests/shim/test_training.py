@@ -1,11 +1,10 @@
 """From equal starts, `TrainingEnvironment` gives the same bits as the shim's environments."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
+from reference import put_into_basket
 
 import rollout_libero
 from libero.libero import benchmark
@@ -94,25 +93,11 @@ def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvir
     file, states = task("libero_object", 0)
     start = Start(file, states[0], seed=7)
     env, from_shim = started_in_shim(start)
-    target = env.obj_of_interest[0]
-    position, basket = from_shim[f"{target}_pos"], from_shim["basket_1_pos"]
-    # Steps (144 in all, in chunks of 8), position of the hand, m, and gripper.
-    plan = [
-        (22, position + [0, 0, 0.12], -1.0),
-        (20, position, -1.0),
-        (8, position, 1.0),
-        (15, position + [0, 0, 0.25], 1.0),
-        (30, basket + [0, 0, 0.3], 1.0),
-        (10, basket + [0, 0, 0.2], 1.0),
-        (39, basket + [0, 0, 0.2], -1.0),
-    ]
     actions, expected = [], []
-    for steps, goal, gripper in plan:
-        for _ in range(steps):
-            towards = np.clip((goal - from_shim["robot0_eef_pos"]) / 0.05, -1, 1)
-            actions.append([*towards, 0, 0, 0, gripper])
-            from_shim, _, done, _ = env.step(actions[-1])
-            expected.append(done)
+    for action, (after, _, done, _) in put_into_basket(env, from_shim):
+        actions.append(action)
+        expected.append(done)
+        from_shim = after
     assert any(expected) and not expected[0], "the script did not put the object into the basket"
     envs.reset([start], rows=[0])
     successes = []

@@ -18,14 +18,9 @@ from .upstream import UnusableOption
 
 #: The module of each policy in the catalogue.
 MODULES = {
-    "pi05": "pi05",
-    "openvla-oft": "openvla_oft",
-    "univla": "univla",
-    "smolvla": "smolvla",
-    "vla-jepa": "vla_jepa",
-    "predvla": "predvla",
-    "minerva": "minerva",
-}
+    "pi05": "pi05", "openvla-oft": "openvla_oft", "univla": "univla", "smolvla": "smolvla",
+    "vla-jepa": "vla_jepa", "predvla": "predvla", "minerva": "minerva",
+}  # fmt: skip
 
 #: Policies whose noise is drawn outside the network, so that each query of a batch gets its own.
 BATCHING = ("pi05", "smolvla")
@@ -62,10 +57,8 @@ class Options:
 
 
 def load(name: str, options: Options) -> Policy:
-    """Loads a policy, ready to be served.
-
-    Raises UnknownPolicy, UnusableOption, NoCheckpoint, UpstreamMissing,
-    UnusableCheckpoint, or whatever the upstream package raises."""
+    """Loads a policy, ready to be served. Raises UnknownPolicy, UnusableOption, NoCheckpoint,
+    UpstreamMissing, UnusableCheckpoint, or whatever the upstream package raises."""
     listed = entry(name)
     _require_options(listed, options)
     module = importlib.import_module(f"{__name__}.{MODULES[name]}")
@@ -95,9 +88,8 @@ def _require_options(listed: Entry, options: Options) -> None:
 
 def executed_actions(listed: Entry, options: Options, *, chunk: int, from_checkpoint: int) -> int:
     """Returns the number of executed actions of a chunk: the command line's, else LIBERO-CTRL's for
-    the checkpoints of the catalogue, else `from_checkpoint`, the checkpoint's own.
-
-    Raises UnusableOption for a number that does not fit the chunk."""
+    the checkpoints of the catalogue, else `from_checkpoint`, the checkpoint's own. Raises
+    UnusableOption for a number that does not fit the chunk."""
     protocol = listed.execute if listed.lists(options.checkpoint) else None
     candidates = (options.execute, protocol, from_checkpoint)
     number = next(number for number in candidates if number is not None)

@@ -43,11 +43,9 @@ def camera_of_slot(
 
     `image_keys` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed`
     maps image names of the data set to slots, as recorded in the checkpoint; the data set's names
-    identify cameras better than slot names such as `camera1`.
-
-    Raises UnusableOption if `image_keys` names an unknown role or slot, or one slot twice;
-    UnusableCheckpoint, whose message has the flag to add, if the names do not determine the
-    cameras."""
+    identify cameras better than slot names such as `camera1`. Raises UnusableOption if `image_keys`
+    names an unknown role or slot, or one slot twice; UnusableCheckpoint, whose message has the flag
+    to add, if the names do not determine the cameras."""
     if image_keys:
         return _assigned_by_flag(slots, image_keys)
     assigned: dict[str, str] = {}

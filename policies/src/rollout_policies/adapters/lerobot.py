@@ -100,9 +100,8 @@ class LerobotModel:
         cls, entry: Entry, options: Options, *, kind: str | None = None, **overrides: Any
     ) -> LerobotModel:
         """Loads a checkpoint of lerobot's policy type `kind` (of any type if None) from a folder or
-        the hub; `overrides` replaces values of the checkpoint's configuration.
-
-        Raises UnusableCheckpoint if the policy would not run as it was trained."""
+        the hub; `overrides` replaces values of the checkpoint's configuration. Raises
+        UnusableCheckpoint if the policy would not run as it was trained."""
         name = options.checkpoint or entry.checkpoint_for(options.suite)
         configs = require("lerobot.configs.policies", entry)
         factory = require("lerobot.policies.factory", entry)
@@ -343,9 +342,8 @@ def _require_weights(network: Any, weights: Path, name: str) -> None:
 def _statistics(
     config: Any, preprocessor: Any, postprocessor: Any, slots: Mapping[str, str], with_state: bool
 ) -> list[str]:
-    """Returns a short text for each normalised feature and its statistics.
-
-    Raises UnusableCheckpoint if the actions are relative to the state or of another width, or if
+    """Returns a short text for each normalised feature and its statistics. Raises
+    UnusableCheckpoint if the actions are relative to the state or of another width, or if
     statistics are missing: lerobot would leave such a feature's numbers unchanged."""
     relative_steps = [step for step in preprocessor.steps if _is_of_type(step, "Relative")]
     if any(getattr(step, "enabled", False) for step in relative_steps):

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..catalogue import Entry
-from ..description import Camera, Description
-from ..episode import Episode, Observation
+from ..description import Camera
+from ..episode import Observation
 from ..policy import Policy
 from ..processing import jpeg
 from ..processing.actions import within_bounds
@@ -21,9 +21,10 @@ from ..processing.images import LANCZOS3, centre_crop, resize
 from ..processing.robot import STATE_FIELDS, gripper_from_rlds, state_vector
 from . import Options, executed_actions
 from .fetch import fetch
+from .of_suite import PolicyOfSuite
 from .prismatic import load_network, prompt, statistics_in
 from .statistics import STATE_WIDTH, require_statistics
-from .upstream import UnusableCheckpoint, digest, precision, require, require_suite
+from .upstream import UnusableCheckpoint, digest, precision, require
 from .weights import load_stored
 
 SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
@@ -101,41 +102,18 @@ class OftModel:
         return np.asarray(actions, dtype=np.float64)
 
 
-class OpenVlaOft(Policy):
+class OpenVlaOft(PolicyOfSuite):
     """Answers one chunk per query."""
 
     def __init__(
-        self,
-        entry: Entry,
-        model: OftModel,
-        *,
-        suite: str,
-        checkpoint: str,
-        weights: str = "",
-        execute: int = CHUNK,
-        settings: Mapping[str, str] | None = None,
+        self, entry: Entry, model: OftModel, *, execute: int = CHUNK, **loaded: Any
     ) -> None:
-        self.entry = entry
-        self.suite = suite
-        self.model = model
-        self.description = Description(
-            name=entry.name,
-            checkpoint=checkpoint,
-            checkpoint_digest=weights,
-            parameters=model.parameters,
-            cameras=(SCENE, WRIST),
-            state=STATE_FIELDS,
-            horizon=CHUNK,
-            execute=execute,
-            settings={
-                **(settings or {}),
-                "image slots": f"first={SCENE.name}, second={WRIST.name}",
-                "state slots": "proprio=eef_pos, eef_axis_angle, gripper_pos",
-            },
-        )
-
-    def reset(self, episode: Episode) -> None:
-        require_suite(self.entry, self.suite, episode)
+        slots = {
+            "image slots": f"first={SCENE.name}, second={WRIST.name}",
+            "state slots": "proprio=eef_pos, eef_axis_angle, gripper_pos",
+        }
+        inputs = {"cameras": (SCENE, WRIST), "state": STATE_FIELDS}
+        super().__init__(entry, model, slots, horizon=CHUNK, execute=execute, **inputs, **loaded)
 
     def prepare(self, observation: Observation) -> tuple[np.ndarray, ...]:
         return tuple(frame(observation.rotated(camera.name)) for camera in (SCENE, WRIST))

@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 
 from ..catalogue import Entry, NoCheckpoint
-from ..description import Camera, Description, State
+from ..description import Camera, State
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.images import BILINEAR, resize
 from . import Options, executed_actions
+from .of_suite import PolicyOfSuite
 from .statistics import DIGITS
-from .upstream import UnusableCheckpoint, UnusableOption, digest, precision, require, require_suite
+from .upstream import UnusableCheckpoint, UnusableOption, digest, precision, require
 from .weights import load_stored
 
 SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
@@ -34,15 +35,9 @@ SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
 SIDE = 128
 #: The correction's settings, as published.
 CORRECTION = {
-    "window": 40,
-    "n_itr": 10,
-    "lr": 0.05,
-    "er_w": 1.0,
-    "er_opt": "adam",
-    "er_lambda_v": 1.0,
-    "er_lambda_q": 1.0,
-    "a_init": "prior",
-}
+    "window": 40, "n_itr": 10, "lr": 0.05, "er_w": 1.0, "er_opt": "adam", "er_lambda_v": 1.0,
+    "er_lambda_q": 1.0, "a_init": "prior",
+}  # fmt: skip
 #: Number of compiled variants of a step that torch may keep, as upstream sets it.
 COMPILED_VARIANTS = 32
 
@@ -116,39 +111,19 @@ class PredvlaModel:
         return np.asarray(action[0], dtype=np.float64)
 
 
-class PredVla(Policy):
+class PredVla(PolicyOfSuite):
     """Answers one action per step."""
 
-    def __init__(
-        self,
-        entry: Entry,
-        model: PredvlaModel,
-        *,
-        suite: str,
-        checkpoint: str,
-        weights: str = "",
-        settings: Mapping[str, str] | None = None,
-    ) -> None:
-        self.entry = entry
-        self.suite = suite
-        self.model = model
-        self.description = Description(
-            name=entry.name,
-            checkpoint=checkpoint,
-            checkpoint_digest=weights,
-            parameters=model.parameters,
-            cameras=(SCENE, WRIST),
-            state=(State.JOINT_POS, State.GRIPPER_POS),
-            stateful=True,
-            settings={
-                **(settings or {}),
-                "image slots": f"agentview={SCENE.name}, eye={WRIST.name}",
-                "state slots": "q=joint_pos, gripper_pos",
-            },
-        )
+    def __init__(self, entry: Entry, model: PredvlaModel, **loaded: Any) -> None:
+        slots = {
+            "image slots": f"agentview={SCENE.name}, eye={WRIST.name}",
+            "state slots": "q=joint_pos, gripper_pos",
+        }
+        inputs = {"cameras": (SCENE, WRIST), "state": (State.JOINT_POS, State.GRIPPER_POS)}
+        super().__init__(entry, model, slots, stateful=True, **inputs, **loaded)
 
     def reset(self, episode: Episode) -> None:
-        require_suite(self.entry, self.suite, episode)
+        super().reset(episode)
         episode.memory = Memory(self.model.begin(episode.instruction))
 
     def infer(self, observation: Observation) -> np.ndarray:

@@ -27,9 +27,7 @@ def prompt(instruction: str) -> str:
 
 def statistics_key(suite: str, all_statistics: Mapping[str, Any]) -> str:
     """Returns the key of a suite's statistics. OpenVLA's data sets are named `libero_goal_no_noops`
-    if steps without motion were removed.
-
-    Raises UnusableCheckpoint if there are none."""
+    if steps without motion were removed. Raises UnusableCheckpoint if there are none."""
     for key in (suite, f"{suite}_no_noops"):
         if key in all_statistics:
             return key
@@ -41,9 +39,8 @@ def statistics_key(suite: str, all_statistics: Mapping[str, Any]) -> str:
 
 def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
     """Returns all statistics beside a checkpoint, a suite's key in them, and a short text on how
-    its actions are un-normalised.
-
-    Raises UnusableCheckpoint if the suite's actions have no statistics."""
+    its actions are un-normalised. Raises UnusableCheckpoint if the suite's actions have no
+    statistics."""
     file = folder / STATISTICS
     if not file.is_file():
         raise UnusableCheckpoint(

@@ -31,9 +31,8 @@ def require_statistics(
 ) -> str:
     """Checks that a feature's statistics for this normalisation mode exist, are finite, have a
     spread in at least one number, and have `width` numbers unless `width` is None. Returns a short
-    text: the feature's `title`, such as "actions", the mode and a digest.
-
-    Raises UnusableCheckpoint."""
+    text: the feature's `title`, such as "actions", the mode and a digest. Raises
+    UnusableCheckpoint."""
     if mode == "IDENTITY":
         return f"{title} not normalised"
     if mode not in NEEDED:

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from ..catalogue import Entry
-from ..description import Description
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.actions import Ensemble, from_bounds
@@ -26,9 +25,10 @@ from ..processing.images import resize_bilinear
 from ..processing.robot import gripper_from_rlds
 from . import Options, executed_actions
 from .fetch import fetch
+from .of_suite import PolicyOfSuite
 from .openvla_oft import CROP_AREA, SCENE, SIDE, frame
 from .prismatic import load_network, prompt, statistics_in
-from .upstream import UnusableCheckpoint, digest, precision, require, require_suite, seed_of
+from .upstream import UnusableCheckpoint, digest, precision, require, seed_of
 from .weights import load_stored
 
 #: Actions in a chunk, and the decay of older chunks' weights.
@@ -142,7 +142,7 @@ class UnivlaModel:
         return torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
 
 
-class UniVla(Policy):
+class UniVla(PolicyOfSuite):
     """One action per query, averaged from the current and earlier chunks."""
 
     def __init__(
@@ -151,38 +151,24 @@ class UniVla(Policy):
         model: UnivlaModel,
         statistics: Mapping[str, Any],
         *,
-        suite: str,
-        checkpoint: str,
-        weights: str = "",
         evaluation: str = "upstream",
-        settings: Mapping[str, str] | None = None,
+        **loaded: Any,
     ) -> None:
-        self.entry = entry
-        self.suite = suite
-        self.model = model
         self.statistics = statistics
         self.frame = FRAMES[evaluation]
         self.follows_study = evaluation == "study"
-        self.description = Description(
-            name=entry.name,
-            checkpoint=checkpoint,
-            checkpoint_digest=weights,
-            parameters=model.parameters,
-            cameras=(SCENE,),
-            stateful=True,
-            # In the study, every episode draws the same random numbers.
-            stochastic=not self.follows_study,
-            settings={
-                **(settings or {}),
-                "image slots": f"first={SCENE.name}",
-                "state slots": "none",
-                "chunk": f"{CHUNK}, averaged to 1",
-                "evaluation": evaluation,
-            },
-        )
+        slots = {
+            "image slots": f"first={SCENE.name}",
+            "state slots": "none",
+            "chunk": f"{CHUNK}, averaged to 1",
+            "evaluation": evaluation,
+        }
+        # In the study, every episode draws the same random numbers.
+        kind = {"stateful": True, "stochastic": not self.follows_study}
+        super().__init__(entry, model, slots, cameras=(SCENE,), **kind, **loaded)
 
     def reset(self, episode: Episode) -> None:
-        require_suite(self.entry, self.suite, episode)
+        super().reset(episode)
         episode.memory = Memory(generator=STUDY_SEED)
 
     def prepare(self, observation: Observation) -> tuple[np.ndarray]:

@@ -33,9 +33,8 @@ class WrongSuite(ValueError):
 
 
 def require(module: str, entry: Entry) -> ModuleType:
-    """Imports a module of the policy's upstream package.
-
-    Raises UpstreamMissing, whose message says what to install."""
+    """Imports a module of the policy's upstream package. Raises UpstreamMissing, whose message says
+    what to install."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

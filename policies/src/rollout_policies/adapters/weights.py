@@ -115,9 +115,7 @@ def require_loaded(
     part: str = "the network",
 ) -> None:
     """Compares a torch module with its stored tensors, which are torch tensors or those of
-    `stored_in`.
-
-    Raises UnusableCheckpoint, which names the differences."""
+    `stored_in`. Raises UnusableCheckpoint, which names the differences."""
     if differences := str(compare(network.state_dict(), stored, _is_equal, exceptions)):
         raise UnusableCheckpoint(
             f"checkpoint {checkpoint} was not loaded as it is stored. Tensors of {part}:"
@@ -130,9 +128,8 @@ def require_loaded(
 def load_stored(
     network: Any, tensors: Mapping[str, Any], checkpoint: str, part: str = "the network"
 ) -> None:
-    """Copies torch's tensors into a torch module and requires an exact match.
-
-    Raises UnusableCheckpoint, which names the tensors that do not fit."""
+    """Copies torch's tensors into a torch module and requires an exact match. Raises
+    UnusableCheckpoint, which names the tensors that do not fit."""
     # load_state_dict copies what fits before it raises; require_loaded has a better message.
     with contextlib.suppress(RuntimeError):
         network.load_state_dict(tensors)

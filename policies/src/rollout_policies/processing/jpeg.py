@@ -49,16 +49,11 @@ MIDDLE = 128
 SLOW_BITS = 13
 SLOW_HALF = np.array(
     [
-        [8192, 8192, 8192, 8192],
-        [11363, 9633, 6437, 2260],
-        [10703, 4433, -4433, -10703],
-        [9633, -2259, -11362, -6436],
-        [8192, -8192, -8192, 8192],
-        [6437, -11362, 2261, 9633],
-        [4433, -10704, 10704, -4433],
-        [2260, -6436, 9633, -11363],
+        [8192, 8192, 8192, 8192], [11363, 9633, 6437, 2260], [10703, 4433, -4433, -10703],
+        [9633, -2259, -11362, -6436], [8192, -8192, -8192, 8192], [6437, -11362, 2261, 9633],
+        [4433, -10704, 10704, -4433], [2260, -6436, 9633, -11363],
     ]
-)
+)  # fmt: skip
 MIRROR = np.where(np.arange(BLOCK) % 2, -1, 1)[:, None]
 #: The transform as floats, which NumPy multiplies faster than integers: all numbers are far below
 #: 2^53, so the products are exact.
@@ -83,9 +78,8 @@ def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
     """Returns a frame, uint8 [height, width, 3], after a JPEG round trip.
 
     Equals `tf.io.decode_image(tf.image.encode_jpeg(frame))`: quality 95, chroma at half the
-    resolution, the slow forward and the fast inverse transform.
-
-    Raises ValueError if a side is not a multiple of 16."""
+    resolution, the slow forward and the fast inverse transform. Raises ValueError if a side is not
+    a multiple of 16."""
     height, width, _ = frame.shape
     if height % UNIT or width % UNIT:
         raise ValueError(f"a frame of {width}x{height} is not a multiple of {UNIT}x{UNIT} pixels")

@@ -11,10 +11,6 @@ from libero.libero.paths import (
 )
 
 __all__ = [
-    "config_file",
-    "get_assets_path",
-    "get_default_path_dict",
-    "get_libero_path",
-    "libero_config_path",
-    "set_libero_default_path",
-]
+    "config_file", "get_assets_path", "get_default_path_dict", "get_libero_path",
+    "libero_config_path", "set_libero_default_path",
+]  # fmt: skip

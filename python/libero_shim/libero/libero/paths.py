@@ -25,10 +25,9 @@ def get_libero_path(query_key: str) -> str:
 
     The folder in the configuration file is used if it contains files, so that a configuration file
     of a removed installation does no harm. Otherwise the default folder is used, whose files are
-    fetched at first use.
-
-    Raises KeyError for another key that the configuration file lacks, FileNotFoundError if the
-    files are unavailable, ValueError if the configuration file is not YAML."""
+    fetched at first use. Raises KeyError for another key that the configuration file lacks,
+    FileNotFoundError if the files are unavailable, ValueError if the configuration file is not
+    YAML."""
     configured = _configured()
     if query_key not in _KEYS and query_key not in configured:
         raise KeyError(
@@ -54,10 +53,9 @@ def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
 
 def set_libero_default_path(custom_location: str | None = None) -> None:
     """Writes a configuration file for LIBERO's files in `custom_location`. If that is None or this
-    package's folder, removes the configuration file, so that the defaults apply again.
-
-    Raises FileNotFoundError if the folder has no `bddl_files`, because `get_libero_path` would
-    ignore such a folder."""
+    package's folder, removes the configuration file, so that the defaults apply again. Raises
+    FileNotFoundError if the folder has no `bddl_files`, because `get_libero_path` would ignore such
+    a folder."""
     if custom_location is None or _is_this_package(custom_location):
         Path(config_file).unlink(missing_ok=True)
         return
@@ -74,7 +72,6 @@ def set_libero_default_path(custom_location: str | None = None) -> None:
 
 def get_assets_path() -> str:
     """Returns the asset pack: `$ROLLOUT_ASSETS`, the configuration file's, or the fetched one.
-
     Raises FileNotFoundError, with the remedy, if there is none."""
     if os.environ.get("ROLLOUT_ASSETS"):
         return files.assets(None)

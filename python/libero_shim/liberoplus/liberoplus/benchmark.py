@@ -16,18 +16,10 @@ from liberoplus.liberoplus.files import UNCHANGED
 from rollout_libero._native import PlusPath, PlusVariant
 
 __all__ = [
-    "BENCHMARK_MAPPING",
-    "Benchmark",
-    "Task",
-    "get_benchmark",
-    "get_benchmark_dict",
-    "grab_language_from_filename",
-    "libero_suites",
-    "libero_task_map",
-    "print_benchmark",
-    "register_benchmark",
-    "task_maps",
-]
+    "BENCHMARK_MAPPING", "Benchmark", "Task", "get_benchmark", "get_benchmark_dict",
+    "grab_language_from_filename", "libero_suites", "libero_task_map", "print_benchmark",
+    "register_benchmark", "task_maps",
+]  # fmt: skip
 
 libero_suites = list(_libero.libero_suites)
 #: Names of the variants by suite (of LIBERO's tasks in `libero_90`), in the benchmark's order.
@@ -42,9 +34,7 @@ libero_task_map: dict[str, list[str]] = {
 def grab_language_from_filename(suite_name: str, x: str) -> str:
     """Returns the prompt of the variant with this file name: the words of the name, including the
     description of the change. If the change is of the instruction, returns the instruction in the
-    BDDL file, in lower case.
-
-    Raises FileNotFoundError if the task files cannot be fetched."""
+    BDDL file, in lower case. Raises FileNotFoundError if the task files cannot be fetched."""
     variant = PlusVariant.find(os.path.splitext(x)[0])
     if variant is None:
         return _libero.grab_language_from_filename(x)
@@ -108,9 +98,8 @@ class Benchmark(_libero.Benchmark):
     def get_task_init_states(self, i: int) -> Any:
         """A variant's initial states: a float64 array [states, 1 + nq + nv] of time, s, and joint
         positions and velocities. A variant that changes the objects' layout has one state; every
-        other variant has LIBERO's fifty states.
-
-        Raises FileNotFoundError for tasks of libero_90, for which LIBERO-Plus has no states."""
+        other variant has LIBERO's fifty states. Raises FileNotFoundError for tasks of libero_90,
+        for which LIBERO-Plus has no states."""
         name = self.tasks[i].name
         variant = PlusVariant.find(name)
         if variant is None:

@@ -9,19 +9,10 @@ from libero.libero.benchmark.registry import Registry, suite_class
 from liberopro.liberopro.files import SUITES
 
 __all__ = [
-    "BENCHMARK_MAPPING",
-    "Benchmark",
-    "Task",
-    "get_benchmark",
-    "get_benchmark_dict",
-    "grab_language_from_filename",
-    "libero_suites",
-    "libero_task_map",
-    "print_benchmark",
-    "register_benchmark",
-    "task_maps",
-    "task_orders",
-]
+    "BENCHMARK_MAPPING", "Benchmark", "Task", "get_benchmark", "get_benchmark_dict",
+    "grab_language_from_filename", "libero_suites", "libero_task_map", "print_benchmark",
+    "register_benchmark", "task_maps", "task_orders",
+]  # fmt: skip
 
 libero_suites = list(_libero.libero_suites)
 #: Suite → name of the task → task, in the benchmark's own order.

@@ -13,19 +13,10 @@ from libero.libero.benchmark.registry import Registry, suite_class
 from libero.libero.paths import get_libero_path
 
 __all__ = [
-    "BENCHMARK_MAPPING",
-    "Benchmark",
-    "Task",
-    "get_benchmark",
-    "get_benchmark_dict",
-    "grab_language_from_filename",
-    "libero_suites",
-    "libero_task_map",
-    "print_benchmark",
-    "register_benchmark",
-    "task_maps",
-    "task_orders",
-]
+    "BENCHMARK_MAPPING", "Benchmark", "Task", "get_benchmark", "get_benchmark_dict",
+    "grab_language_from_filename", "libero_suites", "libero_task_map", "print_benchmark",
+    "register_benchmark", "task_maps", "task_orders",
+]  # fmt: skip
 
 
 class Task(NamedTuple):

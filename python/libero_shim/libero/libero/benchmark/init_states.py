@@ -117,18 +117,14 @@ class _Encoded:
 
 
 _PERMITTED: dict[tuple[str, str], Any] = {
-    ("_codecs", "encode"): _Encoded,
-    ("collections", "OrderedDict"): _Hooks,
-    ("numpy", "dtype"): _Dtype,
-    ("numpy", "ndarray"): _ArrayClass,
+    ("_codecs", "encode"): _Encoded, ("collections", "OrderedDict"): _Hooks,
+    ("numpy", "dtype"): _Dtype, ("numpy", "ndarray"): _ArrayClass,
     ("numpy._core.multiarray", "_reconstruct"): _Array,
     ("numpy.core.multiarray", "_reconstruct"): _Array,
     ("numpy._core.numeric", "_frombuffer"): _from_buffer,
-    ("numpy.core.numeric", "_frombuffer"): _from_buffer,
-    ("torch", "DoubleStorage"): "<f8",
-    ("torch", "FloatStorage"): "<f4",
-    ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
-}
+    ("numpy.core.numeric", "_frombuffer"): _from_buffer, ("torch", "DoubleStorage"): "<f8",
+    ("torch", "FloatStorage"): "<f4", ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
+}  # fmt: skip
 
 
 class _Unpickler(pickle.Unpickler):
@@ -154,9 +150,8 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _check(content: bytes) -> None:
-    """Scans a pickle without executing it, since a few bytes can request a huge memo.
-
-    Raises ValueError if it has more operations or memo entries than an array needs."""
+    """Scans a pickle without executing it, since a few bytes can request a huge memo. Raises
+    ValueError if it has more operations or memo entries than an array needs."""
     for count, (operation, argument, _) in enumerate(pickletools.genops(content), 1):
         if count > _MOST_OPERATIONS:
             raise ValueError(f"its pickle has more than {_MOST_OPERATIONS} operations")
@@ -208,9 +203,7 @@ def load_init_states(path: str | os.PathLike[str]) -> Any:
     the numbers of one state.
 
     A file that holds tensors, as none of LIBERO's own files does, gives a tensor if PyTorch is
-    installed.
-
-    Raises FileNotFoundError; ValueError if the file holds no states."""
+    installed. Raises FileNotFoundError; ValueError if the file holds no states."""
     with open(path, "rb") as file:
         if other := _other_file(file.read(64).lstrip()):
             raise ValueError(f"{os.fspath(path)} holds no initial states: {other}")

@@ -12,14 +12,9 @@ from libero.libero.envs.env_wrapper import (
 from libero.libero.envs.venv import DummyVectorEnv, SubprocVectorEnv
 
 __all__ = [
-    "TASK_MAPPING",
-    "ControlEnv",
-    "DemoRenderEnv",
-    "DummyVectorEnv",
-    "OffScreenRenderEnv",
-    "SegmentationRenderEnv",
-    "SubprocVectorEnv",
-]
+    "TASK_MAPPING", "ControlEnv", "DemoRenderEnv", "DummyVectorEnv", "OffScreenRenderEnv",
+    "SegmentationRenderEnv", "SubprocVectorEnv",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -21,15 +21,9 @@ _ROBOT = "robot0"
 #: MuJoCo's object type numbers.
 _GEOM, _SITE = 5, 6
 _PROPRIOCEPTION = (
-    "joint_pos",
-    "joint_pos_cos",
-    "joint_pos_sin",
-    "joint_vel",
-    "eef_pos",
-    "eef_quat",
-    "gripper_qpos",
-    "gripper_qvel",
-)
+    "joint_pos", "joint_pos_cos", "joint_pos_sin", "joint_vel", "eef_pos", "eef_quat",
+    "gripper_qpos", "gripper_qvel",
+)  # fmt: skip
 
 __all__ = ["Observation", "Observer"]
 
@@ -78,9 +72,8 @@ class Observer:
         return [name for name in self.modalities if name not in self._left_out]
 
     def include(self, name: str, included: bool) -> None:
-        """Includes a key in observations or leaves it out. Omitted pictures are not drawn.
-
-        Raises KeyError."""
+        """Includes a key in observations or leaves it out. Omitted pictures are not drawn. Raises
+        KeyError."""
         if name not in self.modalities:
             raise KeyError(
                 f"nothing is observed as `{name}`: there are {', '.join(self.modalities)}"

@@ -16,17 +16,10 @@ F64 = NDArray[np.float64]
 _KINDS = ("body", "joint", "geom", "site", "camera", "light", "actuator", "sensor")
 #: MuJoCo's counts, each with an array that has this number of rows.
 _COUNTS = {
-    "nq": "qpos0",
-    "nv": "dof_bodyid",
-    "nu": "actuator_trntype",
-    "nbody": "body_parentid",
-    "njnt": "jnt_type",
-    "ngeom": "geom_type",
-    "nsite": "site_bodyid",
-    "ncam": "cam_fovy",
-    "nlight": "light_pos",
-    "nsensor": "sensor_type",
-}
+    "nq": "qpos0", "nv": "dof_bodyid", "nu": "actuator_trntype", "nbody": "body_parentid",
+    "njnt": "jnt_type", "ngeom": "geom_type", "nsite": "site_bodyid", "ncam": "cam_fovy",
+    "nlight": "light_pos", "nsensor": "sensor_type",
+}  # fmt: skip
 #: Numbers of positions and of velocities of a joint, by MuJoCo's joint type.
 _COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
 
@@ -283,7 +276,6 @@ class MjSim:
 
     def set_state_from_flattened(self, value: Any) -> None:
         """Writes a state [1 + nq + nv]. Call `forward` before reading values derived from it.
-
         Raises ValueError for a state of another scene."""
         simulation = self._handle.get()
         state = np.ascontiguousarray(value, dtype=np.float64)

@@ -27,9 +27,8 @@ _Result = TypeVar("_Result")
 
 def draw_numbers(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) -> _Result:
     """Draws from NumPy's global generator: calls `numbers` with the generator's state, and sets the
-    state that `numbers` returns. Returns the result of `numbers`.
-
-    Raises RuntimeError if the global generator is not of LIBERO's kind, MT19937."""
+    state that `numbers` returns. Returns the result of `numbers`. Raises RuntimeError if the global
+    generator is not of LIBERO's kind, MT19937."""
     with _drawing:
         state = np.random.get_state()
         if isinstance(state, dict):  # the state of a generator other than MT19937
@@ -45,9 +44,8 @@ def draw_numbers(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) 
 
 class SimulationHandle:
     """Handle of a simulation of a BDDL file's scene. `close` frees the simulation. All environments
-    of a scene share the compiled scene.
-
-    Raises FileNotFoundError if assets are missing; the message has the remedy."""
+    of a scene share the compiled scene. Raises FileNotFoundError if assets are missing; the message
+    has the remedy."""
 
     def __init__(
         self, bddl_file: str, change: PlusPath | None = None, look: str | None = None
@@ -62,9 +60,7 @@ class SimulationHandle:
         return self.get().scene
 
     def get(self) -> Simulation:
-        """The simulation.
-
-        Raises ClosedError."""
+        """The simulation. Raises ClosedError."""
         if self._simulation is None:
             raise ClosedError("the environment is closed: construct a new one to go on")
         return self._simulation

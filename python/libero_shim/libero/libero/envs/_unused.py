@@ -16,7 +16,6 @@ _warned: set[str] = set()
 def unused_cameras(known: Collection[str]) -> frozenset[str]:
     """Returns the cameras that the environment variable names. Warns once per camera that its
     frames are black, because a policy that does use the camera would fail without another sign.
-
     Raises ValueError for a camera that the scene (`known`) lacks."""
     names = (name.strip() for name in os.environ.get(VARIABLE, "").split(","))
     unused = frozenset(name for name in names if name)

@@ -53,9 +53,7 @@ class BDDLBaseDomain:
         since; by default `$ROLLOUT_LOOK`, else the first.
 
         Draws placements from NumPy's global generator, as LIBERO does. `reset` returns the first
-        observation.
-
-        Raises FileNotFoundError for a missing file or missing assets, and the
+        observation. Raises FileNotFoundError for a missing file or missing assets, and the
         exceptions of `Settings.check`."""
         self.bddl_file_name = existing_file(bddl_file_name)
         settings = Settings.check(robots=robots, **arguments)
@@ -123,9 +121,8 @@ class BDDLBaseDomain:
     def step(self, action: Any) -> tuple[Observation, float, bool, dict[str, Any]]:
         """One control step of 50 ms with 7 numbers: pose, and gripper (−1 opens, 1 closes).
 
-        Returns the observation, the reward, True if the goal holds, and an empty dictionary.
-
-        Raises ValueError for an invalid action, or if the episode is over."""
+        Returns the observation, the reward, True if the goal holds, and an empty dictionary. Raises
+        ValueError for an invalid action, or if the episode is over."""
         simulation = self._handle.get()
         if self.done:
             raise ValueError(

@@ -21,9 +21,8 @@ class ProblemInfo(TypedDict):
 
 
 def scan_tokens(filename: str | os.PathLike[str] | None = None, string: str | None = None) -> Any:
-    """Parses a BDDL file or text into nested lists of words in lower case.
-
-    Raises ValueError unless it is one definition with matching parentheses."""
+    """Parses a BDDL file or text into nested lists of words in lower case. Raises ValueError unless
+    it is one definition with matching parentheses."""
     if filename is not None:
         with open(filename, encoding="utf-8") as file:
             string = file.read()

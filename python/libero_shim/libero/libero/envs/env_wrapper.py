@@ -53,10 +53,8 @@ class ControlEnv:
         **kwargs: Any,
     ) -> None:
         """Reads the task's BDDL file and compiles its scene, once for all environments of the
-        scene. Sizes of frames are in pixels, `horizon` is in steps.
-
-        Raises FileNotFoundError for a missing file or missing assets,
-        NotImplementedError for features that only LIBERO has."""
+        scene. Sizes of frames are in pixels, `horizon` is in steps. Raises FileNotFoundError for a
+        missing file or missing assets, NotImplementedError for features that only LIBERO has."""
         with report_failure():
             self._construct(
                 bddl_file_name,
@@ -110,9 +108,7 @@ class ControlEnv:
 
     @property
     def env(self) -> BDDLBaseDomain:
-        """The task's simulation.
-
-        Raises ClosedError."""
+        """The task's simulation. Raises ClosedError."""
         if self._env is None:
             raise ClosedError("the environment is closed: construct a new one to go on")
         return self._env

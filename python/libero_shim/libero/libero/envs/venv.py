@@ -23,15 +23,9 @@ from numpy.typing import NDArray
 from libero.libero.envs import _shared_memory
 
 __all__ = [
-    "BaseVectorEnv",
-    "CloudpickleWrapper",
-    "DummyEnvWorker",
-    "DummyVectorEnv",
-    "EnvWorker",
-    "ShArray",
-    "SubprocEnvWorker",
-    "SubprocVectorEnv",
-]
+    "BaseVectorEnv", "CloudpickleWrapper", "DummyEnvWorker", "DummyVectorEnv", "EnvWorker",
+    "ShArray", "SubprocEnvWorker", "SubprocVectorEnv",
+]  # fmt: skip
 
 #: Attributes that are lists over the environments.
 GYM_RESERVED_KEYS = ["metadata", "reward_range", "spec", "action_space", "observation_space"]

@@ -13,14 +13,9 @@ from liberoplus.liberoplus.envs.env_wrapper import (
 )
 
 __all__ = [
-    "TASK_MAPPING",
-    "ControlEnv",
-    "DemoRenderEnv",
-    "DummyVectorEnv",
-    "OffScreenRenderEnv",
-    "SegmentationRenderEnv",
-    "SubprocVectorEnv",
-]
+    "TASK_MAPPING", "ControlEnv", "DemoRenderEnv", "DummyVectorEnv", "OffScreenRenderEnv",
+    "SegmentationRenderEnv", "SubprocVectorEnv",
+]  # fmt: skip
 
 for _module in (bddl_base_domain, bddl_utils, venv):
     sys.modules[f"{__name__}.{_module.__name__.rpartition('.')[2]}"] = _module
