@@ -1,5 +1,3 @@
-//! The axes of perturbation.
-
 use std::fmt;
 use std::str::FromStr;
 

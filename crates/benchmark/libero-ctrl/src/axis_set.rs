@@ -1,5 +1,3 @@
-//! Sets of axes that are perturbed together.
-
 use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
@@ -16,22 +14,17 @@ use crate::names::{UnknownName, serde_as_text};
 pub struct AxisSet(u8);
 
 impl AxisSet {
-    /// Empty set.
     pub const EMPTY: Self = Self(0);
-    /// Set of all six axes.
     pub const ALL: Self = Self((1 << Axis::ALL.len()) - 1);
 
-    /// Returns the set of one axis.
     pub const fn of(axis: Axis) -> Self {
         Self(1 << axis as u8)
     }
 
-    /// Returns the number of axes.
     pub const fn len(self) -> usize {
         self.0.count_ones() as usize
     }
 
-    /// Returns true if the set is empty.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -40,22 +33,18 @@ impl AxisSet {
         self.0 & (1 << axis as u8) != 0
     }
 
-    /// Returns true if the set is a subset of another; every set is a subset of itself.
     pub const fn is_subset(self, other: Self) -> bool {
         self.0 & other.0 == self.0
     }
 
-    /// Returns true if the set is a subset of another and not equal to it.
     pub const fn is_proper_subset(self, other: Self) -> bool {
         self.is_subset(other) && self.0 != other.0
     }
 
-    /// Returns the axes that are in either set.
     pub const fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// Returns the axes that are not in `other`.
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }

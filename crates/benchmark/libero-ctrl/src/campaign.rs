@@ -6,18 +6,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::axis_set::AxisSet;
 use crate::condition::{Condition, Realisation};
-use crate::design::{Design, DesignError, Nominal, select_tasks};
+use crate::design::{Design, DesignError, Nominal, Placebo, select_tasks};
 use crate::design_version::DesignVersion;
 use crate::directions::Directions;
 use crate::execution::Execution;
-use crate::explanation::Explanation;
 use crate::latency::AnyAxis;
 use crate::level::Level;
 use crate::look::Look;
 use crate::manifest;
 use crate::names::UnknownName;
-use crate::placebo::Placebo;
-use crate::policy_route::{PolicyRoute, Record};
 use crate::presets::PRESETS;
 use crate::row::ManifestRow;
 use crate::spec_error::{MAX_REPLICATES, SpecError};
@@ -40,15 +37,12 @@ use crate::wording::JsonError;
 pub struct CampaignSpec {
     /// Name, unique at a coordinator.
     pub name: String,
-    /// The policy that acts.
     pub policy: PolicyRoute,
-    /// The rollouts to run.
     pub rollouts: Rollouts,
     /// Source of the random elements of perturbations.
     pub realisation: Realisation,
     /// Number of runs of every rollout, each with a different policy seed.
     pub replicates: u32,
-    /// Rollouts to record on video.
     pub record: Record,
     /// Asset pack, renderer and look required of workers. The first result fixes them if they are
     /// unspecified.
@@ -75,9 +69,51 @@ pub enum Rollouts {
     SuiteFile(Box<SuiteFile>),
 }
 
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolicyRoute {
+    pub name: String,
+    /// URL of the gateway, or of the policy itself.
+    pub endpoint: String,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Record {
+    #[default]
+    None,
+    Failures,
+    /// Rollouts of configurations whose outcome changes under simultaneous perturbation,
+    /// and their nominal rollouts; replayed afterwards from the actions stored with every
+    /// rollout.
+    Transitions,
+    All,
+}
+
+/// Parameters of a campaign that explains another campaign: it runs subsets of the axes in
+/// configurations whose outcome changed under simultaneous perturbation. The explaining campaign
+/// starts without rows, because the subsets follow from the outcomes of both campaigns.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Explanation {
+    pub campaign: String,
+    /// Largest number of rollouts; `None` if every transition is explained.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<u32>,
+    /// Seed of the order in which transitions are explained.
+    #[serde(default)]
+    pub seed: u64,
+    /// True if every subset is run, not only the subsets needed to find the minimal subsets.
+    #[serde(default)]
+    pub exhaustive: bool,
+    /// Largest number of replicates that decide whether a subset succeeds, for a policy that
+    /// samples; `None` if one rollout decides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<u32>,
+}
+
 impl Rollouts {
-    /// Returns the name of the campaign whose outcomes determine the rollouts; `None` if the
-    /// specification itself determines the rollouts.
+    /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
     pub fn source(&self) -> Option<&str> {
         match self {
             Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => None,
@@ -109,7 +145,6 @@ impl Rollouts {
         }
     }
 
-    /// Sets the name of the campaign whose outcomes determine the rollouts.
     pub fn set_source(&mut self, name: &str) {
         match self {
             Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => {}
@@ -120,7 +155,6 @@ impl Rollouts {
 }
 
 impl CampaignSpec {
-    /// Parses and validates a specification.
     pub fn from_json(text: &str) -> Result<Self, SpecError> {
         let spec: Self = serde_json::from_str(text)
             .map_err(|error| SpecError::Json { problem: JsonError::from(error).to_string() })?;
@@ -128,7 +162,6 @@ impl CampaignSpec {
         Ok(spec)
     }
 
-    /// Validates constraints that the types do not express.
     pub fn check(&self) -> Result<(), SpecError> {
         let empty = |field, remedy| Err(SpecError::Empty { field, remedy });
         if self.name.is_empty() {
@@ -242,7 +275,6 @@ impl CampaignSpec {
         }
     }
 
-    /// Returns the version of the design that the rollouts belong to.
     pub fn version(&self) -> DesignVersion {
         let version = match &self.rollouts {
             Rollouts::Design(design) => design.version(),
@@ -256,7 +288,6 @@ impl CampaignSpec {
     }
 }
 
-/// Serialised form of a specification.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SpecText {
@@ -310,7 +341,6 @@ struct SpecText {
     execution: Option<Execution>,
 }
 
-/// Error in the combination of fields, an unknown task, or an invalid placebo radius.
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(
@@ -414,7 +444,6 @@ impl From<CampaignSpec> for SpecText {
     }
 }
 
-/// Rejects specifications with more than one source of rollouts.
 fn check_single_source(text: &SpecText) -> Result<(), TextError> {
     let written = [
         ("manifest", text.manifest.is_some()),
@@ -480,7 +509,7 @@ fn default_replicates() -> u32 {
     1
 }
 
-/// Returns true for the URL of a gRPC server, which is shown to everybody who may see the campaign.
+/// True for the URL of a gRPC server, which is shown to everybody who may see the campaign.
 fn is_endpoint(url: &str) -> bool {
     let is_of_host = |char: char| char.is_ascii_alphanumeric() || ".-_:[]".contains(char);
     url.split_once("://").is_some_and(|(scheme, host)| {

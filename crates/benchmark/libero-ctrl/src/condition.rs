@@ -11,12 +11,9 @@ use crate::names::{UnknownName, serde_as_text};
 /// Name of the condition of every rollout of LIBERO's family or of a suite file.
 const VARIANT: &str = "variant";
 
-/// Perturbed axes of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Condition {
-    /// Nominal rollout: no axis is perturbed.
     Clean,
-    /// One axis alone.
     Single(Axis),
     /// The latency axis, which no [`AxisSet`] contains: delayed responses without further
     /// perturbation.
@@ -32,8 +29,7 @@ pub enum Condition {
 }
 
 impl Condition {
-    /// Returns the condition that perturbs exactly these axes. All six axes are
-    /// [`Self::Combination`].
+    /// Returns the condition that perturbs exactly these axes; all six are [`Self::Combination`].
     pub fn of(axes: AxisSet) -> Self {
         let mut each = axes.axes();
         match (each.next(), each.next()) {
@@ -44,8 +40,7 @@ impl Condition {
         }
     }
 
-    /// Returns the axes of the protocol that the condition perturbs in a campaign of the given
-    /// axes.
+    /// Returns the protocol's axes that the condition perturbs in a campaign of the given axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
             Self::Clean | Self::Latency | Self::Variant => AxisSet::EMPTY,
@@ -125,7 +120,6 @@ pub enum Realisation {
 }
 
 impl Realisation {
-    /// Returns the name in campaigns and results.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Matched => "matched",

@@ -6,8 +6,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use crate::axis::Axis;
-use crate::axis::LATENCY;
+use crate::axis::{Axis, LATENCY};
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::design_version::DesignVersion;
@@ -15,7 +14,6 @@ use crate::directions::{Directions, MAX_CONFIGS};
 use crate::latency::{AnyAxis, delay_at};
 use crate::level::Level;
 use crate::names::UnknownName;
-use crate::placebo::{PLACEBO_RADII, Placebo};
 use crate::presets::PRESETS;
 use crate::row::MAX_ROWS;
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
@@ -27,8 +25,7 @@ pub struct Design {
     pub tasks: Vec<TaskRef>,
     /// Perturbed axes: each alone and, if there are two or more, all simultaneously.
     pub axes: Vec<Axis>,
-    /// True if the design has the latency axis, which delays the policy's responses and perturbs
-    /// nothing else.
+    /// True if the design has the latency axis, which only delays the policy's responses.
     pub latency: bool,
     /// Further conditions: proper subsets of two or more axes.
     pub subsets: Vec<AxisSet>,
@@ -36,7 +33,6 @@ pub struct Design {
     pub levels: Vec<Level>,
     /// Configurations: 0 to 9 are the protocol's presets; others are drawn.
     pub configs: Vec<u16>,
-    /// Nominal rollouts of the design.
     pub nominal: Nominal,
     /// Seed of the configurations beyond the presets, and of task-specific directions.
     pub seed: u64,
@@ -46,7 +42,6 @@ pub struct Design {
     pub placebo: Placebo,
 }
 
-/// Nominal rollouts of a design.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Nominal {
@@ -55,49 +50,28 @@ pub enum Nominal {
     All,
     /// The initial states of the design's configurations.
     Eval,
-    /// No nominal rollout.
     None,
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DesignError {
     #[error("`{field}` is empty, {remedy}")]
-    Empty {
-        field: &'static str,
-        /// Remedy: the value to write.
-        remedy: &'static str,
-    },
+    Empty { field: &'static str, remedy: &'static str },
     #[error("`{field}` has {given}, valid are {valid}")]
-    OutOfRange {
-        field: &'static str,
-        /// The number.
-        given: u64,
-        /// Valid range.
-        valid: String,
-    },
+    OutOfRange { field: &'static str, given: u64, valid: String },
     #[error(
         "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
          single axes and all at once always run"
     )]
-    Subset {
-        given: AxisSet,
-        /// The design's axes.
-        axes: AxisSet,
-    },
+    Subset { given: AxisSet, axes: AxisSet },
     #[error("`{field}` applies to the placebo level only: add L0 to `levels`, or remove `{field}`")]
     NoPlacebo { field: &'static str },
     #[error(
         "`placebo_radius` is {given}, valid are {} to {}", PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
-    PlaceboRadius {
-        /// The radius.
-        given: f64,
-    },
+    PlaceboRadius { given: f64 },
     #[error("`placebo_configs` has {given}, which is not in `configs`")]
-    PlaceboConfig {
-        /// The configuration.
-        given: u16,
-    },
+    PlaceboConfig { given: u16 },
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
          remove it from `axes`, or import a manifest with its own instructions"
@@ -150,7 +124,6 @@ impl Design {
         }
     }
 
-    /// Validates constraints that the types do not express.
     pub fn check(&self) -> Result<(), DesignError> {
         let empty = |field, remedy| Err(DesignError::Empty { field, remedy });
         if self.tasks.is_empty() {
@@ -231,24 +204,20 @@ impl Design {
         }
     }
 
-    /// Returns true if the design has the placebo level.
     pub fn has_placebo(&self) -> bool {
         self.levels.contains(&Level::L0)
     }
 
-    /// Returns true if the design runs a configuration at a level; only the placebo level may
-    /// exclude configurations.
+    /// Only the placebo level may exclude configurations.
     pub(crate) fn runs_config(&self, level: Level, config: u16) -> bool {
         level != Level::L0 || self.placebo.includes(config)
     }
 
-    /// Returns the axes of the specification: the protocol's and latency.
     pub fn any_axes(&self) -> Vec<AnyAxis> {
         let axes = self.axes.iter().copied().map(AnyAxis::Protocol);
         axes.chain(self.latency.then_some(AnyAxis::Latency)).collect()
     }
 
-    /// Sets the axes of the specification: the protocol's and latency.
     pub fn with_any_axes(mut self, axes: &[AnyAxis]) -> Self {
         self.latency = axes.contains(&AnyAxis::Latency);
         let protocol_axes = axes.iter().filter_map(|axis| match axis {
@@ -259,13 +228,11 @@ impl Design {
         self
     }
 
-    /// Returns true if the design runs a condition at a level. The placebo level has no latency
-    /// rollouts.
+    /// The placebo level has no latency rollouts.
     pub(crate) fn runs_condition(&self, condition: Condition, level: Level) -> bool {
         condition != Condition::Latency || level != Level::L0
     }
 
-    /// Returns the set of all axes of the design.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect()
     }
@@ -296,12 +263,10 @@ impl Design {
             self.effective_seed(),
         ));
         let mut text = text.expect("names and numbers serialise");
-        // Subsets are appended only if present, so that older designs keep their versions.
+        // Later fields are appended only if present, so that older designs keep their versions.
         for subset in &self.subsets {
             text.push_str(subset.name());
         }
-        // Task-specific directions, latency and the placebo are appended only if present, for the
-        // same reason.
         if self.directions == Directions::Own {
             text.push_str("own directions");
         }
@@ -315,13 +280,11 @@ impl Design {
         DesignVersion::custom(&text)
     }
 
-    /// Returns true if both designs have the same rollouts.
     fn has_same_rollouts(&self, other: &Self) -> bool {
         let without_seed = |design: &Self| Self { seed: 0, ..design.clone() };
         without_seed(self) == without_seed(other) && self.effective_seed() == other.effective_seed()
     }
 
-    /// Returns the seed; `None` if the design draws nothing from it.
     fn effective_seed(&self) -> Option<u64> {
         let draws_configs = self.configs.iter().any(|&config| config >= PRESETS);
         (draws_configs || self.directions == Directions::Own).then_some(self.seed)
@@ -363,6 +326,40 @@ fn in_order<T: Ord>(mut values: Vec<T>) -> Vec<T> {
     values
 }
 
+/// Smallest and largest radius of a placebo.
+pub const PLACEBO_RADII: [f64; 2] = [0.001, 0.5];
+
+/// Settings of a design's level `L0`. Directions, initial states and seeds are determined as
+/// at the other levels; the instruction stays canonical. Changed outcomes at this level are the noise
+/// floor of every paired measure.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Placebo {
+    /// Radius in normalised coordinates, within [`PLACEBO_RADII`].
+    pub radius: Level,
+    /// Configurations to run at the placebo level; `None` for all of the design's.
+    pub configs: Option<Vec<u16>>,
+}
+
+impl Placebo {
+    /// Default radius, at which a camera turns by less than 0.1°.
+    pub const DEFAULT_RADIUS: Level = Level::of_radius_micros(20_000);
+
+    pub(crate) fn is_valid_radius(radius: Level) -> bool {
+        (PLACEBO_RADII[0]..=PLACEBO_RADII[1]).contains(&radius.radius())
+    }
+
+    pub(crate) fn includes(&self, config: u16) -> bool {
+        let configs = self.configs.as_ref();
+        configs.is_none_or(|configs| configs.contains(&config))
+    }
+}
+
+impl Default for Placebo {
+    fn default() -> Self {
+        Self { radius: Self::DEFAULT_RADIUS, configs: None }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -383,7 +380,7 @@ mod tests {
     fn only_the_full_design_of_v0_1_has_that_version() {
         let whole = Design::v0_1();
         assert_eq!(whole.version().as_str(), "v0.1");
-        // The seed does not change the version, because the design draws nothing from it.
+        // The design draws nothing from the seed.
         let seeded = Design { seed: 7, ..whole.clone() };
         assert_eq!(seeded.version().as_str(), "v0.1");
         let mut versions = vec![small().version(), whole.version()];

@@ -3,9 +3,13 @@
 
 use serde::Serialize;
 
+use crate::campaign::Explanation;
+use crate::condition::Condition;
+use crate::design::Design;
 use crate::execution::Execution;
-use crate::explanation::Explanation;
+use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
+use crate::row::ManifestRow;
 use crate::suite_file::SuiteFile;
 use crate::thresholds::Thresholds;
 use crate::variants::Variants;
@@ -27,7 +31,6 @@ const SUITE: &str = "suite-";
 pub struct DesignVersion(String);
 
 impl DesignVersion {
-    /// Returns the version of LIBERO-CTRL v0.1.
     pub(crate) fn v0_1() -> Self {
         Self(V0_1.to_owned())
     }
@@ -37,22 +40,45 @@ impl DesignVersion {
         Self(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Returns the version of imported rows, from a text that identifies them.
     pub(crate) fn manifest(text: &str) -> Self {
         Self(format!("{MANIFEST}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Returns the version of a campaign that explains another.
+    /// Returns the version of imported rows, independent of their order. Rows identical to
+    /// those of v0.1 have the version v0.1. The manifest of the reference implementation has
+    /// another version, because its paraphrases differ.
+    pub fn of_manifest(rows: &[ManifestRow]) -> Self {
+        let version = Self::of_rows(rows);
+        let mut iterator = rows.iter();
+        match iterator.find(|row| row.id.condition() != Condition::Latency) {
+            Some(row) => version.under(&row.execution),
+            None => version,
+        }
+    }
+
+    pub(crate) fn of_rows(rows: &[ManifestRow]) -> Self {
+        let text = |rows: &[ManifestRow]| {
+            let rows = rows.iter().cloned().map(|row| row.under(&Execution::Wait));
+            let mut rows: Vec<ManifestRow> = rows.collect();
+            rows.sort_by_key(|row| row.id);
+            manifest::to_text(&rows)
+        };
+        let imported = text(rows);
+        let v0_1 = Design::v0_1().expand().expect("v0.1 is a design");
+        if rows.len() == v0_1.len() && imported == text(&v0_1) {
+            return Self::v0_1();
+        }
+        Self::manifest(&imported)
+    }
+
     pub fn of_explanation(explanation: &Explanation) -> Self {
         Self::of_derived(EXPLAINS, explanation)
     }
 
-    /// Returns the version of a campaign that measures another campaign's thresholds.
     pub fn of_thresholds(thresholds: &Thresholds) -> Self {
         Self::of_derived(THRESHOLDS, thresholds)
     }
 
-    /// Returns the version of a campaign of LIBERO's family.
     pub(crate) fn of_variants(variants: &Variants) -> Self {
         Self::of_derived(VARIANTS, variants)
     }
@@ -78,7 +104,6 @@ impl DesignVersion {
         Self(format!("{prefix}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Returns the text.
     pub fn as_str(&self) -> &str {
         &self.0
     }

@@ -26,7 +26,7 @@ pub enum Directions {
 }
 
 impl Directions {
-    /// Returns true for [`Self::Shared`], the default, which serialised records leave out.
+    /// Serialised records leave the default out.
     pub fn is_shared(&self) -> bool {
         *self == Self::Shared
     }
@@ -67,7 +67,7 @@ pub(crate) fn direction(
     direction
 }
 
-/// Returns the initial state of a configuration of a task.
+/// Initial state of a configuration of a task.
 ///
 /// The presets have the protocol's states; later configurations have the remaining states of
 /// the task in an order drawn from `design_seed`, so that fifty configurations cover all
@@ -81,7 +81,6 @@ pub(crate) fn init_id(task: TaskRef, config: u16, design_seed: u64) -> u16 {
     let mut remaining: Vec<u16> =
         (0..INIT_STATES_PER_TASK).filter(|init_id| !evaluated.contains(init_id)).collect();
     let mut rng = named_rng(design_seed, &format!("{task}/init"));
-    // The shuffle of Fisher and Yates.
     for last in (1..remaining.len()).rev() {
         let drawn = (rng.random() * (last + 1) as f64) as usize;
         remaining.swap(last, drawn);
@@ -144,8 +143,7 @@ mod tests {
         assert_ne!(shared(Axis::Camera, 10, 1), shared(Axis::Camera, 10, 2));
     }
 
-    /// Pins the drawn values: a change here changes the configurations of every
-    /// custom design and needs a new [`VERSION`].
+    /// A change here changes the configurations of every custom design and needs a new [`VERSION`].
     #[test]
     fn the_configurations_of_a_seed_never_change() {
         let task: TaskRef = "libero_goal/3".parse().expect("a task");

@@ -14,7 +14,7 @@ use crate::suite::TaskRef;
 
 /// Control steps per second of LIBERO's robot.
 pub const CONTROL_HZ: u32 = 20;
-/// Longest delay, control steps: ten seconds.
+/// Ten seconds, in control steps.
 pub const MAX_DELAY: u16 = 200;
 const MAX_DISTINCT_DELAYS: usize = 32;
 /// Largest weight of one delay.
@@ -36,7 +36,6 @@ pub enum Execution {
     /// The arm continues with the previous response. Action i of the response to step t belongs
     /// to step t + i, so that the response loses one action per step of delay.
     Overlap {
-        /// Delay of a response.
         delays: Delays,
         /// Real-time chunking: the policy receives the commands that are executed during the delay.
         rtc: bool,
@@ -51,26 +50,21 @@ pub struct Delays {
     weighted: Vec<(u16, u32)>,
 }
 
-/// Error: the text is not a valid execution model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read execution model: {problem}; write wait, hold:N, overlap:N or overlap:N,rtc with N \
      control steps from 0 to {MAX_DELAY}, or a distribution of steps*weight such as 3*812+4*188"
 )]
 pub struct ExecutionError {
-    /// Clause that names the invalid part of the text.
     problem: String,
 }
 
-/// Error: the file of measured latencies is invalid.
 #[derive(Debug, thiserror::Error)]
 #[error("read measured latencies: {problem}; `policy-gateway check --latency FILE` writes them")]
 pub struct LatencyFileError {
-    /// Clause that names the fault of the file.
     problem: String,
 }
 
-/// Error: under the execution model, no action of the policy would ever be executed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "execution model `{execution}` drops at least {dropped} actions of each answer, and an answer \
@@ -78,16 +72,12 @@ pub struct LatencyFileError {
      `hold:{dropped}`, which drops none, or a policy with longer answers"
 )]
 pub struct TooLate {
-    /// The model.
     pub execution: Execution,
-    /// Smallest number of actions dropped per response.
     pub dropped: u16,
-    /// Largest number of actions per response.
     pub horizon: usize,
 }
 
 impl Execution {
-    /// Returns true for [`Self::Wait`].
     pub fn is_wait(&self) -> bool {
         *self == Self::Wait
     }
@@ -97,7 +87,6 @@ impl Execution {
         matches!(self, Self::Overlap { rtc: true, .. })
     }
 
-    /// Returns the delays; `None` for [`Self::Wait`].
     pub fn delays(&self) -> Option<&Delays> {
         match self {
             Self::Wait => None,
@@ -105,8 +94,7 @@ impl Execution {
         }
     }
 
-    /// Checks that actions of a policy whose responses have at most `horizon` actions can be
-    /// executed.
+    /// Checks that a policy whose responses have at most `horizon` actions can act at all.
     pub fn check(&self, horizon: usize) -> Result<(), TooLate> {
         match self {
             Self::Overlap { delays, .. } if usize::from(delays.shortest()) >= horizon => {
@@ -181,12 +169,10 @@ impl Delays {
         Self::measured(file.delay_steps)
     }
 
-    /// Returns the shortest delay.
     pub fn shortest(&self) -> u16 {
         self.weighted[0].0
     }
 
-    /// Returns the longest delay.
     pub fn longest(&self) -> u16 {
         self.weighted[self.weighted.len() - 1].0
     }
@@ -202,7 +188,6 @@ impl Delays {
         self.pick(&mut stream.at(query, 0))
     }
 
-    /// Draws a delay.
     fn pick(&self, rng: &mut MatchedRng) -> u16 {
         let total: u32 = self.weighted.iter().map(|(_, weight)| weight).sum();
         let mut position = rng.random() * f64::from(total);

@@ -4,20 +4,20 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::axis::Axis;
+use crate::axis_set::AxisSet;
 use crate::campaign::{CampaignSpec, Rollouts};
 use crate::condition::Condition;
-use crate::design::{Design, DesignError, Nominal};
+use crate::design::{Design, DesignError, Nominal, Placebo};
 use crate::directions::{direction, init_id};
 use crate::latency::execution_at;
 use crate::level::Level;
 use crate::paraphrase::paraphrase;
 use crate::perturbation::Perturbation;
-use crate::placebo::Placebo;
 use crate::presets::{PRESETS, apply_direction};
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
 use crate::spec_error::SpecError;
-use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
+use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 
 impl CampaignSpec {
     /// Returns the rows of the campaign's design, manifest or suite file under its execution
@@ -139,7 +139,6 @@ impl Design {
     }
 }
 
-/// Returns the row of a nominal rollout.
 pub(crate) fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
     let id = RolloutId::clean(task, init_id);
     ManifestRow::new(id, init_id, init_id, Perturbation::default())
@@ -162,6 +161,54 @@ fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
         (unit.is_none(), unit, task, id.level(), id)
     });
     rows
+}
+
+/// Error: no rollout of the protocol has this id.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("make the manifest row of {id}: {problem}")]
+pub struct NoSuchRow {
+    pub id: RolloutId,
+    pub problem: String,
+}
+
+/// Returns the row of an id in LIBERO-CTRL v0.1; configurations that v0.1 does not have are drawn
+/// with design seed 0. A combination perturbs all six axes or, at unnamed radii, which have
+/// no paraphrases, the five metric axes.
+pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
+    let problem = |problem: String| NoSuchRow { id, problem };
+    if id.variant().is_some() {
+        let remedy = match id.task().suite() {
+            Suite::Own => {
+                "it is a rollout of a suite file, which `worker variants --suite-file` runs"
+            }
+            _ => "it is a rollout of LIBERO's family, which `worker variants` runs",
+        };
+        return Err(problem(remedy.to_owned()));
+    }
+    let Some(config) = id.config() else {
+        return match id.number() {
+            state if state < INIT_STATES_PER_TASK => Ok(clean_row(id.task(), state)),
+            _ => Err(problem("the task has no such initial state".to_owned())),
+        };
+    };
+    let combined = match id.level().is_named() || id.is_placebo() {
+        true => AxisSet::ALL,
+        false => AxisSet::from_iter(Axis::METRIC),
+    };
+    let design = Design {
+        tasks: vec![id.task()],
+        axes: id.condition().axes(combined).axes().collect(),
+        latency: id.condition() == Condition::Latency,
+        levels: vec![id.level()],
+        configs: vec![config],
+        nominal: Nominal::None,
+        ..Design::v0_1()
+    };
+    design.check().map_err(|error| problem(error.to_string()))?;
+    if !design.runs_condition(id.condition(), id.level()) {
+        return Err(problem("the latency axis has no placebo level".to_owned()));
+    }
+    Ok(design.perturbed_row(id.task(), id.condition(), id.level(), config))
 }
 
 #[cfg(test)]
@@ -260,7 +307,6 @@ mod tests {
         assert_eq!(all.only(AxisSet::from_iter([Axis::Camera, Axis::Language])), Ok(pair.clone()));
         assert_eq!(all.only("lighting+robot+sensor".parse().expect("a set")), Ok(triple.clone()));
         assert_eq!(all.axes(), AxisSet::ALL);
-        // All other rows are the same as without subsets.
         let others = rows.iter().filter(|row| !matches!(row.id.condition(), Condition::Subset(_)));
         assert!(others.eq(without_subsets.expand().expect("rows").iter()));
         let text = crate::manifest::to_text(&rows);

@@ -21,7 +21,6 @@ pub fn delay_at(level: Level) -> Option<u16> {
     (steps >= 1.0 && steps.fract() == 0.0).then_some(steps as u16)
 }
 
-/// Returns the execution model of the latency axis at a level.
 pub(crate) fn execution_at(level: Level) -> Option<Execution> {
     let delays = Delays::fixed(delay_at(level)?)?;
     Some(Execution::Overlap { delays, rtc: false })
@@ -31,7 +30,6 @@ pub(crate) fn execution_at(level: Level) -> Option<Execution> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AnyAxis {
     Protocol(Axis),
-    /// The latency axis.
     Latency,
 }
 

@@ -22,14 +22,10 @@ pub struct Level {
 impl Level {
     /// Radius 0 for nominal rollouts; the placebo level for perturbed rollouts.
     pub const L0: Self = Self::of_whole_radius(0);
-    /// Radius 2.
     pub const L1: Self = Self::of_whole_radius(2);
-    /// Radius 4.
     pub const L2: Self = Self::of_whole_radius(4);
-    /// Radius 8.
     pub const L3: Self = Self::of_whole_radius(8);
 
-    /// The protocol's levels of perturbed rollouts.
     pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
 
     /// Returns the level of a radius, rounded to six decimals; `None` if the rounded radius is
@@ -40,12 +36,10 @@ impl Level {
         valid.contains(&radius_micros).then_some(Self { radius_micros: radius_micros as u32 })
     }
 
-    /// Returns the radius in normalised coordinates.
     pub fn radius(self) -> f64 {
         f64::from(self.radius_micros) / f64::from(MICROS)
     }
 
-    /// Returns true if the level is one of [`Self::PERTURBED`].
     pub fn is_named(self) -> bool {
         Self::PERTURBED.contains(&self)
     }
@@ -94,9 +88,7 @@ const NAMES: [(&str, Level); 4] =
 
 const VALID: [&str; 5] = ["L0", "L1", "L2", "L3", "or a radius from r0.001 to r100"];
 
-/// Number of micros per unit of radius.
 const MICROS: u32 = 1_000_000;
-/// Largest number of decimals of a radius.
 const DECIMALS: usize = 6;
 /// Smallest radius, micros; below it, some parameters would be rounded to zero.
 const MIN_MICROS: u32 = MICROS / 1_000;
@@ -104,7 +96,7 @@ const MIN_MICROS: u32 = MICROS / 1_000;
 /// overflows single precision.
 const MAX_MICROS: u32 = 100 * MICROS;
 
-/// Parses a decimal number into micros; `None` if the text is not a valid number.
+/// Parses a decimal number into micros.
 fn micros(text: &str) -> Option<u32> {
     let (whole, decimals) = text.split_once('.').unwrap_or((text, "0"));
     let has_only_digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());

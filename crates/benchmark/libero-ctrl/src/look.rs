@@ -27,7 +27,6 @@ impl Look {
         Self::Mujoco333
     }
 
-    /// Returns the name in options, campaigns and results.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mujoco332 => "mujoco-3.3.2",

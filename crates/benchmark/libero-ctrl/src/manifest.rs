@@ -70,7 +70,6 @@ pub fn check(rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
     checker.finish(rows.len())
 }
 
-/// Writes a manifest, one row per line.
 pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     let mut text = String::new();
     for row in rows {
@@ -109,13 +108,9 @@ pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
 /// One difference between two manifests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Difference {
-    /// A row that only the first manifest has.
     OnlyLeft(RolloutId),
-    /// A row that only the second manifest has.
     OnlyRight(RolloutId),
-    /// A value that differs.
     Value {
-        /// The row.
         id: RolloutId,
         /// The column, for example `perturb.camera.d_azimuth_deg`.
         column: String,
@@ -138,14 +133,12 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Errors in a manifest, by line.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ManifestErrors {
     listed: Vec<LineError>,
     count: usize,
 }
 
-/// Problem of one line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineError {
     /// The line, from 1.
@@ -158,59 +151,39 @@ pub enum LineProblem {
     #[error("{0}")]
     Row(String),
     #[error("{id} is already in line {first}")]
-    Duplicate {
-        id: RolloutId,
-        /// First line with the id, from 1.
-        first: usize,
-    },
+    Duplicate { id: RolloutId, first: usize },
     #[error("{id}: {column} differ from those of its configuration in line {first}")]
     Unpaired {
-        /// The row.
         id: RolloutId,
         /// Words for the values that differ, such as `initial states`.
         column: String,
-        /// Line of the row that this row should agree with.
         first: usize,
     },
     #[error(
         "{id}: execution model `{given}`, but `{expected}` in line {first}: put rows of different \
              models into separate manifests"
     )]
-    Execution {
-        /// The row.
-        id: RolloutId,
-        /// The row's model.
-        given: Execution,
-        /// Model of that first row.
-        expected: Execution,
-        /// Line of that first row.
-        first: usize,
-    },
+    Execution { id: RolloutId, given: Execution, expected: Execution, first: usize },
     #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
     #[error("the manifest has no rows")]
     NoRows,
     #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
     Radius {
-        /// The row.
         id: RolloutId,
         axis: Axis,
-        /// The row's level.
         level: Level,
         /// The parameters' radius in normalised coordinates.
         given: f64,
-        /// Radius of the level.
         expected: f64,
     },
 }
 
 impl ManifestErrors {
-    /// Returns the first 20 errors, or all if there are fewer.
     pub fn listed(&self) -> &[LineError] {
         &self.listed
     }
 
-    /// Returns the number of errors, including those that are not listed.
     pub fn count(&self) -> usize {
         self.count
     }
@@ -240,7 +213,6 @@ impl fmt::Display for ManifestErrors {
 
 impl std::error::Error for ManifestErrors {}
 
-/// Checks each row by itself and against the earlier rows.
 #[derive(Default)]
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,

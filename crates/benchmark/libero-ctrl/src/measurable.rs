@@ -1,5 +1,3 @@
-//! Checks whether the thresholds of a campaign can be measured.
-
 use crate::campaign::Rollouts;
 use crate::design::Nominal;
 use crate::level::Level;
@@ -23,16 +21,10 @@ pub enum NotMeasurable {
     )]
     NoCondition,
     #[error("it does not run the condition {given}; its conditions are {valid}")]
-    ConditionNotRun {
-        /// The requested condition.
-        given: &'static str,
-        /// Conditions that the campaign runs, formatted for the message.
-        valid: String,
-    },
+    ConditionNotRun { given: &'static str, valid: String },
 }
 
 impl Thresholds {
-    /// Checks that the thresholds of a campaign with the given rollouts can be measured.
     pub fn check_measurable(&self, rollouts: &Rollouts) -> Result<(), NotMeasurable> {
         let Rollouts::Design(design) = rollouts else {
             return Err(NotMeasurable::NoDesign);

@@ -1,18 +1,14 @@
 //! Error for unknown names: quotes the name and lists the valid names.
 
-/// Error: the name is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {kind}{}: valid are {valid}", quoted(given))]
 pub struct UnknownName {
-    /// Kind of name expected: "suite", "task", "axis", ...
+    /// Kind of name, such as `suite` or `axis`.
     pub kind: &'static str,
-    /// Name given, verbatim.
     pub given: String,
-    /// Valid names, formatted for the message.
     pub valid: String,
 }
 
-/// Quotes the name for the message, after the kind of name expected.
 fn quoted(given: &str) -> String {
     match given {
         "" => ", which is empty".to_owned(),

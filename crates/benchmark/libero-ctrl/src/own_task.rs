@@ -14,7 +14,6 @@ pub enum Beginning {
 }
 
 impl Beginning {
-    /// Returns the name in results.
     pub const fn name(self) -> &'static str {
         match self {
             Self::InitialState => "initial-state",
@@ -23,7 +22,7 @@ impl Beginning {
     }
 }
 
-/// Settings of a task that differ from LIBERO's, and a checksum of its files.
+/// Settings of a task that differ from LIBERO's.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// Camera pose as LIBERO-Plus' five numbers: horizontal and vertical angle, distance in per
@@ -42,7 +41,6 @@ pub struct Changes {
     pub sha256: Option<String>,
 }
 
-/// Files and settings of a row of a suite file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OwnTask {
@@ -52,18 +50,13 @@ pub struct OwnTask {
     pub bddl: String,
     /// Path of the initial states, relative to `folder`.
     pub states: String,
-    /// State at the start of the rollout.
     pub start: Beginning,
-    /// Seed of the environment's generator.
     pub seed: u32,
-    /// Further settings.
     #[serde(default)]
     pub changes: Changes,
 }
 
 impl OwnTask {
-    /// Returns the first path of the task for which [`stays_inside`] returns false; `None` if there
-    /// is none.
     pub(crate) fn path_outside(&self) -> Option<&str> {
         let mut paths = [&self.folder, &self.bddl, &self.states].into_iter();
         paths.find(|path| !stays_inside(path)).map(String::as_str)

@@ -31,7 +31,6 @@ use crate::suite::TaskRef;
 use rules::{Form, VARIANTS, rules};
 use speech::Renderer;
 
-/// A paraphrase of an instruction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Paraphrase {
     /// The policy's instruction, verbatim: lower-case English without final

@@ -30,15 +30,12 @@ macro_rules! parameters {
             /// Keys in manifests, in order.
             pub const KEYS: [&'static str; $count] = [$(stringify!($field)),+];
 
-            /// Returns the values in the order of [`Self::KEYS`].
             pub fn values(&self) -> [f64; $count] {
                 [$(self.$field),+]
             }
         }
 
         impl From<[f64; $count]> for $name {
-            /// Builds the parameters from values in the order of
-            /// [`Self::KEYS`].
             fn from([$($field),+]: [f64; $count]) -> Self {
                 Self { $($field),+ }
             }
@@ -135,19 +132,14 @@ parameters! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Perturbation {
-    /// Camera axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraShift>,
-    /// Lighting axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lighting: Option<LightingShift>,
-    /// Robot axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<RobotShift>,
-    /// Sensor axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<SensorCorruption>,
-    /// Actuation axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actuation: Option<ActuationDistortion>,
 }
@@ -166,7 +158,6 @@ impl Perturbation {
         axes.filter_map(|(axis, set)| set.then_some(axis)).collect()
     }
 
-    /// Returns the perturbation restricted to some axes.
     pub fn only(&self, axes: AxisSet) -> Self {
         Self {
             camera: self.camera.filter(|_| axes.contains(Axis::Camera)),
@@ -177,8 +168,7 @@ impl Perturbation {
         }
     }
 
-    /// Returns the values of one axis in the order of its keys; empty if the axis is not
-    /// perturbed.
+    /// Empty if the axis is not perturbed.
     pub fn values(&self, axis: Axis) -> Vec<f64> {
         match axis {
             Axis::Camera => self.camera.map(|shift| shift.values().to_vec()),
@@ -211,7 +201,6 @@ impl Perturbation {
         }
     }
 
-    /// Parses the `perturb` object of a manifest row.
     pub fn from_manifest(
         condition: Condition,
         perturb: Map<String, Value>,
@@ -246,27 +235,17 @@ impl Perturbation {
     }
 }
 
-/// Error: the `perturb` object does not match its condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PerturbError {
     #[error("read `perturb`: condition {condition} has no parameters, leave it empty")]
-    NotEmpty {
-        /// The row's condition.
-        condition: Condition,
-    },
+    NotEmpty { condition: Condition },
     #[error(
         "read `perturb` of condition {condition}: it has parameters of {given}, give the \
          parameters of the condition's axes"
     )]
-    OtherAxes {
-        /// The row's condition.
-        condition: Condition,
-        /// The axes that have parameters.
-        given: AxisSet,
-    },
+    OtherAxes { condition: Condition, given: AxisSet },
     #[error("read `perturb` of condition {condition}: {problem}")]
     Parameters {
-        /// The row's condition.
         condition: Condition,
         /// Name of the parameter and its problem.
         problem: String,

@@ -115,7 +115,7 @@ impl Suite {
         self.presets().demo_action_rms
     }
 
-    /// Returns the suite's presets; for [`Self::Own`], those of LIBERO's longest suite.
+    /// LIBERO's longest suite stands in for [`Self::Own`].
     fn presets(self) -> &'static SuitePresets {
         let longest = Self::ALL.len() - 1;
         &presets().suites[self.ordinal().unwrap_or(longest)]
@@ -123,7 +123,6 @@ impl Suite {
 }
 
 impl TaskRef {
-    /// Returns the initial states of configurations 0 to 9.
     pub fn eval_init_ids(self) -> [u16; 10] {
         self.suite().presets().eval_init_ids[usize::from(self.index())]
     }
@@ -140,7 +139,6 @@ struct Presets {
     axes: BTreeMap<String, AxisPresets>,
 }
 
-/// Returns the embedded presets, parsed once. Tests ensure that the file parses.
 fn presets() -> &'static Presets {
     static PRESETS: LazyLock<Presets> = LazyLock::new(|| {
         let file: PresetsFile = serde_json::from_str(include_str!("../data/presets.json"))
@@ -161,7 +159,6 @@ struct AxisPresets {
     directions: Vec<Vec<f64>>,
 }
 
-/// Serialised form of `data/presets.json`.
 #[derive(Deserialize)]
 struct PresetsFile {
     protocol: ProtocolFigures,

@@ -7,7 +7,6 @@ use std::fmt;
 /// robot readings.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Privileged {
-    /// Objects, fixtures, and region sites.
     pub entities: Vec<Entity>,
     /// Name and position, m or rad, of each joint of objects and fixtures except free joints.
     pub joints: Vec<(String, f64)>,
@@ -21,10 +20,8 @@ pub struct Privileged {
     pub gripper_opening: f64,
 }
 
-/// An object, fixture or site in the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entity {
-    /// Name of the instance or site.
     pub name: String,
     pub kind: EntityKind,
     /// Category; for a site, the name of the instance that carries it.
@@ -42,11 +39,8 @@ pub struct Entity {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EntityKind {
-    /// A free-moving object.
     Object,
-    /// A static fixture.
     Fixture,
-    /// A site that marks a region.
     Site,
 }
 

@@ -39,12 +39,10 @@ pub struct RolloutId {
 }
 
 impl RolloutId {
-    /// Creates the id of the nominal rollout of a task from initial state `init_id`.
     pub const fn clean(task: TaskRef, init_id: u16) -> Self {
         Self { task, condition: Condition::Clean, level: Level::L0, number: init_id, variant: None }
     }
 
-    /// Creates the id of a rollout of LIBERO's family from initial state `init_id`.
     pub const fn of_variant(task: TaskRef, variant: VariantName, init_id: u16) -> Self {
         Self {
             task,
@@ -55,7 +53,6 @@ impl RolloutId {
         }
     }
 
-    /// Creates the id of a perturbed rollout.
     pub fn perturbed(
         task: TaskRef,
         condition: Condition,
@@ -84,20 +81,15 @@ impl RolloutId {
         self.level
     }
 
-    /// Returns true if the rollout is at the placebo level, perturbed too little to affect any
-    /// policy.
     pub fn is_placebo(&self) -> bool {
         self.level == Level::L0 && has_config(self.condition)
     }
 
-    /// Returns the configuration; `None` for a clean rollout, and for a rollout of LIBERO's family
-    /// or of a suite file.
+    /// `None` for a clean rollout, and for a rollout of LIBERO's family or of a suite file.
     pub fn config(&self) -> Option<u16> {
         has_config(self.condition).then_some(self.number)
     }
 
-    /// Returns the name of the variant of LIBERO's family or of the suite of a suite file; `None`
-    /// for a rollout of LIBERO-CTRL.
     pub const fn variant(&self) -> Option<VariantName> {
         self.variant
     }
@@ -188,7 +180,6 @@ fn init_state(text: &str) -> Option<u16> {
     number(text, "i").filter(|state| *state < INIT_STATES_PER_TASK)
 }
 
-/// Returns true if the last number of an id is a configuration.
 fn has_config(condition: Condition) -> bool {
     !matches!(condition, Condition::Clean | Condition::Variant)
 }

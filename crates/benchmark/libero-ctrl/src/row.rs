@@ -8,13 +8,13 @@ use serde_json::{Map, Value};
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
+use crate::design::{PLACEBO_RADII, Placebo};
 use crate::execution::Execution;
 use crate::latency::execution_at;
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::own_task::OwnTask;
 use crate::perturbation::{PerturbError, Perturbation};
-use crate::placebo::{PLACEBO_RADII, Placebo};
 use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
 use crate::suite::{INIT_STATES_PER_TASK, Suite};
@@ -31,7 +31,6 @@ pub const MAX_ROWS: usize = 250_000;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatRow", into = "FlatRow")]
 pub struct ManifestRow {
-    /// Identity of the rollout.
     pub id: RolloutId,
     /// Index of the initial state in the design: the configuration, or in a row without a
     /// configuration the initial state itself.
@@ -46,11 +45,9 @@ pub struct ManifestRow {
     pub max_steps: u32,
     /// Control steps without action before the policy starts.
     pub settle_steps: u32,
-    /// Parameters of the perturbed axes other than language.
     pub perturbation: Perturbation,
     /// Radius of a row at the placebo level; `None` for all other rows.
     pub placebo_radius: Option<Level>,
-    /// Behaviour of the robot while a response of its policy is pending.
     pub execution: Execution,
     /// Name of the protocol of a row of LIBERO's family or of a suite file; `None` for a row of
     /// LIBERO-CTRL. If a row has a protocol and only the BDDL file has the instruction,
@@ -79,7 +76,7 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the row under an execution model. A row of the latency axis keeps its own model.
+    /// A row of the latency axis keeps its own model.
     pub fn under(self, execution: &Execution) -> Self {
         match self.id.condition() {
             Condition::Latency => self,
@@ -87,12 +84,11 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the radius of the perturbation; 0 for a nominal row or one of another benchmark.
+    /// Radius of the perturbation; 0 for a nominal row or one of another benchmark.
     pub fn radius(&self) -> f64 {
         self.placebo_radius.unwrap_or(self.id.level()).radius()
     }
 
-    /// Returns the perturbed axes.
     pub fn axes(&self) -> AxisSet {
         let metric: AxisSet = self.perturbation.axes().into_iter().collect();
         match self.variant_id {
@@ -116,37 +112,18 @@ impl ManifestRow {
     }
 }
 
-/// Error: a column of the row is invalid or contradicts another column.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
     #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
-    Contradiction {
-        /// The row's id.
-        id: RolloutId,
-        column: &'static str,
-        /// Text of the column.
-        given: String,
-        /// Text that follows from the id.
-        expected: String,
-    },
+    Contradiction { id: RolloutId, column: &'static str, given: String, expected: String },
     #[error("read row {id}: `init_id` is {given}, valid are 0 to 49")]
-    InitState {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's initial state.
-        given: u16,
-    },
+    InitState { id: RolloutId, given: u16 },
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
          leave it out of other rows",
         radius_text(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
-    Placebo {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's radius.
-        given: Option<f64>,
-    },
+    Placebo { id: RolloutId, given: Option<f64> },
     #[error(
         "read row {id}: `execution` is {given}, {}",
         expected.as_ref().map_or_else(
@@ -154,55 +131,28 @@ pub enum RowError {
             |model| format!("write the delay of its level: {model}"),
         )
     )]
-    Latency {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's execution model.
-        given: Execution,
-        /// Model of the row's level, if it has one.
-        expected: Option<Execution>,
-    },
+    Latency { id: RolloutId, given: Execution, expected: Option<Execution> },
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
-    PolicySeed {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's policy seed.
-        given: u64,
-    },
+    PolicySeed { id: RolloutId, given: u64 },
     #[error(
         "read row {id}: `protocol` is {}; write a protocol in rows of LIBERO-Plus, LIBERO-PRO, \
          LIBERO-Para \
          and suite files only",
         given.as_deref().unwrap_or("missing")
     )]
-    Protocol {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's protocol.
-        given: Option<String>,
-    },
+    Protocol { id: RolloutId, given: Option<String> },
     #[error(
         "read row {id}: `own` is {}; write a task in rows of suite files only",
         if *is_given { "given" } else { "missing" }
     )]
-    Own {
-        /// The row's id.
-        id: RolloutId,
-        /// True if the row has a task.
-        is_given: bool,
-    },
+    Own { id: RolloutId, is_given: bool },
     #[error(
         "read row {id}: `own` has the path `{path}`; write a relative path with / and without . \
          and .."
     )]
-    OwnPath {
-        /// The row's id.
-        id: RolloutId,
-        path: String,
-    },
+    OwnPath { id: RolloutId, path: String },
     #[error("read row {id}: {problem}")]
     Perturb {
-        /// The row's id.
         id: RolloutId,
         /// Problem with the parameters. It is part of the message, because serde errors do
         /// not keep a source.
@@ -355,7 +305,6 @@ impl TryFrom<FlatRow> for ManifestRow {
     }
 }
 
-/// Formats the placebo radius for a message.
 fn radius_text(radius: Option<f64>) -> String {
     radius.map_or_else(|| "missing".to_owned(), |radius| radius.to_string())
 }

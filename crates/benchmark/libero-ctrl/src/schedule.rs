@@ -23,17 +23,13 @@ const GRIPPER: usize = ACTION_WIDTH - 1;
 /// Gripper command that keeps the gripper open, as in the steps in which the scene settles.
 const OPEN: f64 = -1.0;
 
-/// Schedule of one rollout.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     execution: Execution,
-    /// Number of actions of each response that are executed.
     execute: u32,
     task: TaskRef,
     init_id: u16,
-    /// The next control step.
     step: u32,
-    /// Number of queries answered so far.
     queries: u32,
     /// Step before which the next query is due.
     next_query: u32,
@@ -45,7 +41,6 @@ pub struct Schedule {
     gripper: f64,
 }
 
-/// A response of the policy.
 #[derive(Clone, Debug)]
 struct Answer {
     query: u32,
@@ -56,7 +51,6 @@ struct Answer {
     actions: Vec<Action>,
 }
 
-/// A query that is due.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Query {
     /// Number of control steps until the response takes effect.
@@ -92,7 +86,7 @@ impl Schedule {
         }
     }
 
-    /// Sets the initial gripper command, which is open by default.
+    /// The gripper is open by default.
     pub fn with_gripper(self, gripper: f64) -> Self {
         Self { gripper, ..self }
     }
@@ -117,7 +111,6 @@ impl Schedule {
         })
     }
 
-    /// Sets the response to the due query.
     pub fn answer(&mut self, mut actions: Vec<Action>) {
         let (step, delay) = (self.step, self.delay());
         // The count fits, because the size of a message limits the number of actions.
@@ -142,7 +135,6 @@ impl Schedule {
         self.next_query = step + steps_to_query.max(1);
     }
 
-    /// Returns the command of the next step and advances the schedule.
     pub fn advance(&mut self) -> Command {
         let step = self.step;
         if let Some(response) = self.pending.take_if(|answer| answer.effective_from <= step) {
@@ -162,13 +154,11 @@ impl Schedule {
         }
     }
 
-    /// Returns the response in effect at the next step.
     fn current(&self) -> Option<&Answer> {
         let effective = self.pending.as_ref().filter(|answer| answer.effective_from <= self.step);
         effective.or(self.current.as_ref())
     }
 
-    /// Returns the delay of the response to the next query.
     fn delay(&self) -> u32 {
         let delays = self.execution.delays();
         delays.map_or(0, |delays| delays.of_query(self.task, self.init_id, self.queries).into())

@@ -1,5 +1,3 @@
-//! Errors in the specification of a campaign.
-
 use crate::design::DesignError;
 use crate::execution::Execution;
 use crate::manifest::ManifestErrors;
@@ -9,29 +7,18 @@ use crate::suite_file::SuiteFileError;
 use crate::variants::VariantsError;
 use crate::wanted::MIN_DIGEST_DIGITS;
 
-/// Largest number of replicates of a campaign.
 pub const MAX_REPLICATES: u32 = 100;
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
     #[error("read campaign specification: {problem}")]
-    Json {
-        /// Problem and its line.
-        problem: String,
-    },
+    Json { problem: String },
     #[error("read campaign specification: `{field}` is empty, {remedy}")]
-    Empty {
-        field: &'static str,
-        /// Remedy: the value to write.
-        remedy: &'static str,
-    },
+    Empty { field: &'static str, remedy: &'static str },
     #[error(
         "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
     )]
-    Replicates {
-        /// The number given.
-        given: u32,
-    },
+    Replicates { given: u32 },
     /// The text is not quoted, since it may contain a password.
     #[error(
         "read campaign specification: `policy.endpoint` is no server's address, write \
@@ -45,46 +32,26 @@ pub enum SpecError {
          least the first {MIN_DIGEST_DIGITS} digits of a pack's digest; the pack's folder is an \
          option of workers"
     )]
-    Assets {
-        /// The text given.
-        given: String,
-    },
+    Assets { given: String },
     #[error(
         "read campaign specification: `{field}` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
     )]
-    Unmatched {
-        /// The field that names the source campaign.
-        field: &'static str,
-    },
+    Unmatched { field: &'static str },
     #[error(
         "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
     )]
-    Radius {
-        field: &'static str,
-        /// The number given.
-        given: f64,
-        /// Valid range.
-        valid: [f64; 2],
-    },
+    Radius { field: &'static str, given: f64, valid: [f64; 2] },
     #[error(
         "read campaign specification: `execution` is {given}, but the rows of its manifest have \
          `{row_model}`: remove `execution` from the specification or from the rows"
     )]
-    Execution {
-        /// The campaign's model.
-        given: Execution,
-        /// Model of the rows.
-        row_model: Execution,
-    },
+    Execution { given: Execution, row_model: Execution },
     #[error(
         "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
          compared with rollouts without delay; remove `execution` or the axis"
     )]
-    Latency {
-        /// The campaign's model.
-        given: Execution,
-    },
+    Latency { given: Execution },
     #[error("read campaign specification: {0}")]
     Stop(StopError),
     #[error("read campaign specification: {0}")]
@@ -92,18 +59,12 @@ pub enum SpecError {
     #[error("read campaign specification: {0}")]
     Variants(VariantsError),
     #[error("read campaign specification: {problem}")]
-    Selection {
-        /// Problem and remedy, as `libero-family` formats them.
-        problem: String,
-    },
+    Selection { problem: String },
     #[error(
         "read campaign specification: row {id} of its manifest is of another benchmark, whose \
          campaigns are specified with `variants` or `suite_file`: remove the row"
     )]
-    VariantRow {
-        /// The row's id.
-        id: RolloutId,
-    },
+    VariantRow { id: RolloutId },
     #[error("read campaign specification: {0}")]
     SuiteFile(SuiteFileError),
     #[error(transparent)]

@@ -17,12 +17,9 @@ use crate::suite::TaskRef;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
-    /// Rule under which the campaign ends.
     pub rule: StopRule,
-    /// Seed of the random order of configurations.
     #[serde(default)]
     pub seed: u64,
-    /// Strata of the random order of configurations.
     #[serde(default)]
     pub strata: Strata,
 }
@@ -41,7 +38,6 @@ pub enum Strata {
 }
 
 impl Strata {
-    /// Returns the name in specifications.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Suites => "suites",
@@ -50,7 +46,6 @@ impl Strata {
     }
 }
 
-/// Error: the rule cannot end the campaign.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
     #[error(
@@ -62,23 +57,14 @@ pub enum StopError {
         "`stop` with {given} `replicates`: its intervals assume one replicate; write 1, \
          or remove `stop`"
     )]
-    Replicates {
-        /// The number of replicates given.
-        given: u32,
-    },
+    Replicates { given: u32 },
     #[error("`stop` with `{field}`, whose campaigns end without a stop rule: remove `stop`")]
-    Derived {
-        /// The field that names the source campaign.
-        field: &'static str,
-    },
+    Derived { field: &'static str },
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
          not in the manifest; add it, or remove `stop`"
     )]
-    Missing {
-        /// The first missing rollout.
-        rollout: RolloutId,
-    },
+    Missing { rollout: RolloutId },
 }
 
 /// Checks that every configuration has the simultaneous rollout and one rollout per single axis at

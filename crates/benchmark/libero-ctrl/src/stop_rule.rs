@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::names::UnknownName;
 
-/// Separator of two clauses.
 const AND: &str = " and ";
 
 const VALID: &str = "width(M) < X with X above 0 and up to 2 (0.08 is 8 percentage points), M \
@@ -31,7 +30,6 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All measures.
     pub const ALL: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
 
     /// Returns the name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`.
@@ -89,7 +87,6 @@ pub struct StopRule {
     clauses: Vec<Clause>,
 }
 
-/// A requirement on one interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Clause {
     /// `width(M) < X`: the interval of M is narrower than X, a fraction.
@@ -99,14 +96,12 @@ pub enum Clause {
 }
 
 impl StopRule {
-    /// Returns the clauses in the order written.
     pub fn clauses(&self) -> &[Clause] {
         &self.clauses
     }
 }
 
 impl Clause {
-    /// Returns the quantity that the clause constrains.
     pub const fn measure(&self) -> Measure {
         match *self {
             Self::Width(measure, _) | Self::Excludes(measure, _) => measure,

@@ -28,18 +28,15 @@ const STREAM_VERSION: &str = "libero-ctrl/v0.1/matched/1";
 /// The source of one axis's random elements in one rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Randomness {
-    /// A stream keyed by task, level, configuration and axis.
     Matched(MatchedStream),
     /// NumPy's generators: `default_rng(seed)` for elements that are fixed for the rollout,
     /// `default_rng(seed + 1)` for the noise of each step.
     Reference {
-        /// See [`reference_seed`].
         seed: u64,
     },
 }
 
 impl Randomness {
-    /// Returns the source of random elements of `axis` in rollout `id`.
     pub fn of(id: &RolloutId, axis: Axis, realisation: Realisation) -> Self {
         match realisation {
             Realisation::Matched => {
@@ -66,7 +63,7 @@ impl MatchedStream {
         Self { key: Sha256::digest(name.as_bytes()).into() }
     }
 
-    /// Returns the generator of the draws made once per rollout.
+    /// Generator of the draws made once per rollout.
     pub fn fixed(&self) -> MatchedRng {
         self.rng(0)
     }

@@ -42,7 +42,6 @@ pub enum SuitePrompt {
 }
 
 impl SuitePrompt {
-    /// Returns the name in results.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Name => "name",
@@ -54,17 +53,13 @@ impl SuitePrompt {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteFile {
-    /// Name of the benchmark.
     pub name: String,
     /// Folder of the task files, relative to the folder of a worker's option `--sources`;
     /// `suites/NAME` if not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<String>,
-    /// State at the start of a rollout.
     pub start: Beginning,
-    /// Source of the prompts.
     pub prompt: SuitePrompt,
-    /// Seed of the environment's generator.
     pub seed: u32,
     /// Control steps with the no-op action before the policy's first observation.
     pub waits: u32,
@@ -80,7 +75,6 @@ pub struct SuiteFile {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FileSuite {
-    /// Name in reports and rollout ids.
     pub name: String,
     /// Path of the BDDL files in the folder, with `*` in place of the task's name.
     pub bddl: String,
@@ -169,23 +163,12 @@ impl From<FileTask> for TaskText {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SuiteFileError {
     #[error("read suite file: {problem}; docs/FAMILY.md describes its fields")]
-    Json {
-        /// Problem and its line.
-        problem: String,
-    },
+    Json { problem: String },
     #[error("read suite file: `{field}` is {given}: {remedy}")]
-    Value {
-        /// Place in the file, such as `suites[0].tasks[3].name`.
-        field: String,
-        /// Value given.
-        given: String,
-        /// The value to write.
-        remedy: String,
-    },
+    Value { field: String, given: String, remedy: String },
 }
 
 impl SuiteFile {
-    /// Parses and validates a file.
     pub fn from_json(text: &str) -> Result<Self, SuiteFileError> {
         let file: Self = serde_json::from_str(text).map_err(|error| SuiteFileError::Json {
             problem: JsonError::from(error).to_string(),
@@ -194,7 +177,6 @@ impl SuiteFile {
         Ok(file)
     }
 
-    /// Validates constraints that the types do not express.
     pub fn check(&self) -> Result<(), SuiteFileError> {
         check_name("name", &self.name)?;
         if let Some(folder) = &self.folder {
@@ -245,7 +227,6 @@ impl SuiteFile {
         Ok(())
     }
 
-    /// Returns the folder of the task files, as in [`OwnTask::folder`].
     pub fn folder(&self) -> String {
         let default_folder = || format!("suites/{}", self.name);
         self.folder.clone().unwrap_or_else(default_folder)
@@ -392,7 +373,6 @@ fn invalid(field: &str, given: &str, remedy: &str) -> SuiteFileError {
     }
 }
 
-/// Checks a name, which becomes part of rollout ids and paths.
 fn check_name(field: &str, name: &str) -> Result<(), SuiteFileError> {
     let remedy = format!(
         "write 1 to {MAX_CHANGE_BYTES} lower-case letters, digits and _, and another word than \
@@ -404,7 +384,6 @@ fn check_name(field: &str, name: &str) -> Result<(), SuiteFileError> {
     }
 }
 
-/// Checks that a path stays in its folder.
 fn check_path(field: &str, path: &str) -> Result<(), SuiteFileError> {
     match stays_inside(path) {
         true => Ok(()),

@@ -1,6 +1,3 @@
-//! Specification of a campaign that measures the perturbation thresholds of another
-//! campaign's policy.
-
 use serde::{Deserialize, Serialize};
 
 use crate::condition::Condition;
@@ -17,7 +14,6 @@ pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {
-    /// Name of the source campaign.
     pub campaign: String,
     /// Conditions of the source campaign that are measured; empty for all its conditions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -37,7 +33,6 @@ pub struct Thresholds {
 }
 
 impl Thresholds {
-    /// Default tolerance, in units of radius.
     pub const DEFAULT_TOLERANCE: f64 = 0.5;
     /// Default largest radius: twice that of L3.
     pub const DEFAULT_MAX_RADIUS: f64 = 16.0;
@@ -51,7 +46,6 @@ impl Thresholds {
         radii.into_iter().filter_map(Level::of_radius).collect()
     }
 
-    /// Returns the first field that is out of range, with its value and its valid range.
     pub(crate) fn out_of_range(&self) -> Option<(&'static str, f64, [f64; 2])> {
         let fields = [
             ("thresholds.tolerance", self.tolerance, TOLERANCES),

@@ -27,7 +27,6 @@ impl VariantName {
     /// Change of the unperturbed rollout of a task, which is run beside its variants.
     pub const UNPERTURBED: &'static str = "unperturbed";
 
-    /// Creates a name from a change such as `noise_30`.
     pub fn new(benchmark: Benchmark, change: &str) -> Result<Self, UnknownName> {
         Self::checked(Some(benchmark), change)
     }
@@ -50,7 +49,6 @@ impl VariantName {
         Ok(Self { benchmark, change: bytes })
     }
 
-    /// The benchmark; `None` for a suite of a suite file.
     pub const fn benchmark(&self) -> Option<Benchmark> {
         self.benchmark
     }
@@ -63,7 +61,6 @@ impl VariantName {
         str::from_utf8(bytes).expect("only ASCII is stored")
     }
 
-    /// Returns true if nothing is changed.
     pub fn is_unperturbed(&self) -> bool {
         self.change() == Self::UNPERTURBED
     }

@@ -4,9 +4,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::benchmark::Benchmark;
+use crate::campaign::Record;
 use crate::condition::Realisation;
 use crate::execution::Execution;
-use crate::policy_route::Record;
 
 /// Variants of a benchmark under one protocol, each with the unperturbed rollout of its task. A
 /// variant must match all filters that are given.
@@ -50,7 +50,6 @@ pub struct VariantsError {
     pub field: &'static str,
     /// Field that defines the rollouts, `variants` or `suite_file`.
     pub rollouts: &'static str,
-    /// Reason and remedy.
     pub problem: &'static str,
 }
 

@@ -9,7 +9,6 @@ use crate::look::Look;
 
 /// Smallest number of digits of a digest that identifies an asset pack.
 pub(crate) const MIN_DIGEST_DIGITS: usize = 8;
-/// Asset packs by name.
 const PACKS: [&str; 2] = ["primitives", "libero"];
 
 /// Asset pack, renderer and look required of a campaign's workers.
@@ -33,7 +32,6 @@ pub enum RendererKind {
 }
 
 impl Wanted {
-    /// Returns the required assets if they are neither the name nor the digest of a pack.
     pub(crate) fn unknown_assets(&self) -> Option<&str> {
         let is_digit = |byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
         let is_known = |text: &str| {

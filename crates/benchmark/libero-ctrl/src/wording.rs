@@ -3,7 +3,6 @@
 
 use std::fmt;
 
-/// Error: the text is not valid JSON, or not of the expected form.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JsonError {
     problem: String,
@@ -13,13 +12,10 @@ pub struct JsonError {
 }
 
 impl JsonError {
-    /// Returns the problem, without the place.
     pub fn problem(&self) -> &str {
         &self.problem
     }
 
-    /// Returns the line, from 1, and the column, from 1 or, before the first character, 0; `None`
-    /// if the error concerns the whole text.
     pub fn place(&self) -> Option<(usize, usize)> {
         self.place
     }
@@ -95,7 +91,6 @@ pub fn plain_words(message: &str) -> String {
     }
 }
 
-/// Returns the text before the first comma.
 fn before_comma(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }
@@ -129,7 +124,6 @@ fn value(given: &str) -> String {
     }
 }
 
-/// Rewords serde's description of the value expected, which is often a Rust type's name.
 fn kind(expected: &str) -> String {
     match expected {
         "u8" => "a whole number, 0 to 255,".to_owned(),

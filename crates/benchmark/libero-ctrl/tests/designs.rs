@@ -100,7 +100,6 @@ proptest! {
 
         let far = normalised(axis, &single(axis, Level::L3, config, seed));
         for (near, far) in given.iter().zip(far) {
-            // 8 is the radius of L3.
             let scaled = far * radius / 8.0;
             let tolerance = rounding * (1.0 + radius / 8.0);
             prop_assert!((near - scaled).abs() <= tolerance, "{near} is not {scaled}");

@@ -19,7 +19,6 @@ fn design(axes: Vec<Axis>, task: TaskRef, level: Level, config: u16) -> Design {
     }
 }
 
-/// Draws one of the protocol's levels or an unnamed radius.
 fn level() -> impl Strategy<Value = Level> {
     let unnamed = (1..100_000_u32).prop_map(|millis| {
         let text = format!("r{}.{:03}", millis / 1_000, millis % 1_000);

@@ -6,7 +6,6 @@ use std::collections::BTreeSet;
 use libero_ctrl::{Level, TaskRef, paraphrase};
 use sha2::{Digest, Sha256};
 
-/// Longest sentence, characters.
 const MAX_CHARS: usize = 160;
 
 /// SHA-256 over `TASK VARIANT_ID TEXT\n` of all sentences, so that no edit of the data is
@@ -212,7 +211,6 @@ fn the_documented_sentences_of_a_task_are_current() {
     assert!(rows.len() >= 9 && outdated.is_empty(), "not among\n{current}{outdated:#?}");
 }
 
-/// Returns a task's sentences in the format of the documentation.
 fn task_text(task: TaskRef) -> String {
     let sentences = sentences().filter(|sentence| sentence.task == task);
     let mut lines: Vec<(u16, Level, String)> = sentences
@@ -224,7 +222,6 @@ fn task_text(task: TaskRef) -> String {
     lines.into_iter().map(|(_, _, line)| line).collect()
 }
 
-/// Prints the sentences for reviewers.
 #[test]
 #[ignore = "prints the 1,200 sentences for a reviewer"]
 fn print_all() {

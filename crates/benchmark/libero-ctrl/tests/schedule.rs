@@ -47,8 +47,7 @@ fn run(execution: &str, execute: usize, lengths: &[usize]) -> Run {
     run_result
 }
 
-/// Returns the timeline under `wait`: up to `execute` actions of each response, one after the
-/// other.
+/// Up to `execute` actions of each response follow one another.
 fn timeline_of_wait(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
     let mut timeline = Vec::new();
     for query in 0.. {

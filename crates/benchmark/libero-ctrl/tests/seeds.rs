@@ -13,7 +13,6 @@ fn rows() -> Vec<ManifestRow> {
     Design::v0_1().expand().expect("rows")
 }
 
-/// Returns the same configuration under another condition.
 fn sibling(id: RolloutId, condition: Condition) -> RolloutId {
     let config = id.config().expect("a perturbed rollout");
     RolloutId::perturbed(id.task(), condition, id.level(), config).expect("an id")

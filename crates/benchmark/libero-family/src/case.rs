@@ -8,28 +8,22 @@ use crate::para::{Paraphrase, paraphrase};
 use crate::plus::{Assets, Change, Entry, Prompt, Variant, entry};
 use crate::pro::{Kind, ProSuite};
 use crate::protocol::{Benchmark, Protocol};
-use crate::selection_error::SelectionError;
+use crate::selection::SelectionError;
 
 /// Origin of a rollout's task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subject {
-    /// An unmodified task of LIBERO.
     Unperturbed,
-    /// A variant of LIBERO-Plus.
     Plus(&'static Entry),
-    /// A task of LIBERO-PRO.
     Pro(ProSuite),
-    /// A sentence of LIBERO-Para for a task of LIBERO.
     Para(&'static Paraphrase),
     /// A task of a suite file, with the name of its suite. The field `own` of its manifest row
     /// names the task's files and the rules of its rollouts.
     Own(VariantName),
 }
 
-/// One rollout under a protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Case {
-    /// Origin of the task.
     pub subject: Subject,
     /// LIBERO's task, or the position of a suite file's task in the file.
     pub task: TaskRef,
@@ -68,7 +62,7 @@ impl Case {
         Ok((case, protocol))
     }
 
-    /// Returns the benchmark; `None` for an unperturbed rollout and one of a suite file.
+    /// `None` for an unperturbed rollout and one of a suite file.
     pub fn benchmark(&self) -> Option<Benchmark> {
         match self.subject {
             Subject::Unperturbed | Subject::Own(_) => None,
@@ -94,7 +88,6 @@ impl Case {
         }
     }
 
-    /// Returns the id of a rollout of a suite file; `None` for any other.
     pub fn own_id(&self) -> Option<RolloutId> {
         match self.subject {
             Subject::Own(suite) => Some(RolloutId::of_variant(self.task, suite, self.trial)),
@@ -131,7 +124,6 @@ impl Case {
         }
     }
 
-    /// Returns the difficulty, 1 to 5, if LIBERO-Plus gives one.
     pub fn difficulty(&self) -> Option<u8> {
         match self.subject {
             Subject::Plus(entry) => entry.difficulty,
@@ -190,9 +182,7 @@ impl Case {
 /// Files that no asset pack of this project has, so that a user must provide a folder with them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Further {
-    /// Files of LIBERO-Plus' archive.
     Assets(Assets),
-    /// Models of LIBERO-PRO.
     Models,
 }
 

@@ -8,26 +8,19 @@ mod fog;
 mod gaussian;
 mod glass;
 mod motion;
-mod picture;
 mod zoom;
 
 use std::fmt;
 
 use libero_ctrl::numpy::LegacyRng;
 
-use picture::CHANNELS;
-pub use picture::Picture;
-
 const SEVERITIES: u8 = 10;
-/// Largest side of a picture with fog, pixels; the released code fails on larger pictures.
-pub const MAX_FOG_SIDE: usize = fog::SIDE;
+const CHANNELS: usize = 3;
 
-/// Kind of a corruption.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// ImageMagick's motion blur, whose angle is drawn for each picture.
     Motion,
-    /// Gaussian blur.
     Gaussian,
     /// Mean of magnified pictures.
     Zoom,
@@ -41,7 +34,6 @@ impl Kind {
     /// All kinds, in the order of their numbers.
     pub const ALL: [Self; 5] = [Self::Motion, Self::Gaussian, Self::Zoom, Self::Fog, Self::Glass];
 
-    /// Returns the name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Motion => "motion",
@@ -84,12 +76,10 @@ impl Corruption {
         self.kind as u8 * SEVERITIES + self.severity as u8 + 1
     }
 
-    /// Returns the kind.
     pub const fn kind(self) -> Kind {
         self.kind
     }
 
-    /// Returns the severity, 1 to 10.
     pub const fn severity(self) -> usize {
         self.severity + 1
     }
@@ -104,7 +94,6 @@ impl Corruption {
         }
     }
 
-    /// Checks that the corruption supports pictures of a size, in rows, columns and bytes.
     pub fn check(self, height: usize, width: usize, bytes: usize) -> Result<(), UnsuitedPicture> {
         let is_complete = bytes == height * width * CHANNELS && bytes > 0;
         let is_supported = match self.kind {
@@ -118,7 +107,6 @@ impl Corruption {
         }
     }
 
-    /// Corrupts a picture, drawing random numbers from the generator.
     pub fn apply(
         self,
         picture: &mut Picture<'_>,
@@ -142,7 +130,6 @@ impl fmt::Display for Corruption {
     }
 }
 
-/// Error: the corruption does not support the size of the picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`, which supports {}, \
@@ -155,4 +142,23 @@ pub struct UnsuitedPicture {
     height: usize,
     width: usize,
     bytes: usize,
+}
+
+/// A picture: rows of pixels of three bytes, in the order in which corruptions process them.
+#[derive(Debug)]
+pub struct Picture<'a> {
+    pub height: usize,
+    pub width: usize,
+    /// `height × width × 3` bytes.
+    pub rgb: &'a mut [u8],
+}
+
+/// Converts a number to a byte by truncation, like NumPy's `astype(uint8)`.
+fn truncated(value: f64) -> u8 {
+    value as u8
+}
+
+fn unit(picture: &Picture<'_>) -> Vec<f64> {
+    let bytes = picture.rgb.iter();
+    bytes.map(|byte| f64::from(*byte) / 255.0).collect()
 }

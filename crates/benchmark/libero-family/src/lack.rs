@@ -13,26 +13,16 @@ const MAX_NAMED: usize = 3;
 /// such as `task files; run …`, to be written after "this worker lacks".
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Lack {
-    /// The BDDL file or the initial states are missing.
     TaskFiles(Benchmark),
-    /// The folder of a suite file's task files is missing.
     Folder(String),
-    /// A file of a suite file's task is missing.
     File(String),
-    /// The digest of a task's files differs from the digest in the suite file.
     OtherFiles {
-        /// Path of the BDDL file.
         bddl: String,
-        /// Digest in the suite file.
         expected: String,
-        /// Digest of the files.
         found: String,
     },
-    /// The file of initial states has fewer states than the suite file's `trials`.
     States {
-        /// Path of the file.
         path: String,
-        /// Number of its states.
         count: usize,
     },
     /// The scene cannot be composed, for the reason given.
@@ -80,7 +70,6 @@ impl fmt::Display for Lack {
     }
 }
 
-/// Returns the shell command that provides a benchmark's task files.
 pub fn fetch_command(benchmark: Benchmark) -> &'static str {
     match benchmark {
         Benchmark::Plus => "worker assets fetch --suite libero-plus",
@@ -89,12 +78,10 @@ pub fn fetch_command(benchmark: Benchmark) -> &'static str {
     }
 }
 
-/// Rollouts that cannot run, by reason.
 #[derive(Clone, Debug, Default)]
 pub struct Lacking(pub Vec<(Lack, Vec<Case>)>);
 
 impl Lacking {
-    /// Adds a rollout.
     pub fn add(&mut self, lack: Lack, case: Case) {
         match self.0.iter_mut().find(|(other, _)| *other == lack) {
             Some((_, cases)) => cases.push(case),
@@ -102,7 +89,6 @@ impl Lacking {
         }
     }
 
-    /// Returns the number of rollouts.
     pub fn count(&self) -> usize {
         self.0.iter().map(|(_, cases)| cases.len()).sum()
     }

@@ -10,7 +10,6 @@
 mod case;
 mod lack;
 mod selection;
-mod selection_error;
 mod task_key;
 
 pub mod corruption;
@@ -21,6 +20,7 @@ pub mod protocol;
 
 pub use case::{Case, Further, Subject};
 pub use lack::{Lack, Lacking, fetch_command};
-pub use selection::{ParaFilters, PlusFilters, ProFilters, Selection, expand, left_out};
-pub use selection_error::SelectionError;
+pub use selection::{
+    ParaFilters, PlusFilters, ProFilters, Selection, SelectionError, expand, left_out,
+};
 pub use task_key::TaskKey;

@@ -9,7 +9,6 @@ use libero_ctrl::{Suite, UnknownName};
 /// Number of initial states of a task.
 pub const STATES: u16 = 50;
 
-/// The change that a suite makes to LIBERO's tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// A different sentence, in the BDDL file.
@@ -23,7 +22,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Language, Self::Object, Self::Position, Self::Task];
 
     /// Returns the ending of the suite's name, also used in rollout ids.
@@ -37,17 +35,14 @@ impl Kind {
     }
 }
 
-/// A suite. Displays as LIBERO-PRO's name, such as `libero_goal_swap`.
+/// Displays as LIBERO-PRO's name, such as `libero_goal_swap`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ProSuite {
-    /// LIBERO's suite.
     pub suite: Suite,
-    /// The change.
     pub kind: Kind,
 }
 
 impl ProSuite {
-    /// Returns the sixteen suites.
     pub fn all() -> impl Iterator<Item = Self> {
         let changed = |suite| Kind::ALL.into_iter().map(move |kind| Self { suite, kind });
         Suite::ALL.into_iter().flat_map(changed)

@@ -8,19 +8,15 @@ pub use libero_ctrl::{Beginning, Benchmark};
 use libero_ctrl::{Suite, UnknownName};
 
 use crate::plus::Prompt;
-use crate::selection_error::SelectionError;
+use crate::selection::SelectionError;
 
 /// Settings with which a harness runs a benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Protocol {
-    /// Name on the command line and in results.
     pub name: &'static str,
     pub benchmark: Benchmark,
-    /// State at the start of a rollout.
     pub beginning: Beginning,
-    /// Source of the prompt.
     pub prompt: Prompt,
-    /// Seed of the environment's generator.
     pub seed: u32,
     /// Number of control steps with the no-op action before the policy's first observation.
     pub waits: u32,
@@ -131,11 +127,8 @@ pub const PROTOCOLS: [Protocol; 9] = [
 ];
 
 impl Protocol {
-    /// Protocol of LIBERO-Plus' published table.
     pub const PLUS_OFFICIAL: Self = PROTOCOLS[0];
-    /// Protocol of LIBERO-PRO's published table.
     pub const PRO_OFFICIAL: Self = PROTOCOLS[5];
-    /// Protocol of LIBERO-Para's scripts.
     pub const PARA_OFFICIAL: Self = PROTOCOLS[8];
 
     /// Returns the protocol of a benchmark's published table or, for LIBERO-Para, of its scripts.
@@ -147,7 +140,6 @@ impl Protocol {
         }
     }
 
-    /// Checks that the protocol belongs to a benchmark.
     pub fn check(&self, benchmark: Benchmark) -> Result<(), SelectionError> {
         match self.benchmark == benchmark {
             true => Ok(()),

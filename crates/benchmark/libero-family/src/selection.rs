@@ -1,8 +1,8 @@
 //! Selection of variants, and the rows of a campaign that runs them.
 
 use libero_ctrl::{
-    CampaignSpec, ManifestRow, Rollouts, SpecError, Suite, TaskRef, UnknownName, Variants,
-    select_tasks,
+    CampaignSpec, ManifestRow, RolloutId, Rollouts, SpecError, Suite, TaskRef, UnknownName,
+    Variants, select_tasks,
 };
 
 use crate::case::{Case, Subject};
@@ -11,16 +11,11 @@ use crate::para::{self, Paraphrase, TypeName};
 use crate::plus::{Dimension, Entry, UnknownVariant, Variant, entry, inventory};
 use crate::pro::{ProSuite, STATES};
 use crate::protocol::{Benchmark, Protocol};
-use crate::selection_error::SelectionError;
 
-/// A selection of rollouts of one benchmark.
 #[derive(Clone, Debug)]
 pub enum Selection {
-    /// Variants of LIBERO-Plus.
     Plus(PlusFilters),
-    /// Suites of LIBERO-PRO.
     Pro(ProFilters),
-    /// Sentences of LIBERO-Para.
     Para(ParaFilters),
 }
 
@@ -28,14 +23,12 @@ pub enum Selection {
 #[derive(Clone, Debug, Default)]
 pub struct PlusFilters {
     pub variants: Vec<Variant>,
-    /// LIBERO's suites.
     pub suites: Vec<Suite>,
     pub dimensions: Vec<Dimension>,
     /// Difficulties, 1 to 5; 0 for variants without one.
     pub difficulties: Vec<u8>,
 }
 
-/// Suites of LIBERO-PRO.
 #[derive(Clone, Debug)]
 pub struct ProFilters {
     pub suites: Vec<ProSuite>,
@@ -48,7 +41,6 @@ pub struct ProFilters {
 pub struct ParaFilters {
     /// Types, or sentences by name.
     pub types: Vec<TypeName>,
-    /// LIBERO's tasks.
     pub tasks: Vec<TaskRef>,
 }
 
@@ -112,7 +104,6 @@ impl Selection {
         }
     }
 
-    /// Returns the benchmark of the selected rollouts.
     pub fn benchmark(&self) -> Benchmark {
         match self {
             Self::Plus(_) => Benchmark::Plus,
@@ -218,7 +209,6 @@ fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
     Ok(cases.iter().map(|case| case.row(&protocol)).collect())
 }
 
-/// Returns the chosen variants that a campaign leaves out because no worker can run them.
 pub fn left_out(variants: &Variants) -> Result<Lacking, SelectionError> {
     let chosen = Selection::of_spec(variants)?.cases()?;
     Ok(audit(chosen).1)
@@ -237,7 +227,6 @@ fn audit(chosen: Vec<Case>) -> (Vec<Case>, Lacking) {
     (runnable, lacking)
 }
 
-/// Returns true if the filter is empty or contains the value.
 fn matches_filter<T: PartialEq>(filter: &[T], value: &T) -> bool {
     filter.is_empty() || filter.contains(value)
 }
@@ -246,6 +235,53 @@ fn parse_all<T: std::str::FromStr<Err = UnknownName>>(
     names: &[String],
 ) -> Result<Vec<T>, UnknownName> {
     names.iter().map(|name| name.parse()).collect()
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SelectionError {
+    #[error("choose variants: none matches all filters; leave a filter out")]
+    Nothing,
+    #[error(
+        "run {benchmark} under protocol `{protocol}`: it is another benchmark's protocol; \
+         docs/FAMILY.md lists the protocols of each benchmark"
+    )]
+    Foreign { protocol: &'static str, benchmark: &'static str },
+    #[error(
+        "choose variant `{name}`: its name is well-formed, but LIBERO-Plus' task map does not \
+         have it; `worker variants --list` lists the variants"
+    )]
+    Unused { name: String },
+    #[error(
+        "choose variants of {benchmark} by `{filter}`: only another benchmark has this \
+         filter; leave it out"
+    )]
+    Filter { benchmark: &'static str, filter: &'static str },
+    #[error("choose variants: `{field}` has {given}, valid are {} to {}", valid[0], valid[1])]
+    Range { field: &'static str, given: u16, valid: [u16; 2] },
+    #[error(
+        "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO nor LIBERO-Para has it; `coordinator \
+         manifest expand` prints the ids of a specification"
+    )]
+    Id { id: RolloutId },
+    #[error(
+        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\n{}",
+        advice(chosen - lacking)
+    )]
+    Lacking { lacking: usize, chosen: usize, report: String },
+    #[error(transparent)]
+    Variant(#[from] UnknownVariant),
+    #[error(transparent)]
+    Name(#[from] UnknownName),
+}
+
+fn advice(runnable: usize) -> &'static str {
+    match runnable {
+        0 => "No chosen rollout can run: follow the advice above, or choose other rollouts",
+        _ => {
+            "Give --runnable (`\"runnable\": true` in a specification) to run the other rollouts \
+             only"
+        }
+    }
 }
 
 #[cfg(test)]

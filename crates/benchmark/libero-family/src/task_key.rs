@@ -11,7 +11,6 @@ use crate::protocol::Benchmark;
 /// `libero_goal/8`, or as `libero_goal/8+libero-plus`. Workers name the keys that they cannot run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TaskKey {
-    /// LIBERO's task.
     pub task: TaskRef,
     /// Benchmark whose task files are needed; `None` if LIBERO's suffice.
     pub files: Option<Benchmark>,
@@ -37,7 +36,6 @@ impl TaskKey {
         }
     }
 
-    /// Returns all keys of a task.
     pub fn of_task(task: TaskRef) -> impl Iterator<Item = Self> {
         let benchmarks = Benchmark::ALL.map(Some).into_iter();
         let files = [None].into_iter().chain(benchmarks);
@@ -66,7 +64,6 @@ impl fmt::Display for TaskKey {
     }
 }
 
-/// Returns the benchmark whose task files a case needs.
 fn own_files(case: &Case) -> Option<Benchmark> {
     match case.subject {
         Subject::Unperturbed | Subject::Own(_) => None,

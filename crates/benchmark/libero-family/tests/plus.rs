@@ -12,7 +12,6 @@ use sha2::{Digest, Sha256};
 
 const RECORDED: &str = include_str!("recorded/plus.txt");
 
-/// Asserts that the lines have the recorded digest.
 fn check(kind: &str, lines: &[String]) {
     let recorded = RECORDED.lines().find(|line| line.starts_with(kind));
     let fields: Vec<&str> = recorded.unwrap().split(' ').collect();

@@ -4,7 +4,6 @@
 use std::f64::consts::FRAC_PI_2;
 use std::ops::{Add, Mul, Sub};
 
-/// A point or a direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Vec3 {
     pub(crate) x: f64,
@@ -19,7 +18,6 @@ impl Vec3 {
         Self { x, y, z }
     }
 
-    /// Returns the horizontal unit vector at `angle` from the x axis.
     pub(crate) fn heading(angle: f64) -> Self {
         Self::new(angle.cos(), angle.sin(), 0.0)
     }
@@ -45,7 +43,6 @@ impl Vec3 {
         self.x.hypot(self.y)
     }
 
-    /// Replaces the height of a point.
     pub(crate) fn at_height(self, z: f64) -> Self {
         Self { z, ..self }
     }
@@ -54,12 +51,10 @@ impl Vec3 {
         Self::new(self.x.abs(), self.y.abs(), self.z.abs())
     }
 
-    /// Returns the largest signed coordinate.
     pub(crate) fn max_coordinate(self) -> f64 {
         self.x.max(self.y).max(self.z)
     }
 
-    /// Returns the largest magnitude of a coordinate.
     pub(crate) fn max_abs(self) -> f64 {
         self.x.abs().max(self.y.abs()).max(self.z.abs())
     }
@@ -88,7 +83,6 @@ impl Mul<f64> for Vec3 {
 
 const AXES: [Vec3; 3] = [Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0), Vec3::UP];
 
-/// A rotation as a unit quaternion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Quat {
     pub(crate) w: f64,

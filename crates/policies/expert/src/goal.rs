@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use libero_ctrl::Predicate;
 
-use crate::error::ExpertError;
+use crate::ExpertError;
 use crate::geometry::Vec3;
 use crate::motion::{Command, FINGERS_OPEN_M, Fingers, HandPose, Motion};
 use crate::place::{Place, Relation};
@@ -37,7 +37,6 @@ impl Skill {
         }
     }
 
-    /// Returns true if the skill manipulates the object or handle that is between the fingers.
     fn can_continue(&self, world: &World) -> bool {
         let object = match self {
             Self::Transfer(transfer) => transfer.object(),
@@ -84,7 +83,6 @@ fn let_go(world: &World, motion: &Motion) -> Option<Command> {
     })
 }
 
-/// Knowledge of an expert that takes over from another controller.
 #[derive(Clone, Copy)]
 struct Takeover<'a> {
     motion: &'a Motion,
@@ -93,7 +91,6 @@ struct Takeover<'a> {
 }
 
 impl<'a> Takeover<'a> {
-    /// Returns the earlier transfer of `object`.
     fn transfer(self, object: &str) -> Option<&'a Transfer> {
         self.earlier.iter().find_map(|skill| match skill {
             Skill::Transfer(transfer) if transfer.object() == object => Some(transfer.as_ref()),
@@ -272,7 +269,6 @@ fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     }
 }
 
-/// Returns the name of the other object that the goal puts at the same target.
 fn other_object_at_target<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
     let shares_target = |other: &&Predicate| {
         *other != predicate
@@ -332,7 +328,6 @@ mod tests {
             .joint("cabinet_1_top_level", position)
     }
 
-    /// Asserts that the debug form of each planned skill contains the expected word.
     fn check(scene: &KinematicScene, expected: &[&str]) {
         let skills = plan(&scene.world()).expect("a plan");
         let shown: Vec<String> = skills.iter().map(|skill| format!("{skill:?}")).collect();

@@ -117,7 +117,6 @@ pub(crate) enum GraspRequirement {
     Handle,
 }
 
-/// Purpose of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Purpose<'a> {
     pub(crate) requirement: GraspRequirement,
@@ -181,7 +180,6 @@ fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
     Grasp { offset, closing: shape.narrow_angle, strain: 0.0 }
 }
 
-/// Returns the grasp across the upright handle at the end of a mug's box.
 fn by_handle(object: &Entity, shape: Footprint, direction: Vec3) -> Grasp {
     Grasp {
         offset: (direction * (shape.wide - HANDLE_INSET_M))
@@ -224,7 +222,6 @@ fn rims(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     angles.into_iter().flat_map(at).collect()
 }
 
-/// Height of the grip point above the centre of the object's box.
 fn grip_height(object: &Entity, depth: f64) -> f64 {
     let lowest = FINGERTIP_M + FLOOR_GAP_M - object.half.z;
     (object.half.z - depth).max(lowest)

@@ -11,9 +11,7 @@ use crate::world::World;
 const STIFFNESS: f64 = 150.0;
 /// Distance of the spring's goal from the hand per unit of action, m.
 const UNIT_M: f64 = 0.05;
-/// Number of simulation steps per control step.
 const SUBSTEPS: u32 = 25;
-/// Duration of a simulation step, s.
 const SUBSTEP_SECS: f64 = 0.002;
 /// Rotation per step at full action, rad; approximate.
 const STEP_RAD: f64 = 0.15;
@@ -47,7 +45,6 @@ impl KinematicScene {
         Self { state, failing_grasps: 0, held: None, velocity: [0.0; 3] }
     }
 
-    /// Creates a scene with a mug, and an oven with an open front; the goal is the mug in the oven.
     pub(crate) fn mug_before_oven() -> Self {
         Self::new("in", &["mug_1", "oven_1_inside"])
             .object("mug_1", [0.0, 0.0, 0.05], MUG_M)
@@ -66,7 +63,6 @@ impl KinematicScene {
         self
     }
 
-    /// Adds an object with the given centre and half extents, m.
     pub(crate) fn object(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
         self.entity(name, EntityKind::Object, name.trim_end_matches("_1"), centre, half)
     }
@@ -75,7 +71,6 @@ impl KinematicScene {
         self.entity(name, EntityKind::Fixture, name.trim_end_matches("_1"), centre, half)
     }
 
-    /// Adds a region on or in `parent`.
     pub(crate) fn region(self, name: &str, parent: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
         self.entity(name, EntityKind::Site, parent, centre, half)
     }
@@ -104,7 +99,6 @@ impl KinematicScene {
         World::read(&self.state).expect("a valid scene")
     }
 
-    /// Simulates one control step.
     pub(crate) fn apply(&mut self, action: [f32; 7]) {
         let a = action.map(f64::from);
         let shift = self.pull_hand([a[0], a[1], a[2]]);
@@ -118,7 +112,6 @@ impl KinematicScene {
         if a[6] > 0.0 { self.close() } else { self.open() }
     }
 
-    /// Drops the held object to the floor.
     pub(crate) fn knock_out_of_hand(&mut self) {
         if let Some(held) = self.held.take() {
             drop_to_floor(&mut self.state.entities[held]);

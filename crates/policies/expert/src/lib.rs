@@ -3,7 +3,6 @@
 //! that mostly succeed, and provides demonstrations for visual policies, for which it is not a
 //! baseline. The modules define skills; this file runs the skills in sequence.
 
-mod error;
 mod geometry;
 mod goal;
 mod grasp;
@@ -25,8 +24,27 @@ use goal::Skill;
 use motion::{Command, Fingers, HandPose, Motion};
 use world::World;
 
-pub use error::ExpertError;
 pub use motion::Action;
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ExpertError {
+    #[error("the scene has {given} objects, fixtures and regions; the expert supports {most}")]
+    Entities { given: usize, most: usize },
+    #[error("the scene has no object, fixture or region named '{name}'")]
+    NoEntity { name: String },
+    #[error("the scene has no joint named '{name}'")]
+    NoJointNamed { name: String },
+    #[error("'{fixture}' has no joint")]
+    NoJoint { fixture: String },
+    #[error("'{region}' is in no drawer")]
+    NoDrawer { region: String },
+    #[error("'{object}' cannot be held")]
+    NotGraspable { object: String },
+    #[error("the expert has no skill for the goal '{goal}'; run this task with another policy")]
+    NoSkill { goal: String },
+    #[error("{field} of '{owner}' is {value}, outside the range that the expert supports")]
+    OutOfRange { field: &'static str, owner: String, value: f64 },
+}
 
 /// Number of steps after which a hand far from its target counts as stuck.
 const PATIENCE_STEPS: u32 = 20;
@@ -50,7 +68,6 @@ pub struct Expert {
     shoulder: Option<Vec3>,
     /// Number of consecutive steps of the expert in which the hand was far from its target.
     far_steps: u32,
-    /// Remaining steps of a stuck hand's retreat.
     backing_steps: u32,
     /// True if the last action was a step of that retreat.
     is_retreating: bool,
@@ -125,8 +142,7 @@ impl Expert {
         Command { hand: HandPose { pos, quat: motion::pointing_down(FRAC_PI_2) }, ..command }
     }
 
-    /// Returns the next skill's command. Replans when the plan is exhausted, because an
-    /// episode that continues has not reached its goal.
+    /// Replans when the plan is exhausted: an episode that continues has not reached its goal.
     fn command(&mut self, world: &World) -> Result<Command, ExpertError> {
         let is_interrupted = std::mem::take(&mut self.is_interrupted);
         let mut plan = match (self.plan.take(), is_interrupted) {
@@ -158,7 +174,6 @@ mod tests {
             .object("plate_1", [0.05, 0.2, 0.01], [0.069, 0.069, 0.01])
     }
 
-    /// Returns the actions of an episode of `steps` steps.
     fn episode(steps: u32) -> Vec<Action> {
         let (mut scene, mut expert) = (scene(), Expert::default());
         let mut actions = Vec::new();
@@ -198,7 +213,6 @@ mod tests {
         })
     }
 
-    /// As [`succeeds_in`], for the bowl that goes onto its plate.
     fn succeeds(steps: u32, override_action: impl Fn(u32, Action) -> Option<Action>) -> bool {
         succeeds_in(scene(), steps, override_action)
     }

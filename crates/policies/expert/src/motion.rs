@@ -31,8 +31,7 @@ pub(crate) const FINGERTIP_M: f64 = 0.0095;
 const CLEARANCE_M: f64 = 0.02;
 /// Half the width of the moving fingers and their load, m.
 const CORRIDOR_M: f64 = 0.06;
-/// Horizontal distance from the goal within which the hand descends regardless of
-/// neighbours, m.
+/// Horizontal distance from the goal within which the hand descends regardless of neighbours, m.
 const ARRIVAL_M: f64 = 0.03;
 /// Height above the goal from which the hand first moves sideways, m.
 const HIGH_M: f64 = 0.05;
@@ -73,7 +72,6 @@ impl HandPose {
         Self { pos: self.pos + by, ..self }
     }
 
-    /// Angle between the hand's current orientation and that of this pose, rad.
     pub(crate) fn turn_from(self, world: &World) -> f64 {
         let turn = self.quat.after(world.grip_quat.inverse());
         turn.rotation_vector().norm()
@@ -133,14 +131,12 @@ pub(crate) fn tilted(quat: Quat, ahead: Vec3, angle: f64) -> Quat {
     Quat::turn(down.cross(ahead), angle).after(quat)
 }
 
-/// Target state of the fingers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fingers {
     Open,
     Close,
 }
 
-/// Command of a skill for the current step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Command {
     pub(crate) hand: HandPose,
@@ -149,7 +145,6 @@ pub(crate) struct Command {
     pub(crate) pace: f64,
 }
 
-/// Computes the action that follows `command`: seven numbers in [-1, 1].
 pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
     let predicted = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
     let shift = (command.hand.pos - predicted) * (POSITION_GAIN / UNIT_M);
@@ -222,7 +217,6 @@ pub(crate) fn detour(world: &World, goal: Vec3, load: HandLoad) -> Vec3 {
     }
 }
 
-/// Top of the highest solid within the corridor from the hand to `goal`.
 fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> {
     let start = world.grip;
     let steps = ((goal - start).horizontal_norm() / (CORRIDOR_M / 2.0)).ceil().max(1.0);
@@ -236,8 +230,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> 
     obstacles.filter(crossed).map(Solid::top).max_by(f64::total_cmp)
 }
 
-/// Returns the horizontal direction out from under the solid above the held object; `None` if no
-/// object is held or no solid is above it.
+/// `None` if no object is held or no solid is above it.
 fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     let HandLoad::With(object) = load else {
         return None;
@@ -254,13 +247,11 @@ fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     Some(away * (1.0 / away.norm().max(CLEARANCE_M)))
 }
 
-/// Returns true if the fingers are neither shut nor fully open.
 pub(crate) fn is_partly_open(world: &World) -> bool {
     let (shut, open) = GRASPED_M;
     shut < world.opening && world.opening < open
 }
 
-/// Tracks the motion of the hand and the fingers over steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
     /// Grip point and opening of the fingers in the last observation.
@@ -295,12 +286,10 @@ impl Motion {
         self.per_step
     }
 
-    /// Number of steps for which the hand has not moved.
     pub(crate) fn still_steps(&self) -> u32 {
         self.still_steps
     }
 
-    /// Returns true if the hand has made no progress in the last steps, apart from jitter.
     pub(crate) fn is_stuck(&self) -> bool {
         let latest = self.trail[TRAIL_STEPS - 1];
         let away = |place: &Vec3| (*place - latest).norm();
@@ -314,7 +303,6 @@ impl Motion {
         (self.trail[latest] - self.trail[latest.saturating_sub(steps as usize)]).norm()
     }
 
-    /// Returns true if the fingers have closed on something.
     pub(crate) fn grasps(&self, world: &World) -> bool {
         is_partly_open(world) && self.finger_still_steps >= AT_REST_STEPS
     }
@@ -325,7 +313,6 @@ impl Motion {
         self.opening_change.abs() < HOLDING_M
     }
 
-    /// Returns true if the fingers have opened further in the last step.
     pub(crate) fn opens(&self) -> bool {
         self.opening_change > STILL_M
     }
@@ -338,7 +325,6 @@ impl Motion {
         world.opening > FINGERS_OPEN_M || has_just_stopped
     }
 
-    /// Number of steps for which the opening of the fingers has not changed.
     pub(crate) fn finger_still_steps(&self) -> u32 {
         self.finger_still_steps
     }

@@ -1,7 +1,7 @@
 //! Destination of an object: resolves the target of a goal predicate to poses for the hand
 //! that carries the object. `motion` plans the path.
 
-use crate::error::ExpertError;
+use crate::ExpertError;
 use crate::geometry::{Vec3, footprint};
 use crate::grasp::GraspRequirement;
 use crate::motion::FINGERTIP_M;
@@ -31,11 +31,9 @@ const ON_OBJECT_M: f64 = 0.03;
 /// Height above a region up to which an object counts as on it, m (LIBERO's tolerance).
 const ON_REGION_M: f64 = 0.1;
 
-/// Destination of one object, from a predicate of the goal.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Place {
     pub(crate) relation: Relation,
-    /// Object or region.
     pub(crate) target: String,
     /// Side of the target's centre, if two objects share the target: -1 or 1; 0 is the centre
     /// itself.
@@ -52,9 +50,7 @@ pub(crate) enum Relation {
 /// origin and the height of its lowest point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spot {
-    /// Start of the approach.
     pub(crate) approach_start: Vec3,
-    /// End of the approach.
     pub(crate) rest: Vec3,
     entry: Entry,
     /// Height of the bottom of the target, m; above it by [`COVERED_FLOOR_GAP_M`] in a covered
@@ -64,10 +60,8 @@ pub(crate) struct Spot {
     brim: f64,
 }
 
-/// Approach of an object to its place.
 #[derive(Clone, Copy, Debug)]
 enum Entry {
-    /// Put down on a surface.
     Onto,
     /// Released above the inside of a container.
     Into,
@@ -166,7 +160,6 @@ impl Place {
 }
 
 impl Spot {
-    /// Returns the position of the grip point that puts the held object at `point`.
     pub(crate) fn hand_for(world: &World, object: &Entity, point: Vec3) -> Vec3 {
         let up = point.z - object.bottom();
         (world.grip + point - object.pos).at_height(world.grip.z + up)
@@ -211,7 +204,6 @@ impl Spot {
         object.bottom() < self.brim + CARRY_M + 2.0 * AT_PLACE_M
     }
 
-    /// Returns true if the held object can be released.
     pub(crate) fn can_release(&self, world: &World, object: &Entity) -> bool {
         match self.entry {
             Entry::Onto => object.bottom() < self.floor + AT_PLACE_M,
@@ -223,7 +215,6 @@ impl Spot {
         }
     }
 
-    /// Returns the direction in which the hand retreats.
     pub(crate) fn way_out(&self) -> Vec3 {
         match self.entry {
             Entry::Onto | Entry::Into => Vec3::UP,

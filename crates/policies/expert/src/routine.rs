@@ -5,7 +5,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use crate::error::ExpertError;
+use crate::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
     self, Command, FINGERS_OPEN_M, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, detour,
@@ -49,7 +49,6 @@ const STANDOFF_M: f64 = 0.09;
 /// Tolerances for proceeding to the next stage, m and rad.
 const NEAR_M: f64 = 0.01;
 const NEAR_RAD: f64 = 0.1;
-/// Number of steps in which the fingers open or close.
 const FINGER_STEPS: u32 = 8;
 /// Number of steps after which a stage ends regardless of progress.
 const PATIENCE_STEPS: u32 = 80;
@@ -72,31 +71,35 @@ const DRAG_DONE_M: f64 = 0.012;
 /// Lead of the goal over the fingertips when dragging, m.
 const DRAG_LEAD_M: f64 = 0.05;
 
-/// Task of a routine.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum RoutineTask {
     /// Open the drawer that contains the region to the joint position `to`, m.
-    PullDrawer { region: String, to: f64 },
-    /// Close the drawer of this region.
-    PushDrawer { region: String },
-    /// Turn this stove on.
-    TurnKnob { stove: String },
-    /// Close this microwave.
-    PushDoor { microwave: String },
-    /// Drag a flat object to a region.
-    Drag { object: String, region: String },
+    PullDrawer {
+        region: String,
+        to: f64,
+    },
+    PushDrawer {
+        region: String,
+    },
+    TurnKnob {
+        stove: String,
+    },
+    PushDoor {
+        microwave: String,
+    },
+    Drag {
+        object: String,
+        region: String,
+    },
 }
 
-/// State of a routine in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Routine {
     task: RoutineTask,
     stage: u32,
-    /// Steps spent in this stage.
     ticks: u32,
 }
 
-/// One stage: the target pose of the hand, and the condition that ends the stage.
 struct Stage {
     hand: HandPose,
     fingers: Fingers,
@@ -104,11 +107,8 @@ struct Stage {
 }
 
 enum Until {
-    /// The hand has reached the pose by a detour over obstacles.
     AtPoseAfterDetour,
-    /// The hand has reached the pose or was stopped.
     AtPoseOrStopped,
-    /// The given number of steps has passed.
     Steps(u32),
     /// The flag is true: the mechanism has reached its target position, or the hand has lost it.
     ConditionHolds(bool),
@@ -174,7 +174,6 @@ impl Routine {
 }
 
 impl RoutineTask {
-    /// Derives the number of the current stage from the state of the world.
     fn current_stage(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
         let (Some(first), Some(second)) = (self.stage(0, world)?, self.stage(1, world)?) else {
             return Ok(0);
@@ -222,7 +221,6 @@ impl RoutineTask {
         })
     }
 
-    /// Returns stage `number`; `None` after the last.
     fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, ExpertError> {
         match self {
             Self::PullDrawer { region, to } => pull_drawer(number, world, region, *to),
@@ -234,17 +232,14 @@ impl RoutineTask {
     }
 }
 
-/// Returns true if a drawer is shut far enough to count as closed.
 pub(crate) fn drawer_is_closed(position: f64) -> bool {
     position > 0.0
 }
 
-/// Returns true if a microwave's door is shut far enough to count as closed.
 pub(crate) fn door_is_closed(position: f64) -> bool {
     position > -0.005
 }
 
-/// Returns true if a stove's knob is turned far enough to count as on.
 pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
 }
@@ -259,7 +254,6 @@ pub(crate) fn is_at_knob(world: &World, stove: &str) -> Result<bool, ExpertError
     Ok(from.horizontal_norm() < AT_M && from.z < -NEAR_M)
 }
 
-/// Current state of a drawer.
 struct Drawer {
     /// Joint position, m.
     position: f64,
@@ -406,7 +400,6 @@ fn drag(
     }))
 }
 
-/// Returns the position of the first joint of `fixture`, which has only one.
 pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertError> {
     let name = world.joints_of(fixture).next();
     let name = name.ok_or_else(|| ExpertError::NoJoint { fixture: fixture.to_owned() })?;
@@ -429,7 +422,6 @@ mod tests {
     use super::*;
     use crate::kinematic_scene::KinematicScene;
 
-    /// Returns the scene with the hand in a pose, after the fingers had these openings, m.
     fn with_hand(mut scene: KinematicScene, hand: HandPose, openings: &[f64]) -> (World, Motion) {
         let (p, q) = (hand.pos, hand.quat);
         scene.state.grip_pos = [p.x, p.y, p.z];

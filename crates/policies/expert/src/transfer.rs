@@ -1,7 +1,7 @@
 //! Skill that picks an object up and places it: a state machine driven by the observation at
 //! every step. A missed grasp or a lost object starts another attempt with the next grasp.
 
-use crate::error::ExpertError;
+use crate::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
@@ -41,7 +41,6 @@ const RESTING_M: f64 = 0.0015;
 const LIFT_M: f64 = 0.03;
 /// Smallest and largest number of steps to wait for the fingers to close.
 const CLOSING_STEPS: (u32, u32) = (5, 12);
-/// Number of steps in which the fingers open.
 const OPENING_STEPS: u32 = 5;
 /// Number of steps after which a phase near obstacles ends regardless of progress, and after
 /// which a movement through free space is given up.
@@ -55,19 +54,15 @@ const ALMOST_M: f64 = 0.03;
 /// Share of full vertical speed near obstacles.
 const GENTLE: f64 = 0.4;
 
-/// State of a transfer in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Transfer {
     object: String,
     place: Place,
     phase: Phase,
-    /// Steps spent in this phase.
     ticks: u32,
     /// Number of failed attempts, which selects the grasp to try next.
     failed_attempts: usize,
-    /// The last grasp tried.
     grasp: Option<Grasp>,
-    /// The last grasp that an interrupted hand could not reach.
     blocked: Option<Grasp>,
 }
 
@@ -84,28 +79,23 @@ enum Phase {
     Retreat(HandPose),
 }
 
-/// A grasp with the hand's orientation fixed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Grip {
     grasp: Grasp,
     quat: Quat,
 }
 
-/// An object in the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Hold {
     quat: Quat,
     /// Object's centre relative to the grip point after the fingers closed.
     object_from_grip: Vec3,
-    /// Position at which the fingers closed.
     lifted_from: Vec3,
 }
 
-/// Transition decided by a phase.
 enum Next {
     Stay(Command),
     Go(Phase),
-    /// The object is not in the hand; start another attempt.
     Missed,
     Done,
 }
@@ -243,7 +233,6 @@ impl Transfer {
         Ok(())
     }
 
-    /// Returns the best grasp for the hand's current position, and keeps it for the next choice.
     fn nearest_grasp(&mut self, world: &World, object: &Entity) -> Result<Grasp, ExpertError> {
         let purpose = self.purpose(world, object)?;
         let (earlier, blocked) = (self.grasp.as_ref(), self.blocked.as_ref());
@@ -429,7 +418,6 @@ impl Transfer {
 }
 
 impl Grip {
-    /// Returns the pose of the hand for a grasp of the object at its current pose.
     fn hand(&self, object: &Entity) -> HandPose {
         HandPose { pos: object.centre + self.grasp.offset, quat: self.quat }
     }
@@ -488,7 +476,6 @@ fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
     Next::Stay(Command { hand, fingers, pace })
 }
 
-/// Keeps the fingers closed on the way to `pos`.
 fn hold_to(pos: Vec3, hold: Hold, pace: f64) -> Next {
     stay(HandPose { pos, quat: hold.quat }, Fingers::Close, pace)
 }

@@ -2,10 +2,9 @@
 
 use libero_ctrl::{EntityKind, Predicate, Privileged};
 
-use crate::error::ExpertError;
+use crate::ExpertError;
 use crate::geometry::{Quat, Vec3};
 
-/// An object, a fixture or a region.
 #[derive(Clone, Debug)]
 pub(crate) struct Entity {
     pub(crate) name: String,
@@ -54,7 +53,6 @@ impl Entity {
     }
 }
 
-/// State of the simulation at one step.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     entities: Vec<Entity>,
@@ -152,7 +150,6 @@ impl World {
         found.map(|j| j.1).ok_or_else(|| ExpertError::NoJointNamed { name: name.to_owned() })
     }
 
-    /// Returns the names of the joints of the instance `owner`.
     pub(crate) fn joints_of(&self, owner: &str) -> impl Iterator<Item = &str> {
         let prefix = format!("{owner}_");
         self.joints.iter().map(|j| j.0.as_str()).filter(move |n| n.starts_with(&prefix))
@@ -201,7 +198,6 @@ impl World {
         })
     }
 
-    /// Returns all obstacles.
     pub(crate) fn solids(&self) -> &[Solid] {
         &self.solids
     }
@@ -253,10 +249,8 @@ pub(crate) const HANDLE_OUT_M: f64 = 0.113;
 pub(crate) const HANDLE_UP_M: f64 = -0.0045;
 const HANDLE_HALF_M: (f64, f64) = (0.012, 0.048);
 
-/// A box-shaped obstacle.
 #[derive(Clone, Debug)]
 pub(crate) struct Solid {
-    /// Name of the object or fixture that the box belongs to.
     pub(crate) owner: String,
     pub(crate) centre: Vec3,
     pub(crate) quat: Quat,
@@ -325,7 +319,6 @@ fn solids(world: &World) -> Vec<Solid> {
     solids
 }
 
-/// Returns the drawer around `region`, and its handle.
 fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
     let wall = Vec3::new(DRAWER_WALL_M, DRAWER_WALL_M, DRAWER_WALL_M);
     let (across, along) = HANDLE_HALF_M;

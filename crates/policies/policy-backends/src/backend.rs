@@ -8,7 +8,7 @@ use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{ConnectError, Settings, is_outage_code, status_text};
 
-use crate::cause::Cause;
+use crate::shorten::shorten;
 
 /// Names of a gateway's settings for a policy server, for messages about failed connections.
 pub(crate) const SETTINGS: Settings = Settings {
@@ -67,120 +67,46 @@ pub trait Backend: fmt::Display + Send + Sync {
 /// whether the policy failed.
 #[derive(Clone, Debug, Error)]
 pub enum BackendError {
-    /// The connection failed or broke, or leads to another service.
     #[error("cannot reach the policy server at {address}: {trouble}")]
-    Unreachable {
-        /// host:port.
-        address: String,
-        /// Cause found at that address.
-        trouble: Box<ConnectError>,
-    },
-    /// The server rejected the gateway's credentials.
+    Unreachable { address: String, trouble: Box<ConnectError> },
     #[error(
         "the policy server at {address} rejects this gateway's token: {reason}; put a token that \
          it accepts into the `token_file` of the policy, then reload the configuration (SIGHUP)"
     )]
-    TokenRejected {
-        /// host:port.
-        address: String,
-        /// Reason that the server gave.
-        reason: String,
-    },
+    TokenRejected { address: String, reason: String },
     /// The server is out of service; only probes are sent until the server answers a probe.
     #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
-    OutOfService {
-        /// Back-end as configured.
-        backend: String,
-        /// Reason why the server is out of service.
-        cause: Cause,
-        /// Time until the next attempt.
-        retry_in: Duration,
-    },
-    /// The server did not answer within the limit.
+    OutOfService { backend: String, cause: Cause, retry_in: Duration },
     #[error("{backend} did not answer within {:.1} s", limit.as_secs_f64())]
-    TimedOut {
-        /// Back-end as configured.
-        backend: String,
-        /// Longest time without an answer.
-        limit: Duration,
-    },
-    /// The server's error shows that the server is broken, not the query.
+    TimedOut { backend: String, limit: Duration },
     #[error("{backend} is out of service, because it {cause}")]
-    Broken {
-        /// Back-end as configured.
-        backend: String,
-        /// Reason why the server is out of service.
-        cause: Cause,
-    },
-    /// The policy's description cannot be used.
+    Broken { backend: String, cause: Cause },
     #[error("policy {policy:?} has an invalid description: {fault}")]
-    Description {
-        /// The policy's own name.
-        policy: String,
-        /// Fault of the description.
-        fault: DescriptionFault,
-    },
-    /// The server's description differs from its earlier description, or from that of the other
-    /// replicas.
+    Description { policy: String, fault: DescriptionFault },
     #[error(
         "it {difference}; put the same weights everywhere, then reload the gateway's \
          configuration (SIGHUP)"
     )]
-    DescriptionDiffers {
-        /// The difference, and the description with which the server's was compared.
-        difference: String,
-    },
-    /// The answer is not a valid chunk of actions.
+    DescriptionDiffers { difference: String },
     #[error("{fault}")]
-    InvalidActions {
-        /// Fault of the answer.
-        fault: ActionFault,
-    },
-    /// The queue of the policy's server is full.
+    InvalidActions { fault: ActionFault },
     #[error("{queued} queries are already waiting for a batch; try again later")]
-    QueueFull {
-        /// Number of queries in the queue.
-        queued: usize,
-    },
-    /// The query timed out in the queue of a busy server.
+    QueueFull { queued: usize },
     #[error(
         "{backend} has more queries in its queue than it answers within {:.0} s; run fewer slots, \
          or give its route more replicas",
         waited.as_secs_f64()
     )]
-    Overloaded {
-        /// Back-end as configured.
-        backend: String,
-        /// Time spent in the queue.
-        waited: Duration,
-    },
+    Overloaded { backend: String, waited: Duration },
     /// The batch ended unanswered, through no fault of its queries.
     #[error("the batch ended without an answer to this query")]
     BatchLost,
-    /// The number of answers differs from the number of queries in the batch.
     #[error("it answered a batch of {asked} with {answered} results")]
-    BatchSize {
-        /// Number of queries sent.
-        asked: usize,
-        /// Number of results received.
-        answered: usize,
-    },
-    /// The server answered with an error of its own.
+    BatchSize { asked: usize, answered: usize },
     #[error("the policy server at {address} answered: {}", status_text(status))]
-    Refused {
-        /// host:port.
-        address: String,
-        /// Answer of the server.
-        status: Box<Status>,
-    },
-    /// The server's policy cannot be run under LIBERO-CTRL's conventions.
+    Refused { address: String, status: Box<Status> },
     #[error("the policy server at {address} cannot be run here: {reason}")]
-    UnsupportedPolicy {
-        /// host:port.
-        address: String,
-        /// Reason, with the remedy.
-        reason: String,
-    },
+    UnsupportedPolicy { address: String, reason: String },
     /// The session is not open: it was never reset, or the gateway restarted or discarded it. The
     /// episode is lost, through no fault of the policy.
     #[error(
@@ -188,22 +114,13 @@ pub enum BackendError {
          the rollout again"
     )]
     SessionLost,
-    /// A query to a stateful policy came out of order.
     #[error("a stateful policy answers its queries in order, and query {expected} is next")]
-    OutOfOrder {
-        /// Query index that the policy expects.
-        expected: u32,
-    },
-    /// The policy could not answer.
+    OutOfOrder { expected: u32 },
     #[error("the policy failed: {message}")]
-    Policy {
-        /// Message of the policy.
-        message: String,
-    },
+    Policy { message: String },
 }
 
 impl BackendError {
-    /// Returns the gRPC code to answer a worker with.
     pub fn code(&self) -> Code {
         match self {
             Self::Unreachable { .. }
@@ -233,5 +150,61 @@ impl BackendError {
     /// Returns true if the infrastructure failed rather than this query.
     pub fn is_outage(&self) -> bool {
         is_outage_code(self.code())
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Cause {
+    Unreachable(String),
+    /// The settings are wrong, for example the address of another server.
+    Misconfigured(String),
+    TokenRejected(String),
+    /// The server's description differs from its earlier description, or from that of the other
+    /// replicas.
+    DescriptionDiffers(String),
+    NoAnswer,
+    /// Different tasks got the same error.
+    RepeatedError(String),
+    /// The server's process cannot recover from an error.
+    Broken(String),
+}
+
+impl Cause {
+    /// Bounds memory and log entries.
+    pub fn shortened(self) -> Self {
+        match self {
+            Self::Unreachable(problem) => Self::Unreachable(shorten(&problem)),
+            Self::Misconfigured(problem) => Self::Misconfigured(shorten(&problem)),
+            Self::TokenRejected(error) => Self::TokenRejected(shorten(&error)),
+            Self::DescriptionDiffers(difference) => Self::DescriptionDiffers(shorten(&difference)),
+            Self::NoAnswer => Self::NoAnswer,
+            Self::RepeatedError(error) => Self::RepeatedError(shorten(&error)),
+            Self::Broken(error) => Self::Broken(shorten(&error)),
+        }
+    }
+
+    /// Returns true if the server counts as recovered only after an answered query or, if it
+    /// repeated an error, also after a different error.
+    pub fn needs_query(&self) -> bool {
+        matches!(self, Self::NoAnswer | Self::RepeatedError(_) | Self::Broken(_))
+    }
+}
+
+impl fmt::Display for Cause {
+    /// Writes a predicate, whose subject is the server's name.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unreachable(problem) | Self::Misconfigured(problem) => {
+                write!(f, "cannot be reached: {problem}")
+            }
+            Self::TokenRejected(error) => write!(f, "cannot be queried: {error}"),
+            Self::DescriptionDiffers(difference) => f.write_str(difference),
+            Self::NoAnswer => f.write_str("did not answer in time"),
+            Self::RepeatedError(error) => write!(f, "gave different tasks the same error: {error}"),
+            Self::Broken(error) => write!(
+                f,
+                "gave an error from which its process does not recover (restart it): {error}"
+            ),
+        }
     }
 }

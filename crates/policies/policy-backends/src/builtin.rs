@@ -3,34 +3,50 @@
 
 use std::{fmt, str::FromStr};
 
+use proto::policy::{DescribeResponse, Observation, ResetRequest};
 use thiserror::Error;
 
 pub(crate) mod backend;
 pub mod expert;
-pub(crate) mod instance;
 pub mod noop;
 pub mod student;
 
-pub(crate) use instance::Policy;
-
-pub use instance::{Action, BuiltinPolicy};
+pub use ::expert::Action;
 pub use student::Weights;
+
+pub(crate) struct Policy {
+    pub(crate) described: DescribeResponse,
+    pub(crate) start: Start,
+}
+
+type Start = Box<dyn Fn(&ResetRequest) -> Box<dyn BuiltinPolicy> + Send + Sync>;
+
+/// Instance of a built-in policy for one session.
+///
+/// Runs on a blocking thread, because an answer may take some milliseconds.
+pub trait BuiltinPolicy: Send {
+    /// Answers one observation. Called once per query index: the gateway
+    /// answers retries itself. With a policy that declares itself stateful,
+    /// queries come in the order 0, 1, 2, ….
+    ///
+    /// # Errors
+    /// If the observation lacks a requested input or shows a scene that the policy cannot handle;
+    /// the text names the input or the fault of the scene.
+    fn infer(&mut self, query_index: u32, observation: &Observation)
+    -> Result<Vec<Action>, String>;
+}
 
 /// Built-in policy by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Builtin {
-    /// Does nothing: see [`noop`].
     Noop,
-    /// Scripted pick-and-place from the simulator's state: see [`expert`].
     Expert,
     /// The expert, with frames of both cameras in its observations, which it ignores: for recordings.
     ExpertWithFrames,
-    /// Learned policy with cameras and instruction: see [`student`].
     Student(Weights),
 }
 
 impl Builtin {
-    /// Every built-in policy.
     pub const ALL: [Self; 5] = [
         Self::Noop,
         Self::Expert,
@@ -39,7 +55,6 @@ impl Builtin {
         Self::Student(Weights::Boxes),
     ];
 
-    /// Returns the name after `builtin:`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Noop => "noop",
@@ -49,7 +64,6 @@ impl Builtin {
         }
     }
 
-    /// Returns the policy's description and constructor.
     pub(crate) fn policy(self) -> Policy {
         match self {
             Self::Noop => {
@@ -87,10 +101,8 @@ impl FromStr for Builtin {
     }
 }
 
-/// The built-in policy does not exist.
 #[derive(Debug, Error)]
 #[error("find the built-in policy {name:?}: there are {}", Builtin::ALL.map(Builtin::name).join(", "))]
 pub struct UnknownBuiltin {
-    /// Name as written.
     pub name: String,
 }

@@ -26,11 +26,9 @@ const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 /// `https://HOST:PORT` over TLS, with `/POLICY` appended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrpcAddress {
-    /// `host:port`.
     pub authority: String,
     /// Name of the policy; empty selects the only policy of the server.
     pub policy: String,
-    /// True for TLS.
     pub encrypted: bool,
 }
 
@@ -82,18 +80,15 @@ impl fmt::Display for GrpcAddress {
     }
 }
 
-/// The text is not a valid address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a policy server's address: write grpc://HOST:PORT or \
      grpc://HOST:PORT/POLICY, with https:// in place of grpc:// over TLS"
 )]
 pub struct AddressError {
-    /// Address as written.
     pub text: String,
 }
 
-/// Remote policy server.
 #[derive(Debug)]
 pub struct GrpcBackend {
     address: GrpcAddress,

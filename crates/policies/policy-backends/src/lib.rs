@@ -11,13 +11,11 @@ use std::time::Duration;
 
 mod backend;
 pub mod builtin;
-mod cause;
 pub mod description;
 pub mod grpc;
 pub mod http2;
 pub mod numpy;
 mod observations;
-mod open;
 pub mod openpi;
 pub mod recorder;
 pub mod recording;
@@ -28,10 +26,8 @@ pub mod spec;
 pub mod vla_eval;
 mod websocket;
 
-pub use backend::{Backend, BackendError};
-pub use cause::Cause;
-pub use open::{UnusableBackend, open};
-pub use spec::BackendSpec;
+pub use backend::{Backend, BackendError, Cause};
+pub use spec::{BackendSpec, UnusableBackend, open};
 
 /// Default of the gateway's longest wait for an answer: shorter than a worker's, so that the
 /// gateway, not the worker, is the first to detect a server that does not answer.

@@ -4,7 +4,6 @@
 use rmpv::{Value, ValueRef, decode::read_value_ref, encode::write_value};
 use thiserror::Error;
 
-/// Type of the keys in an encoded array.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Keys {
     /// Byte strings, as in openpi.
@@ -13,7 +12,6 @@ pub(super) enum Keys {
     Text,
 }
 
-/// Array of 32-bit floats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
     /// Length of each dimension.
@@ -25,18 +23,12 @@ pub struct Array {
 /// Reason why a value is not an array of numbers. Messages begin with "its actions".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ArrayError {
-    /// The value is not an array.
     #[error("its actions are not an array of numbers")]
     NotAnArray,
-    /// The array's element type is not supported.
     #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
-    Dtype {
-        /// Element type in NumPy's notation.
-        dtype: String,
-    },
+    Dtype { dtype: String },
 }
 
-/// Encodes an array.
 pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {
     let shape = shape.iter().map(|&side| Value::from(side)).collect();
     let entries = [
@@ -52,19 +44,16 @@ pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> 
     Value::Map(entries.map(|(name, value)| (key(name), value)).into())
 }
 
-/// Builds a map with text keys.
 pub(super) fn map<const N: usize>(entries: [(&str, Value); N]) -> Value {
     Value::Map(entries.map(|(key, value)| (Value::from(key), value)).into())
 }
 
-/// Encodes a message.
 pub(super) fn encode(message: &Value) -> Vec<u8> {
     let mut bytes = vec![];
     write_value(&mut bytes, message).expect("a vector takes every byte");
     bytes
 }
 
-/// Decodes a message; `None` if the bytes are not valid msgpack.
 pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
     read_value_ref(&mut &*bytes).ok()
 }

@@ -6,7 +6,6 @@ use proto::policy::{CameraRequest, Observation, StateField};
 /// Side of the requested frames, pixels, as in LIBERO.
 pub(super) const FRAME_SIDE: u32 = 256;
 
-/// Requests a camera's frames.
 pub(super) fn camera(name: &str) -> CameraRequest {
     CameraRequest { name: name.to_owned(), width: FRAME_SIDE, height: FRAME_SIDE }
 }
@@ -29,7 +28,6 @@ pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<V
     Ok(rotated(&frame.rgb))
 }
 
-/// Rotates a frame by 180°.
 pub(super) fn rotated(rgb: &[u8]) -> Vec<u8> {
     rgb.rchunks_exact(3).flatten().copied().collect()
 }

@@ -39,14 +39,12 @@ const QUOTED_CHARS: usize = 600;
 /// one is in transit.
 pub const MAX_CONNECTIONS: usize = 2;
 
-/// Connection pool and sessions of an openpi server.
 pub struct OpenpiBackend {
     address: OpenpiAddress,
     server: Server,
     /// Instruction of every session, which is sent with every query.
     prompts: Mutex<SessionTable<String>>,
     permits: Semaphore,
-    /// Idle connections.
     idle: Mutex<Vec<Connection>>,
 }
 
@@ -69,7 +67,6 @@ impl OpenpiBackend {
         })
     }
 
-    /// Waits until fewer than [`MAX_CONNECTIONS`] queries are under way.
     async fn permit(&self) -> Option<SemaphorePermit<'_>> {
         // The semaphore is never closed.
         self.permits.acquire().await.ok()
@@ -97,8 +94,8 @@ impl OpenpiBackend {
         self.prompts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends one query. If the caller stops waiting, the connection is dropped, so that no other
-    /// caller gets its answer.
+    /// If the caller stops waiting, the connection is dropped, so that no other caller gets its
+    /// answer.
     async fn send_query(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
         let _permit = self.permit().await;
         let idle = self.idle().pop();

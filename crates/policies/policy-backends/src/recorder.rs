@@ -22,16 +22,13 @@ pub const ENDED_AFTER: Duration = Duration::from_secs(120);
 /// Default limit of written bytes: about 400 sessions of 100 observations.
 pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
 
-/// Destination and limit of recordings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordInto {
     /// An existing folder.
     pub folder: PathBuf,
-    /// Limit of written bytes.
     pub max_bytes: u64,
 }
 
-/// A recorded back-end and its open recordings.
 pub struct Recorder {
     inner: Arc<dyn Backend>,
     /// Open recordings, shared with the blocking threads that write them.
@@ -46,7 +43,6 @@ struct OpenRecordings {
 }
 
 impl Recorder {
-    /// Creates a recorder around `inner`.
     pub fn new(inner: Arc<dyn Backend>, into: RecordInto) -> Self {
         let RecordInto { folder, max_bytes } = into;
         Self {

@@ -30,16 +30,12 @@ pub const SUFFIX: &str = "recording";
 /// Largest number of recordings in a folder.
 pub const MAX_FILES: usize = 100_000;
 
-/// Query with its answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pair {
-    /// Query as sent.
     pub query: InferRequest,
-    /// Answer as received.
     pub answer: InferResponse,
 }
 
-/// Recording in progress.
 #[derive(Debug)]
 pub struct Writer {
     file: BufWriter<File>,
@@ -91,7 +87,6 @@ impl Writer {
         Ok(complete)
     }
 
-    /// Removes the unfinished recording.
     pub fn discard(self) {
         // If the removal fails, the suffix still marks the file as partial.
         drop(std::fs::remove_file(self.partial()));
@@ -108,14 +103,11 @@ impl Writer {
     }
 }
 
-/// Reads a recording, message by message.
 #[derive(Debug)]
 pub struct Reader {
     path: PathBuf,
     file: BufReader<File>,
-    /// Description of the policy.
     pub described: DescribeResponse,
-    /// Reset that started the episode.
     pub reset: ResetRequest,
 }
 
@@ -214,50 +206,24 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
 /// Reason why recordings cannot be used. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum RecordingError {
-    /// The file or folder cannot be read.
     #[error("read {path:?}")]
-    Io {
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// The file is damaged or not a recording.
+    Io { path: PathBuf, source: io::Error },
     #[error(
         "read {path:?} as a recording: it is damaged or no recording; record the session again"
     )]
-    Broken {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// The folder has no recordings.
+    Broken { path: PathBuf },
     #[error(
         "find a recording in {folder:?}: `policy-gateway record --output` makes them, one \
          .{SUFFIX} file per session that has ended"
     )]
-    NoRecordings {
-        /// Path of the folder.
-        folder: PathBuf,
-    },
-    /// The folder has more recordings than the limit.
+    NoRecordings { folder: PathBuf },
     #[error("take more than {MAX_FILES} recordings from {folder:?}: move some to another folder")]
-    TooMany {
-        /// Path of the folder.
-        folder: PathBuf,
-    },
-    /// The recordings are of different policies.
+    TooMany { folder: PathBuf },
     #[error(
         "replay {first:?} and {other:?} as one policy: {difference}; give each policy a folder of \
          its own"
     )]
-    DifferentPolicies {
-        /// Path of the first recording.
-        first: PathBuf,
-        /// Path of a recording whose description differs.
-        other: PathBuf,
-        /// Description of the difference.
-        difference: String,
-    },
+    DifferentPolicies { first: PathBuf, other: PathBuf, difference: String },
 }
 
 fn io_error(path: &Path, source: io::Error) -> RecordingError {

@@ -28,7 +28,6 @@ use crate::{
 /// Batch mode in the provenance of replayed results.
 const BATCH_MODE: &str = "replayed from a recording";
 
-/// Recordings of one policy.
 pub struct Replay {
     folder: PathBuf,
     described: DescribeResponse,
@@ -158,7 +157,6 @@ impl RecordedEpisode {
         Ok(Self { path, steps })
     }
 
-    /// Returns the recorded answer if the recorded observation has this digest.
     fn answer(&self, query_index: u32, observed: [u8; 32]) -> Option<&InferResponse> {
         let step = self.steps.iter().find(|step| step.query_index == query_index)?;
         (step.digest == observed).then_some(&step.answer)

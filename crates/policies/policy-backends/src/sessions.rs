@@ -9,7 +9,6 @@ pub const MAX_SESSIONS: usize = 4096;
 /// Longest session name accepted, bytes.
 pub const MAX_SESSION_BYTES: usize = 512;
 
-/// Values by session name, at most `capacity` of them.
 #[derive(Debug)]
 pub struct SessionTable<V> {
     capacity: usize,
@@ -41,7 +40,7 @@ impl<V> SessionTable<V> {
         &mut self.entries.entry(session.to_owned()).insert_entry(entry).into_mut().value
     }
 
-    /// Returns the value of a session if it is open, and counts the use.
+    /// Counts the use.
     pub fn get(&mut self, session: &str) -> Option<&mut V> {
         let last_use = self.next_use();
         let entry = self.entries.get_mut(session)?;
@@ -49,17 +48,14 @@ impl<V> SessionTable<V> {
         Some(&mut entry.value)
     }
 
-    /// Returns the values of the open sessions.
     pub fn values(&self) -> impl Iterator<Item = &V> {
         self.entries.values().map(|entry| &entry.value)
     }
 
-    /// Removes a session and returns its value, if it is open.
     pub fn close(&mut self, session: &str) -> Option<V> {
         self.entries.remove(session).map(|entry| entry.value)
     }
 
-    /// Keeps only the sessions for which `keeps` returns true.
     pub fn retain(&mut self, mut keeps: impl FnMut(&V) -> bool) {
         self.entries.retain(|_, entry| keeps(&entry.value));
     }

@@ -3,7 +3,6 @@
 /// Length limit of a server's text in a message, bytes: as much as a coordinator stores of an
 /// error.
 pub const MAX_SHORTENED_BYTES: usize = 4_096;
-/// Mark of a truncated text.
 const CUT: &str = " …";
 
 /// Returns a text in one line of at most [`MAX_SHORTENED_BYTES`]. A line feed in a server's text

@@ -1,14 +1,20 @@
-//! Specifications of back-ends, as routes and command lines write them.
-
-use std::{fmt, path::PathBuf, str::FromStr};
+use std::{fmt, path::PathBuf, str::FromStr, sync::Arc};
 
 use thiserror::Error;
+use transport::{Access, AccessError};
 
 use crate::{
-    builtin::{Builtin, UnknownBuiltin},
-    grpc::{AddressError, GrpcAddress},
-    openpi::{OpenpiAddress, OpenpiAddressError},
-    vla_eval::{VlaEvalAddress, VlaEvalAddressError},
+    backend::Backend,
+    builtin::{
+        Builtin, UnknownBuiltin,
+        backend::BuiltinBackend,
+        student::{self, WeightsFileError},
+    },
+    grpc::{AddressError, GrpcAddress, GrpcBackend},
+    openpi::{OpenpiAddress, OpenpiAddressError, OpenpiBackend},
+    recording::RecordingError,
+    replay::Replay,
+    vla_eval::{VlaEvalAddress, VlaEvalAddressError, VlaEvalBackend},
 };
 
 /// Back-end that answers for a policy: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]` (`https://` over
@@ -16,22 +22,16 @@ use crate::{
 /// `student:FILE`, or `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {
-    /// A policy inside the gateway.
     Builtin(Builtin),
     /// The built-in student with the weights of a file.
     Student(PathBuf),
-    /// Remote policy server.
     Grpc(GrpcAddress),
-    /// openpi policy server.
     Openpi(OpenpiAddress),
-    /// vla-eval model server.
     VlaEval(VlaEvalAddress),
-    /// Folder of recordings.
     Replay(PathBuf),
 }
 
 impl BackendSpec {
-    /// Returns true if the server is reached over TLS.
     pub fn is_encrypted(&self) -> bool {
         match self {
             Self::Builtin(_) | Self::Student(_) | Self::Replay(_) => false,
@@ -74,26 +74,62 @@ impl fmt::Display for BackendSpec {
 /// The text does not specify a back-end. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum BackendSpecError {
-    /// The text is not a known kind of back-end.
     #[error(
         "read back-end {text:?}: write grpc://HOST:PORT, or https://HOST:PORT over TLS, or \
          ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
          vla-eval, or builtin:NAME, or student:FILE, or replay:FOLDER"
     )]
-    Kind {
-        /// Text as written.
-        text: String,
-    },
-    /// The built-in policy does not exist.
+    Kind { text: String },
     #[error(transparent)]
     Builtin(#[from] UnknownBuiltin),
-    /// The gRPC address is invalid.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// The openpi server's address is invalid.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
-    /// The vla-eval model server's address is invalid.
+    #[error(transparent)]
+    VlaEval(#[from] VlaEvalAddressError),
+}
+
+/// Creates the back-end of a specification, without connecting.
+///
+/// # Errors
+/// See [`UnusableBackend`].
+pub fn open(spec: &BackendSpec, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
+    Ok(match spec {
+        BackendSpec::Builtin(builtin) => {
+            Arc::new(BuiltinBackend::new(spec.to_string(), builtin.policy()))
+        }
+        BackendSpec::Student(weights) => {
+            let policy = student::read(weights)?;
+            Arc::new(BuiltinBackend::new(spec.to_string(), policy))
+        }
+        BackendSpec::Grpc(address) => {
+            let endpoint = address.endpoint()?;
+            Arc::new(GrpcBackend::new(address.clone(), endpoint, access)?)
+        }
+        BackendSpec::Openpi(address) => {
+            Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
+        }
+        BackendSpec::VlaEval(address) => {
+            Arc::new(VlaEvalBackend::new(address.clone(), access.clone())?)
+        }
+        BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
+    })
+}
+
+/// Reason why a back-end cannot be created. The message follows "failed to …".
+#[derive(Debug, Error)]
+pub enum UnusableBackend {
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    #[error(transparent)]
+    Weights(#[from] WeightsFileError),
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    #[error(transparent)]
+    Openpi(#[from] OpenpiAddressError),
     #[error(transparent)]
     VlaEval(#[from] VlaEvalAddressError),
 }

@@ -50,7 +50,6 @@ pub const ENDED_AFTER: Duration = Duration::from_secs(600);
 /// Idle connections kept for future episodes.
 const MAX_IDLE: usize = 8;
 
-/// Connections and episodes of a vla-eval model server.
 pub struct VlaEvalBackend {
     address: VlaEvalAddress,
     server: Server,
@@ -71,11 +70,9 @@ struct Episode {
     link: tokio::sync::Mutex<Option<Link>>,
 }
 
-/// Connection with its negotiated terms.
 struct Link {
     connection: Connection,
     terms: Terms,
-    /// Number of messages sent.
     sent: u64,
     next_query: u32,
 }
@@ -124,7 +121,6 @@ impl VlaEvalBackend {
         BackendError::UnsupportedPolicy { address: self.server.authority().to_owned(), reason }
     }
 
-    /// Returns a connection without an episode.
     async fn unused_link(&self) -> Result<Link, BackendError> {
         let mut was_closed = false;
         loop {

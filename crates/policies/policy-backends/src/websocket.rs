@@ -35,21 +35,15 @@ const MAX_MESSAGE_BYTES: usize = 1 << 20;
 /// Longest wait for handshake and first message, which a server may delay while it computes.
 const GREETING_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// URL schemes of a kind of server.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schemes {
-    /// Scheme without TLS, such as `ws`.
     pub(super) clear: &'static str,
-    /// Scheme with TLS, such as `wss`.
     pub(super) encrypted: &'static str,
 }
 
-/// Host and port of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HostPort {
-    /// `host:port`.
     pub authority: String,
-    /// True for TLS.
     pub encrypted: bool,
 }
 
@@ -70,7 +64,6 @@ impl HostPort {
         })
     }
 
-    /// Formats the address as written in a route.
     pub(super) fn text(&self, schemes: Schemes) -> String {
         let scheme = if self.encrypted { schemes.encrypted } else { schemes.clear };
         format!("{scheme}://{}", self.authority)
@@ -124,12 +117,10 @@ impl Server {
         })
     }
 
-    /// Returns `host:port`.
     pub(super) fn authority(&self) -> &str {
         &self.host_port.authority
     }
 
-    /// Records that every connection has been lost.
     pub(super) fn lost(&self) {
         *self.connected.lock() = None;
     }
@@ -229,7 +220,6 @@ impl Server {
         }
     }
 
-    /// Returns the error for a server that cannot be reached, with a diagnosis of its address.
     async fn connection_error(&self) -> BackendError {
         *self.connected.lock() = None;
         BackendError::Unreachable {
@@ -247,7 +237,6 @@ impl Server {
     }
 }
 
-/// Returns the seconds since 1970.
 #[allow(clippy::disallowed_methods, reason = "only a timestamp for logs and results")]
 pub(super) fn now() -> f64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
@@ -257,13 +246,11 @@ pub(super) fn now() -> f64 {
 trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
 impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
 
-/// A message of a server.
 pub(super) enum Received {
     Binary(Vec<u8>),
     Text(String),
 }
 
-/// An open connection.
 pub(super) struct Connection {
     socket: WebSocketStream<Box<dyn Stream>>,
     connected: ConnectedSince,
@@ -272,13 +259,11 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Sends a message.
     pub(super) async fn send(&mut self, message: Vec<u8>) -> Result<(), BackendError> {
         let sent = self.socket.send(Message::binary(message)).await;
         sent.map_err(|_| self.connection_lost())
     }
 
-    /// Waits for the next message.
     pub(super) async fn receive(&mut self) -> Result<Received, BackendError> {
         loop {
             match self.socket.next().await {

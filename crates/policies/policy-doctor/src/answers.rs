@@ -58,7 +58,6 @@ impl Answers {
         })
     }
 
-    /// Returns the number of components of all actions.
     pub(crate) fn component_count(&self) -> usize {
         self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
     }

@@ -88,10 +88,8 @@ pub struct Doctor {
 /// Reason why a command failed. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum CommandError {
-    /// The token or the certificate authority cannot be used.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// The servers cannot be compared or diagnosed.
     #[error(transparent)]
     Examination(#[from] ExaminationError),
 }

@@ -26,10 +26,8 @@ const ROUNDING: f64 = 0.02;
 /// Seeds that servers commonly have as a default.
 const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
-/// Result of a comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// Differences between the descriptions.
     pub descriptions: Vec<DescriptionDifference>,
     /// Differences between the answers; empty if the answers count as the same.
     pub differences: Vec<Difference>,
@@ -37,7 +35,6 @@ pub struct Comparison {
     pub note: String,
 }
 
-/// Answers of two servers to the same queries.
 struct AnswerPair {
     a: Answers,
     b: Answers,
@@ -60,7 +57,6 @@ impl AnswerPair {
         LargestDifference { value, component }
     }
 
-    /// Returns true if the difference is small relative to the variation of the answers.
     fn differ_by_rounding(&self) -> bool {
         let remaining = fit(&self.a, &self.b, &[f64::INFINITY; 7]).remaining;
         let deviations = standard_deviations(&self.b);
@@ -100,7 +96,6 @@ pub async fn compare(
     Ok(Comparison { descriptions, differences, note })
 }
 
-/// Finds differences between the servers' use of the seed, regardless of the observations.
 fn seed_differences(servers: &ServerPair, randomness: [Randomness; 2]) -> Vec<Difference> {
     let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(randomness);
     for ((side, letter), randomness) in sides {
@@ -129,7 +124,6 @@ fn seed_differences(servers: &ServerPair, randomness: [Randomness; 2]) -> Vec<Di
     vec![Difference::new(Kind::Seed, text)]
 }
 
-/// Compares answers with the same seed.
 async fn compare_paired(
     servers: &ServerPair,
     pair: &AnswerPair,
@@ -220,7 +214,6 @@ async fn find_other_seed(
     Ok(None)
 }
 
-/// Compares means over several seeds.
 async fn compare_means(
     servers: &ServerPair,
     randomness: [Randomness; 2],

@@ -7,26 +7,58 @@
 
 use std::fmt;
 
+use thiserror::Error;
 use tonic::Status;
+use transport::{Access, AccessError, ConnectError, status_text};
 
 use probe::{EpisodeAnswers, Probe, QueryOrder};
-pub use target::{ConformanceError, Target};
 pub use verdict::Verdict;
 
 pub mod latency;
 mod probe;
 pub mod scene;
-mod target;
 pub(crate) mod verdict;
 
-/// Seed of the reference episode.
 const SEED: u64 = 1;
 /// Seed of episodes whose answers may differ from those of the reference episode.
 const OTHER_SEED: u64 = 2;
-/// Concurrent episodes in the measurement of throughput.
 const CONCURRENCY: u32 = 8;
+/// Queries per episode.
+const QUERIES: u32 = 5;
 
-/// Requirement of the protocol.
+/// Server and policy to check.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// `grpc://HOST:PORT` or `http://HOST:PORT`; over TLS, `https://HOST:PORT`.
+    pub url: String,
+    /// Address as the user gave it, for messages.
+    pub shown: String,
+    /// Name of the policy; empty selects the only policy of the server.
+    pub policy: String,
+    /// Suite of the synthetic task, one of `scene::TASKS`.
+    pub suite: String,
+    pub access: Access,
+}
+
+/// Reason why a server cannot be checked. The message follows "failed to …".
+#[derive(Debug, Error)]
+pub enum ConformanceError {
+    #[error(
+        "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https://HOST:PORT \
+         over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
+         server of vla-eval"
+    )]
+    Url { url: String },
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    #[error("reach the policy server at {url}: {trouble}")]
+    Connect { url: String, trouble: Box<ConnectError> },
+    #[error("have {url} describe its policy: {}", status_text(status))]
+    Describe { url: String, status: Box<Status> },
+    #[error("play one episode with {url}: {}", status_text(status))]
+    Episode { url: String, status: Box<Status> },
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
     Description,
@@ -87,12 +119,9 @@ impl fmt::Display for Point {
     }
 }
 
-/// Result of one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// Point that was checked.
     pub point: Point,
-    /// Result of the check.
     pub verdict: Verdict,
 }
 

@@ -3,14 +3,11 @@
 use proto::policy::{DescribeResponse, Language};
 use serde::Serialize;
 
-/// Field or setting in which two descriptions differ.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct DescriptionDifference {
     /// Name of the field or setting, for example "cameras".
     pub what: String,
-    /// Value of the first server.
     pub a: String,
-    /// Value of the second server.
     pub b: String,
 }
 

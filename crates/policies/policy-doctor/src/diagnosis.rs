@@ -18,7 +18,6 @@ mod diagnosed_server;
 mod memory;
 mod verdicts;
 
-/// Check of the diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
     Actions,
@@ -49,7 +48,6 @@ impl Point {
         Self::Look,
     ];
 
-    /// Returns the point's name in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Actions => "actions",
@@ -84,21 +82,16 @@ impl fmt::Display for Point {
     }
 }
 
-/// Result of one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// Point that was examined.
     pub point: Point,
-    /// Result of the examination.
     pub verdict: Verdict,
 }
 
-/// Limits and sizes of the checks.
 #[derive(Clone, Copy, Debug)]
 pub struct Measures {
     /// Longest time for one answer, as configured in a gateway.
     pub answer_within: Duration,
-    /// Episodes played to detect growing memory.
     pub episodes: u32,
 }
 

@@ -13,7 +13,6 @@ use crate::{
 pub(crate) const COMPONENT_NAMES: [&str; 7] =
     ["x", "y", "z", "rotation x", "rotation y", "rotation z", "gripper"];
 
-/// Kind of a difference between two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -32,7 +31,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Returns the name for reports and JSON.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::FrameOrientation => "frame orientation",
@@ -103,17 +101,14 @@ impl Kind {
     }
 }
 
-/// Difference with its description.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Difference {
-    /// Kind of the difference.
     pub kind: Kind,
     /// Description of the observed difference. A and B are the servers.
     pub text: String,
 }
 
 impl Difference {
-    /// Creates a difference.
     pub(crate) fn new(kind: Kind, text: impl Into<String>) -> Self {
         let text = text.into();
         Self { kind, text }
@@ -123,9 +118,7 @@ impl Difference {
 /// Largest difference between two servers' answers before any explanation.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LargestDifference {
-    /// Absolute difference.
     pub(crate) value: f64,
-    /// Index of the component in an action.
     pub(crate) component: usize,
 }
 
@@ -218,7 +211,6 @@ fn describe_variant(side: Side, variant: &Variant) -> String {
     format!("{other} answers {nearly}as {changed} does when {changed} is given {variant}.")
 }
 
-/// Returns the differences that concern the actions themselves.
 pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
     let mut differences = vec![];
     if fit.shift != 0 {

@@ -7,7 +7,6 @@ use proto::policy::Image;
 
 use crate::situation::resized;
 
-/// Filter for scaling frames down and up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Filter {
     /// Bilinear filter, as in Pillow and TensorFlow.
@@ -19,7 +18,6 @@ pub(crate) enum Filter {
 }
 
 impl Filter {
-    /// All filters.
     pub(super) const ALL: [Self; 3] = [Self::Bilinear, Self::Mean, Self::Nearest];
 
     /// Scales a frame to a smaller size, and back.
@@ -87,7 +85,6 @@ impl fmt::Display for Filter {
 pub(crate) mod tests {
     use super::*;
 
-    /// Returns a grey picture of 2 × 2 pixels.
     pub(crate) fn image(rgb: &[u8]) -> Image {
         Image {
             camera: "agentview".to_owned(),

@@ -4,31 +4,20 @@
 
 use crate::{answers::Answers, server::Action};
 
-/// Index of the gripper in an action.
 pub(crate) const GRIPPER: usize = 6;
 /// Smallest scale of an affine map; a smaller scale means that the answers are unrelated.
 const LEAST_SCALE: f64 = 1e-3;
 
-/// Map of one component of an action.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Map {
-    /// The value is unchanged.
     Same,
-    /// The gripper has another convention.
     Gripper(Convention),
-    /// The value is scaled and shifted.
-    Affine {
-        /// Factor.
-        scale: f64,
-        /// Summand, after scaling.
-        offset: f64,
-    },
+    Affine { scale: f64, offset: f64 },
 }
 
 /// Convention of the second server's gripper, as a function of the first server's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Convention {
-    /// The sign is inverted.
     Inverted,
     /// From −1..1 to 0..1.
     ZeroToOne,
@@ -87,13 +76,11 @@ impl Map {
 /// action.
 pub(crate) type Limit = Action;
 
-/// Map from one server's actions to the other's.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Fit {
     /// k if the first server's action k corresponds to the second server's action 0, and −k if the
     /// second server's action k corresponds to the first server's action 0.
     pub shift: i32,
-    /// Map of each component.
     pub maps: [Map; 7],
     /// Remaining root-mean-square difference of each component.
     pub remaining: Action,
@@ -102,13 +89,11 @@ pub(crate) struct Fit {
 }
 
 impl Fit {
-    /// Returns the number of assumptions of the fit.
     pub(crate) fn cost(&self) -> u32 {
         let maps: u32 = self.maps.iter().map(|map| map.cost()).sum();
         maps + u32::from(self.shift != 0)
     }
 
-    /// Returns true if all maps are identities and there is no shift.
     pub(crate) fn is_identity(&self) -> bool {
         self.cost() == 0
     }

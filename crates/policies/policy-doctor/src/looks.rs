@@ -18,7 +18,6 @@ use crate::situation::Situation;
 const QUERIES: usize = 6;
 /// Smallest number of sessions of which a sign test can say anything at [`LEVEL`]: 2 / 2^6 = 0.03.
 const MIN_SESSIONS: usize = 6;
-/// Significance level of the statement.
 const LEVEL: f64 = 0.05;
 
 /// A folder of recordings, and the look in which they were made: `LOOK=DIR`.
@@ -38,13 +37,11 @@ impl FromStr for RecordedLook {
     }
 }
 
-/// A session in both looks.
 #[derive(Debug)]
 pub struct Session {
     queries: Vec<Query>,
 }
 
-/// A query that was recorded in both looks.
 #[derive(Debug)]
 struct Query {
     /// The situation in each look, in the order of [`Look::ALL`].
@@ -135,7 +132,6 @@ pub async fn examine(server: &Server, sessions: &[Session]) -> Result<Verdict, E
     Ok(verdict(&errors))
 }
 
-/// Returns the mean absolute difference over the numbers of an action.
 fn distance(action: &Action, other: &Action) -> f64 {
     action.iter().zip(other).map(|(a, b)| (a - b).abs()).sum::<f64>() / action.len() as f64
 }
@@ -169,7 +165,6 @@ fn verdict(errors: &[[f64; 2]]) -> Verdict {
     }
 }
 
-/// Returns the two-sided p-value of a sign test.
 fn sign_test([a, b]: [usize; 2]) -> f64 {
     let count = a + b;
     let mut term = 0.5_f64.powi(i32::try_from(count).unwrap_or(i32::MAX));

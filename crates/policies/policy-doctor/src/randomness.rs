@@ -43,7 +43,6 @@ impl Randomness {
         })
     }
 
-    /// Returns true if a repeated query gets the same answer.
     pub(crate) fn is_repeatable(&self) -> bool {
         self.repeat_difference <= REPEATABLE
     }

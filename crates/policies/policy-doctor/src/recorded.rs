@@ -48,7 +48,6 @@ fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingErro
     Ok(situations)
 }
 
-/// Returns the input of a recorded query.
 pub(crate) fn situation(reader: &Reader, pair: Pair) -> Situation {
     let observation = pair.query.observation.unwrap_or_default();
     let readings = observation.state.iter();

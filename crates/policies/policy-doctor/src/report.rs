@@ -15,7 +15,6 @@ use crate::{
 /// Indentation of a finding's continuation lines, columns.
 const INDENT: usize = 6;
 
-/// A queried server, as it describes itself.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct DescribedServer {
     url: String,
@@ -24,7 +23,6 @@ pub(crate) struct DescribedServer {
 }
 
 impl DescribedServer {
-    /// Creates the entry of the server at `url`.
     pub(crate) fn new(url: &str, described: &DescribeResponse) -> Self {
         Self {
             url: url.to_owned(),
@@ -33,7 +31,6 @@ impl DescribedServer {
         }
     }
 
-    /// Formats a line with the server's name.
     pub(crate) fn line(&self, letter: &str) -> String {
         let checkpoint = match self.checkpoint.is_empty() {
             true => String::new(),
@@ -44,7 +41,6 @@ impl DescribedServer {
     }
 }
 
-/// Formats a comparison as lines.
 pub(crate) fn comparison(comparison: &Comparison) -> Vec<String> {
     let Comparison { descriptions, differences, note } = comparison;
     let mut lines: Vec<String> = descriptions.iter().map(description).collect();
@@ -71,7 +67,6 @@ fn difference(difference: &Difference) -> String {
     wrapped("FAIL  ", INDENT, &words)
 }
 
-/// Formats a finding as lines.
 pub(crate) fn finding(finding: &Finding) -> String {
     let (word, text) = name_and_text(&finding.verdict);
     let word = if word == "fail" { "FAIL" } else { word };
@@ -88,7 +83,6 @@ fn name_and_text(verdict: &Verdict) -> (&'static str, &str) {
     }
 }
 
-/// Output of `compare --json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct ComparisonJson<'a> {
     a: DescribedServer,
@@ -107,7 +101,6 @@ struct DifferenceJson<'a> {
 }
 
 impl<'a> ComparisonJson<'a> {
-    /// Builds the report of a comparison of two servers.
     pub(crate) fn new(a: DescribedServer, b: DescribedServer, comparison: &'a Comparison) -> Self {
         let differences = comparison.differences.iter();
         Self {
@@ -127,7 +120,6 @@ impl<'a> ComparisonJson<'a> {
     }
 }
 
-/// Output of `doctor --json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct ExaminationJson<'a> {
     server: DescribedServer,
@@ -143,7 +135,6 @@ struct FindingJson<'a> {
 }
 
 impl<'a> ExaminationJson<'a> {
-    /// Builds the report of all findings at a server.
     pub(crate) fn new(server: DescribedServer, findings: &'a [Finding]) -> Self {
         let finding = |finding: &'a Finding| {
             let (verdict, text) = name_and_text(&finding.verdict);

@@ -18,9 +18,7 @@ const MAX_REMAINDER_PER_CHANGE: f64 = 0.75;
 /// `SearchSetup::floor` is then searched as a separate difference.
 const MAX_UNEXPLAINED: f64 = 0.1;
 
-/// Setup of a search: the servers, the situations and the seeds.
 pub(crate) struct SearchSetup<'a> {
-    /// The servers and the situations.
     pub servers: &'a ServerPair,
     /// Seeds of a situation; the answers with several seeds are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
@@ -33,9 +31,7 @@ pub(crate) struct SearchSetup<'a> {
 /// Changes to the observations, and a map of the actions.
 #[derive(Clone, Debug)]
 pub(crate) struct Explanation {
-    /// Changes to either server's observations.
     pub changes: Vec<(Side, Variant)>,
-    /// Map from A's actions to B's.
     pub fit: Fit,
 }
 
@@ -45,10 +41,8 @@ impl Explanation {
     }
 }
 
-/// Result of a search.
 #[derive(Clone, Debug)]
 pub(crate) enum SearchResult {
-    /// This explanation makes the answers alike.
     Explained(Explanation),
     /// No explanation makes the answers alike; this explanation leaves the smallest difference.
     Unexplained(Explanation),

@@ -9,6 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+pub use libero_ctrl::Action;
 use policy_backends::{
     Backend, BackendError, BackendSpec, UnusableBackend, open, recording::RecordingError,
 };
@@ -22,34 +23,24 @@ use crate::situation::MissingInput;
 /// Longest wait for an answer: models that compile at their first query take minutes.
 pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// One action: translation (3), rotation (3), gripper.
-pub type Action = [f64; 7];
-
-/// Connected server with its description.
 pub struct Server {
-    /// URL as given.
     pub(crate) url: String,
-    /// Description given by the server.
     pub described: DescribeResponse,
     backend: Arc<dyn Backend>,
-    /// Number of sessions opened so far.
     sessions: AtomicU32,
     /// Process id, which distinguishes this run's sessions from those of other runs.
     run: u32,
 }
 
-/// An episode at a server.
 pub(crate) struct Episode<'a> {
     server: &'a Server,
     session: String,
     next_query: u32,
 }
 
-/// Answer with its latency.
 pub(crate) struct TimedAnswer {
     /// Answer of the server, unchecked.
     pub(crate) response: InferResponse,
-    /// Time from the query to the answer.
     pub(crate) latency: Duration,
 }
 
@@ -73,7 +64,6 @@ impl Server {
         Ok(Self { url, described, backend, sessions: AtomicU32::new(0), run: std::process::id() })
     }
 
-    /// Returns the error that a situation lacks an input that this server requests.
     pub(crate) fn lacks(&self, missing: MissingInput) -> ExaminationError {
         ExaminationError::MissingInput { url: self.url.clone(), missing }
     }
@@ -169,55 +159,23 @@ async fn in_time<T>(
 /// Reason why servers cannot be compared or diagnosed. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ExaminationError {
-    /// The address, the credentials, the weights or the recordings (`replay:FOLDER`) of a route
-    /// cannot be used.
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
-    /// The recordings of `--recorded` cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The recordings of `--look` are not of both looks.
     #[error("compare looks: give --look twice, with recordings in mujoco-3.3.2 and mujoco-3.3.3")]
     OneLook,
-    /// The server does not answer in time.
     #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
-    NoAnswer {
-        /// URL as given.
-        url: String,
-    },
-    /// The server cannot be reached, or answers with an error.
+    NoAnswer { url: String },
     #[error("get an answer from {url}: {problem}")]
-    Answer {
-        /// URL as given.
-        url: String,
-        /// Error of the server or of the connection.
-        problem: String,
-    },
-    /// The server's description cannot be used.
+    Answer { url: String, problem: String },
     #[error("use the description of {url}: {fault}; `policy-gateway check {url}` shows more")]
-    Description {
-        /// URL as given.
-        url: String,
-        /// Fault of the description.
-        fault: DescriptionFault,
-    },
-    /// The server's answer is not a valid chunk of actions.
+    Description { url: String, fault: DescriptionFault },
     #[error("use the answers of {url}: {fault}; `policy-gateway doctor {url}` counts such answers")]
-    InvalidActions {
-        /// URL as given.
-        url: String,
-        /// Fault of the answer.
-        fault: ActionFault,
-    },
-    /// The recordings lack an input that the server needs.
+    InvalidActions { url: String, fault: ActionFault },
     #[error(
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
          record the queries of a policy that also needs this input, or leave --recorded out"
     )]
-    MissingInput {
-        /// URL as given.
-        url: String,
-        /// Missing input.
-        missing: MissingInput,
-    },
+    MissingInput { url: String, missing: MissingInput },
 }

@@ -16,7 +16,6 @@ pub(crate) const SEED: u64 = 4_711;
 /// action at a time from a chunk: a single answer would show only the first action of the chunk.
 const REPEATED_QUERIES: u32 = 4;
 
-/// Identifies one of the two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     /// The first server on the command line.
@@ -25,7 +24,6 @@ pub(crate) enum Side {
     B,
 }
 
-/// Both servers and their situations.
 pub(crate) struct ServerPair {
     a: Server,
     b: Server,
@@ -68,12 +66,10 @@ impl ServerPair {
         })
     }
 
-    /// Returns a server's description.
     pub(crate) fn described(&self, side: Side) -> &DescribeResponse {
         &self.server(side).described
     }
 
-    /// Returns one of the two servers.
     pub(crate) fn server(&self, side: Side) -> &Server {
         match side {
             Side::A => &self.a,
@@ -81,7 +77,6 @@ impl ServerPair {
         }
     }
 
-    /// Returns the number of situations.
     pub(crate) fn situation_count(&self) -> usize {
         self.situations.len()
     }
@@ -129,7 +124,6 @@ impl ServerPair {
         Ok(Answers::averaged(all))
     }
 
-    /// Plays one episode and returns its actions.
     async fn chunk(
         &self,
         side: Side,

@@ -9,37 +9,24 @@ use thiserror::Error;
 
 use crate::pose::{self, Quaternion};
 
-/// Frames and readings at one moment of an episode.
 #[derive(Clone, Debug, Default)]
 pub struct Situation {
-    /// Suite of the episode.
     pub suite: String,
-    /// Instruction of the episode.
     pub instruction: String,
     /// Frames by camera, with row 0 at the bottom.
     pub frames: Vec<Image>,
     /// Readings, at most one of each kind.
     pub readings: Vec<(StateField, Vec<f64>)>,
-    /// The simulator's own state.
     pub privileged: Option<PrivilegedState>,
 }
 
-/// Input that a server needs and a situation lacks.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum MissingInput {
-    /// No frame of a camera.
     #[error("frames of {camera:?}")]
-    Frames {
-        /// Name of the camera.
-        camera: String,
-    },
+    Frames { camera: String },
     /// No reading of this field, nor of a field from which the reading can be derived.
     #[error("the robot reading {}", field.as_str_name())]
-    Reading {
-        /// Field of the robot's state.
-        field: StateField,
-    },
-    /// No privileged state.
+    Reading { field: StateField },
     #[error("the simulator's own state")]
     Privileged,
 }

@@ -8,7 +8,6 @@ use proto::policy::{DescribeResponse, Image, PrivilegedState, StateField};
 
 use crate::{conformance::scene, situation::Situation};
 
-/// Number of synthetic situations.
 pub(crate) const COUNT: usize = 8;
 /// Side of the frames, pixels, as in LIBERO.
 const SIDE: usize = 256;
@@ -34,7 +33,6 @@ pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
     (0..COUNT).map(situation).collect()
 }
 
-/// Returns the cameras of all descriptions, without duplicates.
 pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
     let cameras = described.iter().flat_map(|description| &description.cameras);
     let mut names: Vec<&str> = cameras.map(|camera| camera.name.as_str()).collect();
@@ -106,7 +104,6 @@ impl Hand {
     }
 }
 
-/// Returns the privileged scene of the conformance check, with its box moved.
 fn privileged(hand: &Hand, index: usize) -> PrivilegedState {
     let described = DescribeResponse { privileged: true, ..DescribeResponse::default() };
     let mut state = scene::observation(&described, 0).privileged.unwrap_or_default();

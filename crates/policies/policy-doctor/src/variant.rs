@@ -11,7 +11,6 @@ use crate::{
     situation::Situation,
 };
 
-/// Change to an observation.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Variant {
     /// Rotates or flips the frames of one camera, or of all cameras if `None`.
@@ -35,7 +34,6 @@ pub(crate) enum Turn {
     UpsideDown,
     /// Flip, left to right.
     Mirrored,
-    /// Rotation by 180°.
     Half,
     /// Rotation by 90° to the left.
     Left,
@@ -52,20 +50,13 @@ pub(crate) enum SignRule {
     PositiveW,
 }
 
-/// Property of the observation that a variant changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Topic {
-    /// Rotation of frames.
     Orientation,
-    /// Resolution of frames.
     Size,
-    /// Assignment of the cameras.
     Cameras,
-    /// Channels of a frame.
     Colours,
-    /// Sign of quaternions.
     Sign,
-    /// Meaning of the robot's readings.
     State,
 }
 
@@ -111,7 +102,6 @@ impl Variant {
         variants
     }
 
-    /// Returns the property that the variant changes.
     pub(crate) fn topic(&self) -> Topic {
         match self {
             Self::Turned(..) => Topic::Orientation,
@@ -123,7 +113,6 @@ impl Variant {
         }
     }
 
-    /// Returns true if the situation has the readings that the variant needs.
     pub(crate) fn applies(&self, situation: &Situation) -> bool {
         match self {
             Self::State(parts) => layout::numbers(parts, situation).is_some(),
@@ -141,7 +130,6 @@ impl Variant {
         }
     }
 
-    /// Applies the variant to an observation of this situation.
     pub(crate) fn apply(&self, situation: &Situation, observation: &mut Observation) {
         match self {
             Self::Turned(turn, only) => {
@@ -208,7 +196,6 @@ fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant>
 }
 
 impl Turn {
-    /// All rotations and flips.
     const ALL: [Self; 5] = [Self::UpsideDown, Self::Half, Self::Mirrored, Self::Left, Self::Right];
 
     fn apply(self, image: &mut Image) {

@@ -33,7 +33,6 @@ const QUOTED_CHARS: usize = 64;
 /// from a broken neural network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
-/// One action in wire format.
 pub type WireAction = [f32; ACTION_WIDTH];
 
 /// Returns the actions of a response if a robot can execute them.

@@ -58,7 +58,6 @@ fn measure(
     Ok(())
 }
 
-/// Processor time of this thread, seconds.
 fn processor_seconds() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9

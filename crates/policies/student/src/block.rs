@@ -29,7 +29,6 @@ pub(crate) struct Workspace {
     skipped: Vec<f32>,
 }
 
-/// Channels and stride of a block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shape {
     pub(crate) inputs: usize,
@@ -60,7 +59,6 @@ impl Block {
         })
     }
 
-    /// Fills `output` with the block's planes for `input`.
     pub(crate) fn apply(
         &self,
         products: Products,
@@ -88,7 +86,6 @@ impl Block {
     }
 }
 
-/// Sets `values` to `size` zeros.
 pub(crate) fn zeros(values: &mut Vec<f32>, size: usize) {
     values.clear();
     values.resize(size, 0.0);

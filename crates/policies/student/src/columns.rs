@@ -100,7 +100,7 @@ pub(crate) fn each_part(
     }
 }
 
-/// Splits 0..`end` into ranges of length `step`; the last may be shorter.
+/// The last range may be shorter than `step`.
 fn ranges(end: usize, step: usize) -> impl Iterator<Item = Range<usize>> {
     let range = move |first| first..end.min(first + step);
     (0..end).step_by(step).map(range)
@@ -140,7 +140,6 @@ impl<'a> Phases<'a> {
     }
 }
 
-/// Splits `planes` into phases.
 fn split(planes: Planes<'_>, stride: usize, phases: &mut Vec<f32>) {
     let side = planes.side / stride;
     let size = side * side;

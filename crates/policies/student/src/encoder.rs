@@ -11,7 +11,7 @@ use crate::points::{self, POINTS};
 use crate::product::{Matrix, Products};
 use crate::weights::Tensors;
 
-/// Channels of the stem, the first convolution.
+/// Channels of the first convolution.
 const STEM: usize = 32;
 const BLOCKS: [Shape; 3] = [
     Shape { inputs: STEM, outputs: 48, stride: 2 },
@@ -20,10 +20,8 @@ const BLOCKS: [Shape; 3] = [
 ];
 /// Channels of the last block.
 const FEATURES: usize = 128;
-/// Number of features of a picture.
 pub(crate) const WIDTH: usize = 3 * POINTS + FEATURES;
 
-/// Encoder of one camera's pictures.
 #[derive(Debug)]
 pub(crate) struct Encoder {
     stem: Convolution,

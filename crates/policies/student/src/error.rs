@@ -1,27 +1,18 @@
-//! Errors of weights files and queries.
-
-/// Reason why a weights file is invalid.
+/// A `place` is an index from 0 in row-major order.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WeightsError {
     #[error(
         "the weights file, {bytes} bytes, is not a complete safetensors file: export it or copy \
          it again"
     )]
-    Unreadable {
-        /// Length of the file, bytes.
-        bytes: usize,
-    },
+    Unreadable { bytes: usize },
     #[error(
         "the weights file's metadata gives {} as its format; this program reads {}: give \
          weights that were exported for it",
         .found.as_ref().map_or("nothing".to_owned(), |found| format!("{found:?}")),
         .expected.map(|format| format!("{format:?}")).join(" or ")
     )]
-    Format {
-        /// Value of `format` in the metadata, if there is one.
-        found: Option<String>,
-        expected: [&'static str; 2],
-    },
+    Format { found: Option<String>, expected: [&'static str; 2] },
     #[error("the weights file's metadata has no name: export it with \"name\" in the metadata")]
     Name,
     #[error(
@@ -43,23 +34,12 @@ pub enum WeightsError {
         "tensor {tensor} of the weights file holds {value} at place {place}, where a finite \
          number is expected: training has diverged, export an earlier state"
     )]
-    NotFinite {
-        tensor: String,
-        /// Index of the number, counted from 0 in row-major order.
-        place: usize,
-        /// Number in the file: `NaN`, `inf` or `-inf`.
-        value: String,
-    },
+    NotFinite { tensor: String, place: usize, value: String },
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a number above \
          0 is expected: export a small positive standard deviation for a reading that never changes"
     )]
-    NotPositive {
-        tensor: String,
-        /// Index of the number, counted from 0.
-        place: usize,
-        value: String,
-    },
+    NotPositive { tensor: String, place: usize, value: String },
     #[error(
         "the weights file has a tensor {tensor}, which this network lacks: give weights of \
          this network"
@@ -67,42 +47,22 @@ pub enum WeightsError {
     Unknown { tensor: String },
 }
 
-/// Reason why a query cannot be answered.
+/// A `query` is an index from 0 in the batch, a `place` one within the reading.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
     #[error(
         "query {query}: the picture of {camera} has {found} bytes; expected are {expected}, 256 × \
          256 pixels of 3 bytes: request frames of that size"
     )]
-    Picture {
-        /// Index of the query, counted from 0.
-        query: usize,
-        /// `agentview` or `wrist`.
-        camera: &'static str,
-        /// Length of the picture, bytes.
-        found: usize,
-        /// Length that is expected, bytes.
-        expected: usize,
-    },
+    Picture { query: usize, camera: &'static str, found: usize, expected: usize },
     #[error(
         "query {query}: number {place} of {reading} is {value}, which is not finite: check the \
          values that the simulator or the client sent"
     )]
-    State {
-        /// Index of the query, counted from 0.
-        query: usize,
-        /// `eef_pos`, `eef_rotation` or `gripper_pos`.
-        reading: &'static str,
-        /// Index within the reading, counted from 0.
-        place: usize,
-        value: String,
-    },
+    State { query: usize, reading: &'static str, place: usize, value: String },
     #[error(
         "query {query}: the network's answer is not finite: give readings in metres, as in \
          training, or weights that do not overflow"
     )]
-    Answer {
-        /// Index of the query, counted from 0.
-        query: usize,
-    },
+    Answer { query: usize },
 }

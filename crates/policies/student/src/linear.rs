@@ -1,5 +1,3 @@
-//! Fully connected layers.
-
 use crate::error::WeightsError;
 use crate::product::{Matrix, MatrixMut, Products};
 use crate::weights::Tensors;
@@ -43,7 +41,6 @@ impl Linear {
         outputs
     }
 
-    /// Applies the layer followed by ReLU.
     pub(crate) fn apply_relu(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
         let mut outputs = self.apply(products, inputs);
         for value in &mut outputs {
@@ -59,7 +56,6 @@ pub(crate) fn relu(value: f32) -> f32 {
     if value < 0.0 { 0.0 } else { value }
 }
 
-/// Transposes a row-major matrix of `rows` x `columns`.
 pub(crate) fn transposed(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     let column = |j: usize| (0..rows).map(move |i| values[i * columns + j]);
     (0..columns).flat_map(column).collect()

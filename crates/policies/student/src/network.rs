@@ -1,5 +1,3 @@
-//! The student network: loading of weights, and inference.
-
 use sha2::{Digest, Sha256};
 
 use crate::encoder::{self, Encoder, Scratch};
@@ -12,7 +10,6 @@ use crate::weights::Tensors;
 
 /// Width of the text embedding.
 const TEXT: usize = 128;
-/// Width of the embedding of the robot's state.
 const STATE_WIDTH: usize = 64;
 /// Width of the head's input: both cameras, the robot's state and the instruction.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
@@ -104,7 +101,6 @@ impl Network {
         &self.digest
     }
 
-    /// Number of trained parameters.
     pub fn parameters(&self) -> usize {
         self.parameters
     }

@@ -59,7 +59,6 @@ mod tests {
             (pixel(254, 254), 1),
             (pixel(255, 254), 1),
         ] {
-            // Green.
             rgb[start + 1] = byte;
         }
         let mut found = Vec::new();

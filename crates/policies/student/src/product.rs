@@ -38,7 +38,6 @@ impl Products {
         if fused { Self::Library } else { Self::Plain }
     }
 
-    /// Adds `a` times `b` to `c`.
     pub(crate) fn add(self, a: Matrix<'_>, b: Matrix<'_>, c: &mut MatrixMut<'_>) {
         assert_eq!(a.columns, b.rows, "inner dimensions");
         assert_eq!((a.rows, b.columns), (c.rows, c.columns), "outer dimensions");
@@ -49,7 +48,6 @@ impl Products {
     }
 }
 
-/// A strided read-only view of a matrix.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Matrix<'a> {
     values: &'a [f32],
@@ -60,7 +58,7 @@ pub(crate) struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    /// Creates a view of a matrix stored row by row.
+    /// `values` are stored row by row.
     pub(crate) fn new(values: &'a [f32], rows: usize, columns: usize) -> Self {
         Self::with_strides(values, [rows, columns], [columns, 1])
     }
@@ -83,7 +81,6 @@ impl<'a> Matrix<'a> {
         self.columns
     }
 
-    /// Returns the transposed view.
     pub(crate) fn transposed(self) -> Self {
         Self {
             rows: self.columns,
@@ -109,7 +106,6 @@ pub(crate) struct MatrixMut<'a> {
 }
 
 impl<'a> MatrixMut<'a> {
-    /// Creates a view of a matrix stored row by row.
     pub(crate) fn new(values: &'a mut [f32], rows: usize, columns: usize) -> Self {
         Self::with_stride(values, [rows, columns], columns)
     }

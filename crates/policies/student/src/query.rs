@@ -6,11 +6,8 @@ use crate::error::QueryError;
 pub const PICTURE_SIDE: usize = 256;
 /// Size of a picture, bytes: red, green and blue of each pixel.
 pub const PICTURE_BYTES: usize = PICTURE_SIDE * PICTURE_SIDE * 3;
-/// Number of actions in a chunk.
 pub const ACTIONS: usize = 8;
-/// Number of action components for the arm.
 pub(crate) const ARM: usize = 6;
-/// Number of components of the robot's state.
 pub(crate) const STATE: usize = 14;
 
 /// Chunk of actions. An action has translation (3) and rotation (3) of the hand, from -1 to 1,
@@ -36,7 +33,7 @@ pub struct Query<'a> {
 }
 
 impl Query<'_> {
-    /// Validates the query. `query` is the query's index in the batch, for the error.
+    /// `query` is the index in the batch, for the error.
     pub(crate) fn check(&self, query: usize) -> Result<(), QueryError> {
         for (camera, picture) in [("agentview", self.agentview), ("wrist", self.wrist)] {
             if picture.len() != PICTURE_BYTES {
@@ -68,7 +65,7 @@ impl Query<'_> {
         Ok(())
     }
 
-    /// Returns the robot's state in the network's order, rounded to f32.
+    /// In the network's order, rounded to f32.
     pub(crate) fn state(&self) -> [f32; STATE] {
         let mut state = [0.0; STATE];
         let readings = self.eef_pos.iter().chain(&self.eef_rotation);
@@ -89,7 +86,6 @@ pub struct Output {
 }
 
 impl Output {
-    /// Converts the raw output to actions.
     pub fn chunk(&self) -> Chunk {
         std::array::from_fn(|k| {
             let mut action = [0.0; ARM + 1];

@@ -1,8 +1,6 @@
 //! Text embedding: words and bigrams of the instruction, hashed into a table.
 
-/// Number of rows of the table.
 pub(crate) const BUCKETS: usize = 4096;
-/// Length of a row.
 pub(crate) const WIDTH: usize = 48;
 
 /// Sums the table's rows of all words and bigrams of `instruction` in the order of the text:

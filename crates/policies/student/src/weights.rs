@@ -63,7 +63,6 @@ impl<'a> Tensors<'a> {
         self.is_fine
     }
 
-    /// Number of parameters returned by [`Self::half`] so far.
     pub(crate) fn parameters(&self) -> usize {
         self.parameters
     }

@@ -14,7 +14,6 @@ fn owned_queries() -> Vec<OwnedQuery> {
     (0..5).map(OwnedQuery::random).collect()
 }
 
-/// SHA-256 of all numbers' bits.
 fn digest(outputs: &[Output]) -> String {
     let mut hash = Sha256::new();
     for output in outputs {

@@ -133,7 +133,7 @@ fn variable(arg: &Arg) -> Option<String> {
     arg.get_long().filter(|_| is_public).map(variable_name)
 }
 
-/// Returns true if a variable is set to the empty string, which restores its option's default.
+/// The empty string restores an option's default.
 fn is_empty(variable: &String) -> bool {
     var_os(variable).is_some_and(|value| value.is_empty())
 }

@@ -3,16 +3,40 @@
 
 #![forbid(unsafe_code)]
 
+use std::io;
+use std::path::Path;
+
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
+
 mod environment;
-mod manual;
 mod output;
-mod parent;
 mod printable;
 mod values;
 
 pub use environment::{cache_folder, parse, read, with_variables};
-pub use manual::write_manual;
 pub use output::{clear_lines, complain, counted, log, print, print_line, reader_is_gone, wrapped};
-pub use parent::{PARENT_VARIABLE, end_with_parent};
 pub use printable::printable;
 pub use values::{address, decimal, number, number_from, seconds};
+
+/// Writes the manual pages of a program and its subcommands, such as
+/// `coordinator-campaign-create.1`, into a folder, which is created if necessary.
+pub fn write_manual(program: clap::Command, folder: &Path) -> io::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    clap_mangen::generate_to(program.disable_help_subcommand(true), folder)
+}
+
+/// Variable with the process id of the parent that this program must not outlive.
+pub const PARENT_VARIABLE: &str = "ROLLOUT_PARENT";
+
+/// Makes the kernel kill this process when its parent dies, if [`PARENT_VARIABLE`] names the
+/// parent. Killing is safe, since every program may be killed at any time without losing confirmed
+/// data; a parent that exits normally stops its children first.
+pub fn end_with_parent() {
+    let parent = std::env::var(PARENT_VARIABLE).ok();
+    let parent = parent.and_then(|pid| Pid::from_raw(pid.parse().ok()?));
+    // Descendants further down inherit the variable but have other parents.
+    if parent.is_some() && parent == getppid() {
+        // A failure only means that this process survives a killed parent.
+        let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    }
+}

@@ -29,7 +29,6 @@ fn in_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
     is_terminal && no_color.is_none_or(|value| value.is_empty())
 }
 
-/// Prints a line to standard output.
 pub fn print_line(text: &str) -> io::Result<()> {
     print(&format!("{text}\n"))
 }

@@ -1,5 +1,3 @@
-//! Sanitising of untrusted text for terminals.
-
 use std::borrow::Cow;
 
 /// Replaces control characters other than line feeds and tabs, and Unicode's bidirectional

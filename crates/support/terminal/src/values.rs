@@ -50,7 +50,6 @@ pub fn decimal(
     }
 }
 
-/// Parses an address to listen on.
 pub fn address(text: &str) -> Result<SocketAddr, &'static str> {
     text.parse().map_err(|_| {
         "write an IP address and a port, such as 127.0.0.1:7411, or 0.0.0.0:7411 for all of this \

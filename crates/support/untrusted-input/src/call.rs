@@ -34,7 +34,6 @@ pub(crate) async fn call(
     }
 }
 
-/// Returns true if a status reports a fault of the service itself.
 pub(crate) fn is_internal_fault(refusal: &Status) -> bool {
     match refusal.code() {
         // tonic uses this code also for bytes that cannot be decoded.
@@ -65,7 +64,6 @@ fn request(path: &str, messages: &[&[u8]]) -> Request<Body> {
         .expect("a request")
 }
 
-/// Splits gRPC frames into messages.
 fn unframed(mut frames: Bytes) -> Vec<Bytes> {
     let mut messages = Vec::new();
     while !frames.is_empty() {

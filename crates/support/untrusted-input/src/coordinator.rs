@@ -6,7 +6,6 @@
 //! clock is stopped, so that an input is reproducible.
 
 mod messages;
-mod methods;
 mod seeds;
 mod service;
 
@@ -21,7 +20,7 @@ use tonic::Code;
 
 use crate::call::{block_on, is_internal_fault};
 use crate::script;
-use methods::METHODS;
+use messages::METHODS;
 use service::{TestCoordinator, run_valid};
 
 pub(crate) use seeds::seeds;

@@ -55,7 +55,6 @@ pub(crate) fn draw(input: &[u8]) -> bool {
     !drawing.is_refused
 }
 
-/// A model, a scene and the canvas.
 struct Drawing {
     model: Model,
     /// For each texture: the bytes of its largest mipmap level.
@@ -109,7 +108,6 @@ impl Drawing {
         }
     }
 
-    /// Changes the scene, or draws it; ignores model data.
     fn run_command(&mut self, kind: u8, mut bytes: Bytes<'_>) {
         match kind {
             GEOM => {
@@ -279,7 +277,6 @@ impl Bytes<'_> {
         builder.build()
     }
 
-    /// Reads a few grid lines of a plane.
     fn grid(&mut self) -> Vec<f64> {
         let kind = self.byte();
         let [half, spacing, period, far] = self.numbers().map(f64::from);

@@ -42,7 +42,6 @@ pub(crate) fn result_rows(input: &[u8]) -> bool {
     imports(input, b"{}")
 }
 
-/// Parses the input as the `about.json` of a folder with valid rows.
 pub(crate) fn about_file(input: &[u8]) -> bool {
     imports(ROWS.as_bytes(), input)
 }
@@ -61,7 +60,6 @@ pub(crate) fn recorded_actions(input: &[u8]) -> bool {
     })
 }
 
-/// Parses `gateway.toml`.
 pub(crate) fn gateway_file(input: &[u8]) -> bool {
     with_file(".toml", input, |path| {
         gateway::read(path).is_ok_and(|config| {

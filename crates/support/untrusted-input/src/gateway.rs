@@ -90,7 +90,6 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     ["noop", "expert"].map(session).to_vec()
 }
 
-/// Returns seed inputs for [`check_answers`].
 pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
     let described = wire::DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,

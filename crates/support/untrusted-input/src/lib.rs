@@ -14,7 +14,6 @@ mod gateway;
 mod scenes;
 mod script;
 
-/// A parser or service under test.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
     /// Name, which is also the name of the program in `fuzz/fuzz_targets`.
@@ -22,7 +21,6 @@ pub struct Target {
     /// Runs one input; returns true if it was accepted, by at least one parser if it is given to
     /// several.
     pub run: fn(&[u8]) -> bool,
-    /// Valid inputs to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 

@@ -30,7 +30,6 @@ pub fn version(_: TokenStream) -> TokenStream {
     code.parse().expect("Rust")
 }
 
-/// Commit of a checked-out folder.
 #[derive(Debug, PartialEq)]
 struct Commit {
     /// Short hash and date, such as `807e12a, 2026-11-23`.

@@ -1,11 +1,9 @@
-//! Tests of parsing and refusing campaign specifications.
-
 use super::*;
 use crate::axis::Axis;
 use crate::latency::delay_at;
 use crate::perturbation::Perturbation;
 use crate::rollout_id::RolloutId;
-use crate::row_of::row_of;
+use crate::row_of;
 
 fn spec(changes: &[(&str, serde_json::Value)]) -> Result<CampaignSpec, SpecError> {
     let mut json = serde_json::json!({
@@ -108,7 +106,6 @@ fn latency_rows_exclude_execution_models_other_than_wait() {
     }
 }
 
-/// An expanded manifest names its execution model in each row.
 #[test]
 fn a_campaign_has_the_execution_model_of_its_manifest() {
     let late = spec(&[("execution", "overlap:4".into())]).expect("a specification");
@@ -273,7 +270,6 @@ fn imported_rows_are_checked_like_those_of_a_file() {
     let rows = Design::v0_1().expand().expect("rows");
     check(&[], "the manifest has no rows");
     check(&[rows[0].clone(), rows[0].clone()], "line 2: spatial/t0/clean/i43 is already");
-    // The row of camera L1 with the parameters of camera L2.
     let mut too_strong = rows[1].clone();
     too_strong.perturbation = rows[8].perturbation;
     check(&[too_strong], "have radius");

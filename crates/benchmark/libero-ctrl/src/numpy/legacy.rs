@@ -1,7 +1,6 @@
 //! `numpy.random.RandomState`: the Mersenne Twister MT19937 and the legacy
 //! distributions on top of it, whose output NumPy has frozen.
 
-/// Words of the Mersenne Twister's state.
 pub const STATE_WORDS: usize = 624;
 /// Offset of the word that a new word is combined with: `m` of MT19937.
 const SHIFT_WORDS: usize = 397;

@@ -22,11 +22,9 @@ pub(super) fn rules() -> &'static Rules {
     &RULES
 }
 
-/// Root object of the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Rules {
-    /// Notes for people who edit the file.
     #[serde(rename = "about")]
     _about: IgnoredAny,
     pub(super) frames: [Frame; VARIANTS],
@@ -46,7 +44,6 @@ pub(super) struct Frame {
     pub(super) form: Form,
 }
 
-/// Grammatical number of the object of a task.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Number {
@@ -55,14 +52,12 @@ pub(super) enum Number {
     Plural,
 }
 
-/// A grammatical construction of instructions.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Construction {
     /// Default values of slots that a task does not fill.
     #[serde(default)]
     pub(super) defaults: BTreeMap<String, String>,
-    /// The canonical word order.
     pub(super) plain: String,
     /// Structures of L2 and L3 by variant: a body, or a lead, `|` and a body.
     pub(super) structures: [String; VARIANTS],
@@ -72,7 +67,6 @@ pub(super) struct Construction {
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub(super) enum Entries {
-    /// One entry for all variants.
     Same(String),
     ByVariant(Box<[String; VARIANTS]>),
 }
@@ -86,7 +80,6 @@ impl Entries {
     }
 }
 
-/// A task: the construction of its instruction and the contents of the slots.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Task {
@@ -98,7 +91,6 @@ pub(super) struct Task {
     pub(super) slots: BTreeMap<String, String>,
 }
 
-/// Form of a verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub(super) enum Form {
     /// "grab"

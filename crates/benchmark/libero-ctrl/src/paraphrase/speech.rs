@@ -49,8 +49,7 @@ impl<'r> Renderer<'r> {
         words.entry(self.variant).to_owned()
     }
 
-    /// Renders a verb: `name`, optionally `+` and a fixed form, optionally a space and the
-    /// object.
+    /// Renders a verb: `name`, then optionally `+` and a fixed form, and a space and the object.
     fn verb(&self, mark: &str, form: Form) -> String {
         let (name, rest) = self.verb_name(mark);
         let (fixed, object) = rest.split_once(' ').unwrap_or((rest, ""));

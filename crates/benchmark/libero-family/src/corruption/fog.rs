@@ -2,9 +2,9 @@
 
 use libero_ctrl::numpy::LegacyRng;
 
-use super::picture::{CHANNELS, Picture, truncated, unit};
+use super::{CHANNELS, Picture, truncated, unit};
 
-/// Side of the fog's map, pixels.
+/// Largest side of a picture, pixels; the released code fails on larger pictures.
 pub(super) const SIDE: usize = 256;
 /// Initial range of the fractal's random values.
 const INITIAL_RANGE: f64 = 100.0;
@@ -23,7 +23,6 @@ const SEVERITIES: [(f64, f64); 10] = [
     (5.0, 1.3),
 ];
 
-/// Corrupts a picture.
 pub(super) fn add_fog(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (density, decay) = SEVERITIES[severity];
     let map = plasma(decay, rng);
@@ -40,7 +39,6 @@ pub(super) fn add_fog(picture: &mut Picture<'_>, severity: usize, rng: &mut Lega
     }
 }
 
-/// Advances the generator as if a picture were corrupted.
 pub(super) fn skip(rng: &mut LegacyRng) {
     for _ in 1..SIDE * SIDE {
         rng.random_sample();

@@ -4,7 +4,7 @@
 use libero_ctrl::numpy::LegacyRng;
 
 use super::gaussian;
-use super::picture::{CHANNELS, Picture, truncated, unit};
+use super::{CHANNELS, Picture, truncated, unit};
 
 /// Standard deviation of the blur in pixels, largest offset in pixels, and number of rounds,
 /// by severity.
@@ -21,7 +21,6 @@ const SEVERITIES: [(f64, u32, u32); 10] = [
     (2.5, 5, 1),
 ];
 
-/// Corrupts a picture.
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (sigma, reach, rounds) = SEVERITIES[severity];
     let (height, width) = (picture.height, picture.width);
@@ -39,7 +38,6 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     }
 }
 
-/// Advances the generator as if a picture were corrupted.
 pub(super) fn skip(height: usize, width: usize, severity: usize, rng: &mut LegacyRng) {
     let (_, reach, rounds) = SEVERITIES[severity];
     displace(height, width, reach, rounds, rng, |_, _| {});

@@ -4,7 +4,7 @@
 use libero_ctrl::numpy::LegacyRng;
 
 use super::exponential::exp;
-use super::picture::{CHANNELS, Picture};
+use super::{CHANNELS, Picture};
 
 /// Radius and standard deviation of the one-sided filter, pixels, by severity.
 const SEVERITIES: [(f64, f64); 10] = [
@@ -24,7 +24,6 @@ const MAX_ANGLE: f64 = 45.0;
 /// Factor between 8-bit and 16-bit channel values.
 const QUANTA: u32 = 257;
 
-/// Corrupts a picture.
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (radius, sigma) = SEVERITIES[severity];
     let angle = draw_angle(rng);
@@ -54,7 +53,6 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     }
 }
 
-/// Advances the generator as if a picture were corrupted.
 pub(super) fn skip(rng: &mut LegacyRng) {
     draw_angle(rng);
 }
@@ -63,7 +61,6 @@ fn draw_angle(rng: &mut LegacyRng) -> f64 {
     rng.uniform(-MAX_ANGLE, MAX_ANGLE)
 }
 
-/// Converts a byte to a 16-bit channel value.
 fn quantum(byte: u8) -> f64 {
     f64::from(u32::from(byte) * QUANTA)
 }

@@ -1,7 +1,7 @@
 //! Zoom blur: the mean of the picture and of magnifications of its centre by increasing
 //! factors, in single precision like `scipy.ndimage.zoom` of order 1.
 
-use super::picture::{CHANNELS, Picture};
+use super::{CHANNELS, Picture};
 
 /// End and step of the factors, which begin at 1, by severity. As in `numpy.arange`, rounding
 /// decides whether the end is included.

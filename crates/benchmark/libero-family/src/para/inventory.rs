@@ -16,12 +16,10 @@ const FIGURES: &str = include_str!("../../data/para.txt");
 /// `act_pragmatical_hint_eval3_ver1`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Paraphrase {
-    /// LIBERO's task.
     pub task: TaskRef,
     /// Index of the task, from 0, in the alphabetical order of the suite's task names: `eval` of
     /// the benchmark.
     pub eval: u8,
-    /// Type.
     pub kind: Kind,
     /// Number within task and type, 0 to 10, with gaps: `ver` of the benchmark.
     pub number: u8,
@@ -41,7 +39,6 @@ impl Paraphrase {
         format!("bddl_files/libero_para/{self}.bddl")
     }
 
-    /// Returns the name in rollout ids: `act_hint_1`.
     pub(crate) fn label(&self) -> String {
         format!("{}_{}", self.kind.label(), self.number)
     }
@@ -121,7 +118,6 @@ pub fn paraphrase(task: TaskRef, label: &str) -> Option<&'static Paraphrase> {
 pub struct TypeName(String);
 
 impl TypeName {
-    /// Returns true if the set has the paraphrase.
     pub fn has(&self, paraphrase: &Paraphrase) -> bool {
         let kind = paraphrase.kind;
         self.0 == "all"

@@ -3,7 +3,6 @@
 
 use std::fmt;
 
-/// A change of words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Wording {
     /// Words added or left out.
@@ -44,7 +43,6 @@ impl Wording {
     ];
     const OF_OBJECTS: [Self; 3] = [Self::Addition, Self::Contextual, Self::Habitual];
 
-    /// Returns the name in the metadata's column `mid`.
     pub const fn mid(self) -> &'static str {
         match self {
             Self::Addition | Self::Contextual | Self::Habitual => "lexical",
@@ -55,7 +53,6 @@ impl Wording {
         }
     }
 
-    /// Returns the name in the metadata's column `low`.
     pub const fn low(self) -> &'static str {
         match self {
             Self::Addition => "addition_deletion",
@@ -94,12 +91,10 @@ impl Wording {
 pub enum Kind {
     Object(Wording),
     Action(Wording),
-    /// Other words for the object and for the action.
     Both(Wording, Wording),
 }
 
 impl Kind {
-    /// Returns the 43 types.
     pub fn all() -> impl Iterator<Item = Self> {
         let both = |object| Wording::ALL.map(|action| Self::Both(object, action));
         let objects = Wording::OF_OBJECTS.map(Self::Object).into_iter();
@@ -108,7 +103,6 @@ impl Kind {
             .chain(Wording::OF_OBJECTS.into_iter().flat_map(both))
     }
 
-    /// Returns the name in the metadata's column `high`.
     pub const fn high(self) -> &'static str {
         match self {
             Self::Object(_) => "obj",
@@ -117,7 +111,6 @@ impl Kind {
         }
     }
 
-    /// Returns the name in the metadata's column `mid`.
     pub fn mid(self) -> String {
         match self {
             Self::Object(words) | Self::Action(words) => words.mid().to_owned(),
@@ -125,7 +118,6 @@ impl Kind {
         }
     }
 
-    /// Returns the name in the metadata's column `low`.
     pub fn low(self) -> String {
         match self {
             Self::Object(words) | Self::Action(words) => words.low().to_owned(),

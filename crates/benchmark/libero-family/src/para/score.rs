@@ -1,10 +1,8 @@
 //! LIBERO-Para's score PRIDE, which weights each success by the distance of the sentence from the
 //! task's canonical instruction.
 
-/// Outcome of a rollout with a paraphrase.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Paraphrased {
-    /// True if the rollout succeeded.
     pub success: bool,
     /// Similarity of content words, about 0 to 1: `keyword_similarity` of the metadata.
     pub keywords: f64,
@@ -15,14 +13,12 @@ pub struct Paraphrased {
 /// Sums of the distances of sentences from the canonical instructions.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Distances {
-    /// Sum over the successes.
     pub reached: f64,
-    /// Sum over all rollouts.
     pub total: f64,
 }
 
 impl Distances {
-    /// Adds a rollout; `alpha` is the weight of the content words, 0.5 in the released code.
+    /// `alpha` is the weight of the content words, 0.5 in the released code.
     pub fn add(&mut self, outcome: &Paraphrased, alpha: f64) {
         let similarity = alpha * outcome.keywords + (1.0 - alpha) * outcome.structure;
         let distance = 1.0 - similarity;
@@ -58,7 +54,6 @@ mod tests {
         assert_eq!(pride(&[near, far], 0.5), Some(25.0));
         let far_success = Paraphrased { success: true, ..far };
         assert_eq!(pride(&[near, far_success], 0.5), Some(100.0));
-        // Content words alone: distances 0 and 0.5.
         assert_eq!(pride(&[near, far], 1.0), Some(0.0));
         assert_eq!(pride(&[], 0.5), None);
     }

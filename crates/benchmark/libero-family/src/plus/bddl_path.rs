@@ -70,7 +70,6 @@ fn parts<'a>(text: &'a str, mark: &str) -> Option<(&'a str, &'a str)> {
     (!after.contains(mark)).then_some((before, after))
 }
 
-/// Error: a path encodes changes that LIBERO-Plus' environments do not know.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read the changes in the path {path}: {}; the path ends in \

@@ -34,7 +34,6 @@ impl View {
     /// LIBERO's view, except for rounding.
     pub const NOMINAL: Self = Self { horizontal: 0, vertical: 0, scale: 100, pan: 0, tilt: 0 };
 
-    /// Returns true if the view is LIBERO's, except for rounding.
     pub fn is_nominal(&self) -> bool {
         *self == Self::NOMINAL
     }
@@ -90,7 +89,6 @@ impl fmt::Display for View {
 const PIVOT: [f64; 3] = [0.0, 0.0, PIVOT_HEIGHT];
 
 impl CameraPose {
-    /// Rotates the camera about the y axis through the pivot.
     fn swing_up(self, degrees: f64) -> Self {
         let (sin, cos) = libm::sincos((-degrees).to_radians());
         let [x, y, z] = self.pos;
@@ -101,14 +99,12 @@ impl CameraPose {
         }
     }
 
-    /// Rotates the camera about the vertical axis through the pivot.
     fn swing_around(self, degrees: f64) -> Self {
         let (sin, cos) = libm::sincos(degrees.to_radians());
         let [x, y, z] = self.pos;
         Self { pos: [x * cos - y * sin, x * sin + y * cos, z], quat: rotate(degrees, 3, self.quat) }
     }
 
-    /// Rounds the pose to four decimals, like Python.
     fn rounded(self) -> Self {
         Self { pos: self.pos.map(round4), quat: self.quat.map(round4) }
     }
@@ -130,7 +126,6 @@ fn rotate(degrees: f64, axis: usize, quat: [f64; 4]) -> [f64; 4] {
     ]
 }
 
-/// Rounds the exact binary value to four decimals.
 fn round4(value: f64) -> f64 {
     let text = format!("{value:.4}");
     text.parse().expect("a number that was just written")

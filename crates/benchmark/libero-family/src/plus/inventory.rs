@@ -58,13 +58,11 @@ impl Entry {
         }
     }
 
-    /// Returns the dimension of robustness.
     pub fn dimension(&self) -> Dimension {
         self.variant.dimension()
     }
 }
 
-/// Returns all variants by suite, in the benchmark's order.
 pub fn inventory() -> &'static [Entry] {
     static INVENTORY: OnceLock<Vec<Entry>> = OnceLock::new();
     INVENTORY.get_or_init(|| {
@@ -87,7 +85,6 @@ pub fn inventory() -> &'static [Entry] {
     })
 }
 
-/// Returns the entry of a variant; `None` if the benchmark does not contain it.
 pub fn entry(variant: &Variant) -> Option<&'static Entry> {
     static INDICES: OnceLock<HashMap<Variant, usize>> = OnceLock::new();
     let indices = INDICES.get_or_init(|| {
@@ -97,9 +94,8 @@ pub fn entry(variant: &Variant) -> Option<&'static Entry> {
     indices.get(variant).map(|index| &inventory()[*index])
 }
 
-/// Returns the problem class with the given name. Parsers of BDDL turn the name to lower case,
-/// which loses the spelling of the file names in it; the returned class has the spelling of the
-/// benchmark's variants.
+/// Parsers of BDDL turn the name to lower case; the returned class has the spelling of the
+/// benchmark's variants, which names files.
 pub fn problem_class(name: &str) -> Result<ProblemClass, ProblemError> {
     static CLASSES: OnceLock<HashMap<FileNames, &'static ProblemClass>> = OnceLock::new();
     let classes = CLASSES.get_or_init(|| {

@@ -20,11 +20,9 @@ pub enum Assets {
 }
 
 impl Assets {
-    /// All kinds of files.
     pub const ALL: [Self; 5] =
         [Self::Libero, Self::NewObjects, Self::Lights, Self::FloorTextures, Self::Scenes];
 
-    /// Returns a description for counts and error messages.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Libero => "LIBERO's own files",
@@ -42,7 +40,6 @@ impl fmt::Display for Assets {
     }
 }
 
-/// Texture of a floor or a wall.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Style {
     /// File in the textures' folder.
@@ -57,9 +54,7 @@ pub struct ProblemClass {
     pub parent: &'static str,
     /// Scene file that replaces the parent's, relative to the assets' folder.
     pub scene: Option<String>,
-    /// Floor texture that replaces the parent's.
     pub floor: Option<Style>,
-    /// Wall texture that replaces the parent's.
     pub wall: Option<Style>,
 }
 
@@ -132,7 +127,6 @@ const LIBEROS_WALLS: usize = 16;
 /// textures are in a folder such as `scenes/kitchen250/`.
 const ROOT_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles", "woodfine"];
 
-/// Error: the name does not have the form of LIBERO's and LIBERO-Plus' problem classes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read problem class `{0}`: it does not have the form of LIBERO's or LIBERO-Plus' class names"
@@ -165,7 +159,6 @@ impl ProblemClass {
         Self { parent, scene: None, floor: None, wall: None }
     }
 
-    /// Returns the files that the class needs.
     pub fn assets(&self) -> Assets {
         let styles = [&self.floor, &self.wall];
         let has_only_liberos = styles.into_iter().flatten().all(|style| style.is_liberos);

@@ -8,7 +8,6 @@ use libero_ctrl::{TaskRef, UnknownName};
 
 use super::variant::{Change, Variant};
 
-/// Source of the prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prompt {
     /// As in the released code: the file's name including the description of the change, or
@@ -17,15 +16,12 @@ pub enum Prompt {
     Released,
     /// The file's name without the description of the change: LIBERO's prompt of the task.
     Stripped,
-    /// The BDDL file's sentence.
     Bddl,
 }
 
 impl Prompt {
-    /// All sources.
     pub const ALL: [Self; 3] = [Self::Released, Self::Stripped, Self::Bddl];
 
-    /// Returns the name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Released => "released",

@@ -6,17 +6,14 @@
 /// Source of the figures, as reports name it.
 pub const SOURCE: &str = "README of LIBERO-plus, git 4b0a529";
 
-/// Success rates of a policy, as published.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
-    /// The policy's published name.
     pub policy: &'static str,
     /// Success rate over the variants of each dimension, per cent, in the order of
     /// `Dimension::ALL`.
     pub percent: [f64; 7],
 }
 
-/// The published table, in its order.
 #[rustfmt::skip]
 pub const PUBLISHED: [Published; 11] = [
     // background, robot, camera, language, noise, layout, light

@@ -10,7 +10,6 @@ use super::start::ROBOTS;
 
 /// Number of picture corruptions: five kinds of ten severities.
 const CORRUPTIONS: u8 = 50;
-/// Number of paraphrases of a task's sentence.
 const SENTENCES: u8 = 50;
 
 /// Dimension of robustness, by which LIBERO-Plus groups its variants.
@@ -94,13 +93,11 @@ impl FromStr for Dimension {
 /// Change that a variant makes. Numbers are those in the variant's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Change {
-    /// Camera pose.
     Camera(View),
     /// Posture at the reset, one of 500.
     Robot(u16),
     /// Picture corruption, one of 50.
     Noise(u8),
-    /// Sentence.
     Language(u8),
     Light(u8),
     /// Texture of the table, or of the floor in scenes without a table.
@@ -109,7 +106,6 @@ pub enum Change {
     TableAndBackground(u8),
     /// Additional objects: a sixth of the number, rounded up.
     Added(u8),
-    /// Positions of objects.
     Level {
         /// Size of the displacement, 1 to 5.
         level: u8,
@@ -118,7 +114,6 @@ pub enum Change {
 }
 
 impl Change {
-    /// Returns the dimension that the change belongs to.
     pub const fn dimension(self) -> Dimension {
         match self {
             Self::Camera(_) => Dimension::Camera,
@@ -147,7 +142,6 @@ impl Change {
         }
     }
 
-    /// Parses the text of [`Self::label`].
     pub fn of_label(label: &str) -> Option<Self> {
         let byte = |text: &str| u8::try_from(number(text)?).ok();
         let (kind, rest) = label.split_once('_')?;
@@ -238,7 +232,6 @@ fn level(text: &str) -> Option<Change> {
 /// A variant of a task. Displays as the name that LIBERO-Plus gives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Variant {
-    /// LIBERO's task.
     pub task: TaskRef,
     pub change: Change,
 }
@@ -278,12 +271,11 @@ impl Variant {
         }
     }
 
-    /// Returns the dimension of robustness.
     pub fn dimension(&self) -> Dimension {
         self.change.dimension()
     }
 
-    /// Returns the number of the posture at the reset; `None` for LIBERO's.
+    /// `None` for LIBERO's posture.
     pub fn robot(&self) -> Option<u16> {
         match self.change {
             Change::Robot(robot) => Some(robot),
@@ -291,7 +283,6 @@ impl Variant {
         }
     }
 
-    /// Returns the number of the corruption of `agentview`'s pictures, if any.
     pub fn corruption(&self) -> Option<u8> {
         match self.change {
             Change::Noise(noise) => Some(noise),
@@ -354,7 +345,6 @@ impl FromStr for Variant {
     }
 }
 
-/// Error: LIBERO-Plus has no variant of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
     #[error("read a variant: its name is empty; give a name of LIBERO-Plus' task map")]
@@ -374,12 +364,7 @@ pub enum UnknownVariant {
          _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
          _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
     )]
-    Suffix {
-        /// The name.
-        name: String,
-        /// Its invalid suffix.
-        suffix: String,
-    },
+    Suffix { name: String, suffix: String },
 }
 
 #[cfg(test)]

@@ -98,7 +98,7 @@ fn each_attempt_takes_the_next_grasp() {
     assert_ne!(chosen[0], chosen[1]);
 }
 
-/// Returns the scene with the hand at the best grasp of the can, but rotated by `turned` rad.
+/// The hand is at the best grasp of the can, but rotated by `turned` rad.
 fn hand_at_grasp(turned: f64) -> KinematicScene {
     let mut scene = scene();
     let world = scene.world();
@@ -112,7 +112,7 @@ fn hand_at_grasp(turned: f64) -> KinematicScene {
     scene
 }
 
-/// Returns the motion of a hand whose fingers had these openings, m.
+/// The fingers had these openings, m.
 fn motion_after(scene: &mut KinematicScene, openings: &[f64]) -> Motion {
     let mut motion = Motion::default();
     for opening in openings {
@@ -122,7 +122,6 @@ fn motion_after(scene: &mut KinematicScene, openings: &[f64]) -> Motion {
     motion
 }
 
-/// Returns a transfer that has resumed after `earlier`.
 fn resumed(earlier: Option<&Transfer>, scene: &KinematicScene, motion: &Motion) -> Transfer {
     let mut transfer = can_into_basket();
     let world = scene.world();

@@ -10,21 +10,18 @@ use policy_protocol::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::task::JoinSet;
 
-use super::instance::{BuiltinPolicy, Policy};
+use super::{BuiltinPolicy, Policy};
 use crate::{
     backend::{Backend, BackendError},
     sessions::{MAX_SESSIONS, SessionTable},
 };
 
-/// A built-in policy and its sessions.
 pub(crate) struct BuiltinBackend {
-    /// Name of the policy, as written in its route.
     name: String,
     policy: Policy,
     sessions: Mutex<SessionTable<Arc<Mutex<Instance>>>>,
 }
 
-/// Instance of the policy for one session.
 struct Instance {
     policy: Box<dyn BuiltinPolicy>,
     next_query: u32,
@@ -55,7 +52,6 @@ fn panicked(when: &str) -> BackendError {
 }
 
 impl BuiltinBackend {
-    /// Creates a back-end without sessions.
     pub(crate) fn new(name: String, policy: Policy) -> Self {
         Self { name, policy, sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)) }
     }

@@ -6,7 +6,7 @@ use proto::policy::{
     self as wire, CameraRequest, DescribeResponse, Language, Observation, StateField, entity::Kind,
 };
 
-use super::instance::{Action, BuiltinPolicy};
+use super::{Action, BuiltinPolicy};
 
 /// Returns the expert's description: no cameras, no robot readings, privileged
 /// state, one action per query.

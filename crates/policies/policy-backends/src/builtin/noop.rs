@@ -3,12 +3,11 @@
 
 use proto::policy::{DescribeResponse, Language, Observation};
 
-use super::instance::{Action, BuiltinPolicy};
+use super::{Action, BuiltinPolicy};
 
 /// Zero motion with an open gripper: the action of LIBERO's settling steps.
 pub const NOOP_ACTION: Action = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 
-/// Answers every query with [`NOOP_ACTION`].
 #[derive(Clone, Copy, Debug)]
 pub struct Noop;
 
@@ -22,7 +21,6 @@ impl BuiltinPolicy for Noop {
     }
 }
 
-/// Returns the policy's description: no inputs, one action per query.
 pub fn describe() -> DescribeResponse {
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,

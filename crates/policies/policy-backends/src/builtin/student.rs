@@ -12,7 +12,7 @@ use rollout_types::{TAUGHT_ON, TAUGHT_ON_LOOK};
 use student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
 use thiserror::Error;
 
-use super::instance::{Action, BuiltinPolicy, Policy};
+use super::{Action, BuiltinPolicy, Policy};
 
 /// Robot readings that the student takes, in order.
 const STATE: [StateField; 3] =
@@ -28,7 +28,6 @@ pub enum Weights {
 }
 
 impl Weights {
-    /// Returns the policy's name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Libero => "student",
@@ -44,7 +43,6 @@ impl Weights {
         }
     }
 
-    /// Returns the network with these weights, loaded once.
     pub(crate) fn network(self) -> &'static Arc<Network> {
         static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::LIBERO));
         static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::BOXES));
@@ -62,22 +60,10 @@ fn shipped(weights: &[u8]) -> Arc<Network> {
 /// Reason why a weights file cannot be used. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum WeightsFileError {
-    /// The file cannot be read.
     #[error("read {path:?}: give the path of weights that training/export.py wrote")]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
-    /// The file does not hold weights of this network.
+    Unreadable { path: PathBuf, source: std::io::Error },
     #[error("use {path:?}")]
-    InvalidWeights {
-        /// Path of the file.
-        path: PathBuf,
-        /// Fault of the weights.
-        source: WeightsError,
-    },
+    InvalidWeights { path: PathBuf, source: WeightsError },
 }
 
 /// Reads a student with the weights of a file.
@@ -94,7 +80,6 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     Ok(policy(Arc::new(network), checkpoint))
 }
 
-/// Returns the policy with built-in weights.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
     // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
@@ -108,7 +93,6 @@ fn setting(name: &str, value: &str) -> Setting {
     Setting { name: name.to_owned(), value: value.to_owned() }
 }
 
-/// Wraps a network as a policy.
 pub(crate) fn policy(network: Arc<Network>, checkpoint: String) -> Policy {
     Policy {
         described: describe(&network, checkpoint),
@@ -141,7 +125,7 @@ fn describe(network: &Network, checkpoint: String) -> DescribeResponse {
     }
 }
 
-/// Episode of the student. Its only state is the instruction.
+/// The only state is the instruction.
 struct Student {
     network: Arc<Network>,
     instruction: String,

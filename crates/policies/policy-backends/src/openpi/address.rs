@@ -13,9 +13,7 @@ const SCHEMES: Schemes = Schemes { clear: "ws", encrypted: "wss" };
 
 /// Actions executed per chunk by default, as in openpi's LIBERO evaluation (`replan_steps`).
 const DEFAULT_EXECUTE: u32 = 5;
-/// Largest `execute` of an address.
 const MAX_EXECUTE: u32 = 100;
-/// Largest `size` of an address.
 const MAX_SIZE: u32 = 1024;
 /// Value of an option that leaves an input out.
 const NONE: &str = "none";
@@ -41,7 +39,6 @@ pub enum State {
     Eef,
     /// Arm joints and finger joints: nine numbers.
     Joints,
-    /// The server gets no state.
     None,
 }
 
@@ -49,7 +46,7 @@ impl State {
     const ALL: [(&str, Self); 3] =
         [("eef", Self::Eef), ("joints", Self::Joints), (NONE, Self::None)];
 
-    /// Returns the readings, in the order of their numbers.
+    /// In the order of their numbers.
     pub fn fields(self) -> &'static [StateField] {
         match self {
             Self::Eef => &[StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos],
@@ -63,23 +60,17 @@ impl State {
 /// settings that differ from those of openpi's LIBERO client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OpenpiAddress {
-    /// Host, port and encryption.
     pub host_port: HostPort,
-    /// Actions executed per chunk.
     pub execute: u32,
-    /// Key of the scene camera's frame.
     pub image_key: String,
     /// Key of the wrist camera's frame; [`NONE`] sends none.
     pub wrist_key: String,
-    /// Key of the robot's state.
     pub state_key: String,
-    /// Key of the instruction.
     pub prompt_key: String,
     /// True if frames are turned by 180°.
     pub is_turned: bool,
     /// Side of the frames, pixels.
     pub size: u32,
-    /// Readings that form the state.
     pub state: State,
     /// The server's integers for an open and a closed gripper.
     pub gripper: [i32; 2],
@@ -104,7 +95,7 @@ impl OpenpiAddress {
         }
     }
 
-    /// Returns the key of the wrist camera's frame; `None` if none is sent.
+    /// `None` if none is sent.
     pub fn wrist_key(&self) -> Option<&str> {
         (self.wrist_key != NONE).then_some(self.wrist_key.as_str())
     }
@@ -206,7 +197,6 @@ impl fmt::Display for OpenpiAddress {
     }
 }
 
-/// The text is not a valid openpi address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as an openpi server's address: write ws://HOST:PORT, or \
@@ -214,7 +204,6 @@ impl fmt::Display for OpenpiAddress {
     options_in_words()
 )]
 pub struct OpenpiAddressError {
-    /// Address as written.
     pub text: String,
 }
 

@@ -20,7 +20,6 @@ pub struct ClientObservation<'a> {
     pub prompt: (&'a str, &'a str),
 }
 
-/// A chunk of actions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
     /// Number of actions, and of values per action.
@@ -29,7 +28,6 @@ pub struct Chunk {
     pub numbers: Vec<f32>,
 }
 
-/// Encodes an observation.
 pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
     let frame = |rgb: &[u8]| array(Keys::Bytes, "|u1", &[input.side, input.side, 3], rgb.to_vec());
     let mut entries: Vec<(Value, Value)> =
@@ -57,24 +55,16 @@ pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     }
 }
 
-/// Reason why an answer holds no actions.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
-    /// The answer is not a msgpack message.
     #[error("its answer is not a msgpack message")]
     NoMessage,
-    /// The answer lacks the entry `actions`.
     #[error("its answer has no \"actions\": is it an openpi policy server?")]
     NoActions,
-    /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// The array does not have two dimensions.
     #[error("its actions have shape {shape:?}, not [n, 7]")]
-    Shape {
-        /// Shape of the array.
-        shape: Vec<usize>,
-    },
+    Shape { shape: Vec<usize> },
 }
 
 #[cfg(test)]
@@ -128,7 +118,6 @@ mod tests {
             (vec![0xdf], AnswerError::NoMessage),
             (numpy::encode(&map([])), AnswerError::NoActions),
             (actions(Value::from(3)), ArrayError::NotAnArray.into()),
-            // The shape declares more values than were sent.
             (actions(array("<f4", &[2, 7], vec![0; 28])), ArrayError::NotAnArray.into()),
             (
                 actions(array("<i8", &[1, 7], vec![0; 56])),

@@ -11,7 +11,6 @@ use crate::websocket::{HostPort, Schemes};
 const SCHEMES: Schemes = Schemes { clear: "vla-eval", encrypted: "vla-evals" };
 /// Actions executed per answer by default, as in vla-eval's LIBERO benchmark.
 pub const DEFAULT_EXECUTE: u32 = 1;
-/// Largest `execute` of an address.
 pub const MAX_EXECUTE: u32 = 100;
 
 /// Address of a vla-eval model server: `vla-eval://HOST:PORT` or, over TLS,
@@ -19,11 +18,8 @@ pub const MAX_EXECUTE: u32 = 100;
 /// server and vla-eval's LIBERO benchmark negotiate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VlaEvalAddress {
-    /// Host, port and encryption.
     pub host_port: HostPort,
-    /// `execute=N`: actions executed per answer.
     pub execute: u32,
-    /// `image_format=png|raw|jpeg`: encoding of frames.
     pub image_format: ImageFormat,
     /// Parameters of vla-eval's LIBERO benchmark, under vla-eval's names.
     pub parameters: Parameters,
@@ -33,9 +29,7 @@ pub struct VlaEvalAddress {
 /// requests, as an evaluation's configuration does in vla-eval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Parameters {
-    /// Sends the wrist camera's frames, too.
     pub send_wrist_image: Option<bool>,
-    /// Sends the robot's state.
     pub send_state: Option<bool>,
     /// Keeps the sign of the hand's quaternion, even if w is negative.
     pub quat_no_antipodal: Option<bool>,
@@ -106,7 +100,6 @@ impl fmt::Display for VlaEvalAddress {
     }
 }
 
-/// The text is not a valid vla-eval address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a vla-eval model server's address: write vla-eval://HOST:PORT (vla-evals:// \
@@ -115,7 +108,6 @@ impl fmt::Display for VlaEvalAddress {
      false"
 )]
 pub struct VlaEvalAddressError {
-    /// Address as written.
     pub text: String,
 }
 

@@ -16,7 +16,6 @@ use crate::{
 /// Names of the cameras in the simulator and in vla-eval's observations.
 pub(super) const CAMERAS: [(&str, &str); 2] =
     [("agentview", "agentview"), ("robot0_eye_in_hand", "wrist")];
-/// Robot readings from which the state is computed.
 const STATE: [StateField; 4] =
     [StateField::EefPos, StateField::EefQuatXyzw, StateField::EefRotation, StateField::GripperPos];
 /// Parameters of vla-eval's LIBERO benchmark that a campaign sets, whatever the server requests.
@@ -31,9 +30,7 @@ const RECORDED_BYTES: usize = 512;
 pub(super) struct Terms {
     /// Suite of the server, if it names exactly one.
     pub(super) suite: Option<String>,
-    /// True if the server receives the wrist camera's frames, too.
     pub(super) sends_wrist: bool,
-    /// True if the server receives the robot's state.
     pub(super) sends_state: bool,
     /// True if a quaternion with negative w is replaced by its antipode.
     pub(super) flips_quaternion: bool,
@@ -184,7 +181,6 @@ fn declaration(value: &ValueRef<'_>) -> String {
     or_none(&entries.collect::<Vec<_>>().join(", "))
 }
 
-/// Truncates a text to the recorded length.
 fn truncated(mut text: String) -> String {
     let fits = |at: &usize| *at <= RECORDED_BYTES;
     let ends = text.char_indices().map(|(at, c)| at + c.len_utf8());

@@ -9,7 +9,6 @@ use crate::numpy::{Keys, array, map};
 /// JPEG quality, as in vla-eval.
 const JPEG_QUALITY: u8 = 95;
 
-/// Encoding of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageFormat {
     /// Lossless compression, the default of vla-eval's client.
@@ -17,12 +16,10 @@ pub enum ImageFormat {
     Png,
     /// Uncompressed NumPy array.
     Raw,
-    /// Lossy compression.
     Jpeg,
 }
 
 impl ImageFormat {
-    /// Returns the format with this name.
     pub(super) fn named(name: &str) -> Option<Self> {
         [Self::Png, Self::Raw, Self::Jpeg].into_iter().find(|format| format.to_string() == name)
     }

@@ -18,7 +18,6 @@ const BENCHMARK: &str = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark";
 /// Longest quoted part of a server's error, characters.
 const QUOTED_CHARS: usize = 600;
 
-/// Type of a client's message.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Kind {
     Hello,
@@ -44,7 +43,6 @@ pub(super) fn message(kind: Kind, payload: Value, number: u64, time: f64) -> Vec
     ]))
 }
 
-/// Builds the payload of the client's first message.
 pub(super) fn hello() -> Value {
     map([
         ("harness_version", HARNESS_VERSION.into()),
@@ -60,7 +58,6 @@ pub(super) fn task(suite: &str, instruction: &str) -> Value {
     map([("task", task)])
 }
 
-/// Decoded message of a server.
 #[derive(Debug)]
 struct Reply<'a, 'b> {
     kind: &'b str,
@@ -109,7 +106,6 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
     }
 }
 
-/// Returns the end of a server's error message.
 fn error_text(payload: &ValueRef<'_>) -> String {
     let text = match lookup(payload, "error").and_then(as_text) {
         Some(text) => text.trim().to_owned(),
@@ -152,7 +148,6 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     })
 }
 
-/// Decodes a list of numbers in place of an array.
 fn number_list(items: &[ValueRef<'_>]) -> Option<Array> {
     let number = |item: &ValueRef<'_>| match item {
         ValueRef::F32(number) => Some(*number),
@@ -166,93 +161,50 @@ fn number_list(items: &[ValueRef<'_>]) -> Option<Array> {
     })
 }
 
-/// Reason why an answer has no actions to execute.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
-    /// The answer is not a message of vla-eval's protocol.
     #[error("its answer is not a message of vla-eval's protocol")]
     NoMessage,
-    /// The answer has an unexpected type.
     #[error("it answered an observation with a message of type {kind:?}")]
-    Kind {
-        /// Type of the message.
-        kind: String,
-    },
-    /// The answer belongs to another observation.
+    Kind { kind: String },
     #[error(
         "it answered message {number} instead of message {asked}: serve it without \
          continuous_inference"
     )]
-    OutOfStep {
-        /// Sequence number of the answer.
-        number: u64,
-        /// Sequence number of the observation's message.
-        asked: u64,
-    },
-    /// The policy raised an error.
+    OutOfStep { number: u64, asked: u64 },
     #[error("{0}")]
-    Policy(
-        /// Error message of the server.
-        String,
-    ),
+    Policy(String),
     /// The server reported an error at the start of the episode. A successful start has no answer,
     /// so the error arrives in place of the answer to the first query.
     #[error("{0}")]
-    Start(
-        /// Error message of the server.
-        String,
-    ),
-    /// The answer lacks the entry `actions`.
+    Start(String),
     #[error("its answer has no \"actions\"")]
     NoActions,
-    /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// The array is neither one action nor a chunk.
     #[error("its actions have shape {shape:?}, not [7] or [n, 7]")]
-    Shape {
-        /// Shape of the array.
-        shape: Vec<usize>,
-    },
-    /// The answer is a chunk, and one action is executed per answer.
+    Shape { shape: Vec<usize> },
     #[error(
         "it answered a chunk of {count} actions, and one is executed per query: write \
          ?execute={} (or less) after its address, or give the server a chunk_size, so that it \
          answers single actions of the chunk",
         (*count).min(MAX_EXECUTE as usize)
     )]
-    Chunk {
-        /// Number of actions in the answer.
-        count: usize,
-    },
-    /// The answer is one action, and several are executed per answer.
+    Chunk { count: usize },
     #[error(
         "it answered one action, and {execute} are executed per query: leave out ?execute after \
          its address"
     )]
-    Single {
-        /// Actions per query, as configured.
-        execute: u32,
-    },
-    /// The chunk has no actions.
+    Single { execute: u32 },
     #[error(
         "it answered an empty chunk: serve a checkpoint with chunks of {execute} or more actions"
     )]
-    Empty {
-        /// Actions per query, as configured.
-        execute: u32,
-    },
-    /// The chunk has too few actions.
+    Empty { execute: u32 },
     #[error(
         "it answered {count} actions, and {execute} are executed per query: write \
          ?execute={count} after its address, or serve longer chunks"
     )]
-    Short {
-        /// Number of actions in the answer.
-        count: usize,
-        /// Actions per query, as configured.
-        execute: u32,
-    },
+    Short { count: usize, execute: u32 },
 }
 
 impl AnswerError {

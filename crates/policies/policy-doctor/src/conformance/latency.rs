@@ -7,26 +7,21 @@ use std::time::Duration;
 use libero_ctrl::{CONTROL_HZ, Delays, LatencyFileError};
 use serde::Serialize;
 
+use super::ConformanceError;
 use super::probe::Probe;
-use super::target::ConformanceError;
 use super::{CONCURRENCY, Target};
 
-/// Number of rounds of concurrent episodes.
 const ROUNDS: u32 = 20;
 
 /// Latencies of a server that is queried by several rollouts at once. Also the content of the file
 /// that `coordinator campaign create --execution overlap:@FILE` reads.
 #[derive(Clone, Debug, Serialize)]
 pub struct Latency {
-    /// Address of the server.
     pub server: String,
-    /// The policy's own name.
     pub policy: String,
-    /// Checkpoint of the policy.
     pub checkpoint: String,
     /// Number of concurrent rollouts.
     pub at_once: u32,
-    /// Number of measured answers.
     pub answers: usize,
     /// Median of the answers' times, milliseconds.
     pub median_ms: f64,
@@ -106,7 +101,6 @@ impl Latency {
         Delays::measured(self.delay_steps.clone())
     }
 
-    /// Describes the latency and the use of real-time chunking in a sentence.
     pub fn describe(&self) -> String {
         let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
         let steps =
@@ -130,7 +124,6 @@ impl Latency {
     }
 }
 
-/// Returns the number of control steps until an answer takes effect.
 fn steps(latency: Duration) -> u16 {
     let steps = (latency.as_secs_f64() * f64::from(CONTROL_HZ)).ceil();
     // A cast from float to integer saturates, at almost an hour.

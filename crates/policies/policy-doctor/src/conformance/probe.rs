@@ -22,34 +22,26 @@ use tonic_health::pb::{
 use transport::{Connection, Peer, ServerKind, Settings, parse_endpoint};
 
 use super::{
-    scene,
-    target::{ConformanceError, QUERIES, Target},
+    ConformanceError, QUERIES, Target, scene,
     verdict::{self, Verdict},
 };
 
-/// Names of the check's options for a policy server, for messages about failed connections.
 const SETTINGS: Settings =
     Settings { address: "the URL", authority: "--ca", clear: "grpc://", encrypted: "https://" };
 
-/// Order of an episode's queries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum QueryOrder {
-    /// 0, 1, 2, …
     Forward,
-    /// …, 2, 1, 0.
     Backward,
 }
 
-/// Answers and latencies of one episode.
 #[derive(Clone, Debug)]
 pub(super) struct EpisodeAnswers {
-    /// Answers by query index.
     pub answers: Vec<InferResponse>,
     /// Latency of each query, in the order of sending.
     pub latencies: Vec<Duration>,
 }
 
-/// A client of the server under check.
 #[derive(Clone, Debug)]
 pub(super) struct Probe {
     connection: Connection,
@@ -92,12 +84,10 @@ impl Probe {
         Ok(Self { connection, client, target: target.clone(), described, run: std::process::id() })
     }
 
-    /// Returns the policy's description.
     pub(super) fn described(&self) -> &DescribeResponse {
         &self.described
     }
 
-    /// Checks that a client of a newer protocol version is refused.
     pub(super) async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
         match self.client.clone().describe(describe(&self.target, newer)).await {
@@ -228,7 +218,6 @@ impl Probe {
         Ok(answers)
     }
 
-    /// Checks that a session without a Reset is refused.
     pub(super) async fn unopened(&self) -> Verdict {
         match self.infer("never opened", 0).await {
             Err(_) => verdict::pass(""),

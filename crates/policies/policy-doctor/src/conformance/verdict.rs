@@ -14,47 +14,36 @@ pub(crate) const LARGEST_PLAUSIBLE: f32 = 2.0;
 /// Kernels for other batch sizes sum in another order, which changes low-order bits.
 pub(crate) const BATCH_TOLERANCE: f32 = 1e-3;
 
-/// Result of one point.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The server meets the requirement.
     Pass {
         /// Remark on the result; may be empty.
         note: String,
     },
-    /// The server violates the protocol.
     Fail {
-        /// Observed violation.
         reason: String,
     },
-    /// The point does not apply.
     Skip {
-        /// Reason why the point does not apply.
         reason: String,
     },
 }
 
-/// Passes a point, with a remark.
 pub(crate) fn pass(note: impl Into<String>) -> Verdict {
     Verdict::Pass { note: note.into() }
 }
 
-/// Fails a point.
 pub(crate) fn fail(reason: impl Into<String>) -> Verdict {
     Verdict::Fail { reason: reason.into() }
 }
 
-/// Skips a point.
 pub(crate) fn skip(reason: impl Into<String>) -> Verdict {
     Verdict::Skip { reason: reason.into() }
 }
 
-/// Fails a point because the server answered with an error.
 pub(crate) fn refused(status: &Status) -> Verdict {
     fail(format!("the server refused: {}", status_text(status)))
 }
 
-/// Judges a description by the result of its check.
 pub(crate) fn description(
     described: &DescribeResponse,
     checked: Result<(), DescriptionFault>,
@@ -80,7 +69,6 @@ pub(crate) fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     }
 }
 
-/// Checks that the values are within the range of actions.
 pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
     let sizes = numbers(answers).map(f32::abs);
     let largest = sizes.fold(0.0, f32::max);
@@ -93,7 +81,6 @@ pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
     }
 }
 
-/// Checks that two episodes have the same answers, bit for bit.
 pub(crate) fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     match first_difference(expected, found) {
         None => pass(""),
@@ -118,7 +105,6 @@ pub(crate) fn seeds(
     }
 }
 
-/// Checks that answers to queries in a batch equal the answers to the same queries sent alone.
 pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
     if first_difference(alone, batched).is_none() {
         return pass("bit for bit");
@@ -155,7 +141,6 @@ fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
     answers.iter().flat_map(|answer| answer.actions.iter().copied())
 }
 
-/// Returns the first query at which two episodes differ.
 fn first_difference(first: &[InferResponse], second: &[InferResponse]) -> Option<usize> {
     let bits = |answer: &InferResponse| -> Vec<u32> {
         answer.actions.iter().map(|number| number.to_bits()).collect()

@@ -30,14 +30,11 @@ pub(super) struct DiagnosedServer<'a> {
     pub(super) latencies: Vec<Duration>,
 }
 
-/// Answers of the server to all situations.
 #[derive(Default)]
 pub(super) struct Answered {
-    /// Number of answers.
     pub(super) count: usize,
     /// Faults of the answers that are not valid chunks of actions.
     pub(super) faults: Vec<ActionFault>,
-    /// Actions of all valid answers.
     pub(super) actions: Vec<Action>,
     /// Largest difference between answers to two situations.
     pub(super) between_situations: f64,
@@ -66,7 +63,6 @@ impl<'a> DiagnosedServer<'a> {
         self.server
     }
 
-    /// Returns the number of situations.
     pub(super) fn situation_count(&self) -> usize {
         self.situations.len()
     }
@@ -176,7 +172,6 @@ impl<'a> DiagnosedServer<'a> {
         Ok(total_latency)
     }
 
-    /// Returns the number of situations that a check with changed inputs uses.
     fn tried_situations(&self) -> usize {
         MAX_TRIED_SITUATIONS.min(self.situations.len())
     }

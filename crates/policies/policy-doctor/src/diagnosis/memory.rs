@@ -74,7 +74,6 @@ fn sockets(port: u16) -> Vec<String> {
         .collect()
 }
 
-/// Returns true if a process's fd folder links to one of the sockets.
 fn holds_socket(folder: &Path, sockets: &[String]) -> bool {
     let Ok(entries) = fs::read_dir(folder) else {
         return false;

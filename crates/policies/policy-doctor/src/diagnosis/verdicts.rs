@@ -43,7 +43,6 @@ impl Change {
         self.largest > SAME.max(BEYOND_NOISE * self.noise)
     }
 
-    /// Describes the noise, if there is any.
     fn beside_noise(self) -> String {
         match self.noise > REPEATABLE {
             false => String::new(),
@@ -56,7 +55,6 @@ impl Change {
     }
 }
 
-/// Checks that answers are valid actions.
 pub(super) fn actions(faults: &[ActionFault], count: usize) -> Verdict {
     match faults.first() {
         None => pass(""),
@@ -90,7 +88,6 @@ pub(super) fn range(actions: &[Action]) -> Verdict {
     }
 }
 
-/// Returns true if all actions are equal.
 pub(super) fn is_constant(actions: &[Action]) -> bool {
     let Some(first) = actions.first() else {
         return true;
@@ -102,7 +99,6 @@ pub(super) fn is_constant(actions: &[Action]) -> bool {
     actions.iter().all(|action| difference(action) <= SAME)
 }
 
-/// Checks that the actions move the arm.
 pub(super) fn motion(actions: &[Action]) -> Verdict {
     let is_still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
     let count = actions.len();
@@ -140,7 +136,6 @@ pub(super) fn observations(
     }
 }
 
-/// Checks that each camera's frames affect the answers.
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
     let unused = changes.iter().filter(|(_, change)| !change.has_effect());
     let names = unused.clone().map(|(camera, change)| format!("{camera}{}", change.beside_noise()));
@@ -172,7 +167,6 @@ pub(super) fn reads_language(described: &DescribeResponse) -> Result<(), &'stati
     }
 }
 
-/// Checks that the instruction affects the answers.
 pub(super) fn instructions(change: Change, count: usize) -> Verdict {
     match change.has_effect() {
         true => pass(""),
@@ -189,7 +183,6 @@ pub(super) fn instructions(change: Change, count: usize) -> Verdict {
     }
 }
 
-/// Checks that some action opens the gripper.
 pub(super) fn gripper(actions: &[Action]) -> Verdict {
     let numbers = || actions.iter().map(|action| action[GRIPPER]);
     let least = numbers().fold(f64::INFINITY, f64::min);

@@ -62,12 +62,10 @@ fn rotation(change: impl Fn([f64; 3]) -> [f64; 3] + Send + Sync + 'static) -> Pl
     })
 }
 
-/// Returns a policy that changes every action.
 fn acting(change: impl Fn(&mut Action) + Send + Sync + 'static) -> Planted {
     Planted::sound().finishing(move |actions| actions.iter_mut().for_each(&change))
 }
 
-/// Policies without a mistake.
 pub(crate) const SOUND: [fn() -> Planted; 4] = [
     Planted::sound,
     || Planted::drawing(0.3),

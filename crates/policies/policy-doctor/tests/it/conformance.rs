@@ -10,7 +10,6 @@ use tonic::Status;
 
 use crate::scripted::{Query, Scripted, chunk, description, failures, proper, serve, stochastic};
 
-/// Asserts that a scripted policy fails on exactly these points.
 async fn check<F>(described: DescribeResponse, answer: F, expected: &[Point])
 where
     F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,

@@ -36,7 +36,6 @@ async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
     findings
 }
 
-/// Returns the points on which a policy fails, with their messages.
 async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
     let server = serve(policy).await;
     let findings = examined(&format!("grpc://{}", server.address), measures).await;
@@ -47,7 +46,6 @@ async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
     failed.collect()
 }
 
-/// Asserts that a planted mistake is found on exactly these points, the first with these words.
 async fn finds(policy: Planted, expected: &[Point], words: &str) {
     let failed = failures(policy, MEASURES).await;
     let points: Vec<Point> = failed.iter().map(|(point, _)| *point).collect();

@@ -16,7 +16,6 @@ use proto::policy::{
 };
 use tonic::{Request, Response, Status};
 
-/// An action of the policy.
 pub(crate) type Action = [f64; 7];
 
 /// Side of the policy's frames, pixels.
@@ -26,7 +25,6 @@ const PATCHES: usize = 32;
 /// Number of actions computed beyond the horizon, for mistakes that skip the first actions.
 const EXTRA_ACTIONS: usize = 4;
 
-/// Input of the policy's network.
 pub(crate) struct NetworkInput {
     pub(crate) frames: Vec<Image>,
     pub(crate) state: Vec<f64>,
@@ -36,7 +34,6 @@ pub(crate) struct NetworkInput {
     pub(crate) earlier_queries: u64,
 }
 
-/// Change to a network's actions.
 type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 
 /// The policy, with its preprocessing and postprocessing.
@@ -78,20 +75,17 @@ impl Planted {
         }
     }
 
-    /// Creates a policy that draws noise of this size from the seed.
     pub(crate) fn drawing(noise: f64) -> Self {
         let mut policy = Self::sound();
         policy.described.stochastic = true;
         Self { noise, ..policy }
     }
 
-    /// Replaces the state fields that the policy requests.
     pub(crate) fn with_state(mut self, fields: &[StateField]) -> Self {
         self.described.state = fields.iter().map(|&field| field.into()).collect();
         self
     }
 
-    /// Changes the input of the policy's network.
     pub(crate) fn preparing(
         self,
         prepare: impl Fn(&mut NetworkInput) + Send + Sync + 'static,
@@ -191,7 +185,6 @@ fn weight(input: usize, feature: usize) -> f64 {
     WEIGHTS.get_or_init(weights)[input * 14 + feature]
 }
 
-/// Reverses the order of a frame's rows.
 pub(crate) fn upside_down(frame: &mut Image) {
     let rows = frame.rgb.chunks_exact(3 * frame.width as usize).rev();
     frame.rgb = rows.flatten().copied().collect::<Vec<u8>>().into();

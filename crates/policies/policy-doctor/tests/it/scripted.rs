@@ -23,7 +23,6 @@ use tonic::{
     transport::{Channel, Server, server::TcpIncoming},
 };
 
-/// A server in this process, which can be stopped to free its port.
 pub(crate) struct Running {
     pub(crate) address: SocketAddr,
     stop: oneshot::Sender<()>,
@@ -124,12 +123,10 @@ pub(crate) fn description(name: &str, horizon: u32) -> DescribeResponse {
     }
 }
 
-/// Returns one chunk of actions of the given width.
 pub(crate) fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
     InferResponse { actions: actions.to_vec(), action_width }
 }
 
-/// Query to a scripted policy.
 pub(crate) struct Query {
     /// Seed of the session's Reset, if there was one.
     pub(crate) seed: Option<u64>,
@@ -160,7 +157,6 @@ impl Scripted {
         }
     }
 
-    /// Replaces the description by a function that is called for each Describe.
     pub(crate) fn describing(
         mut self,
         described: impl Fn() -> DescribeResponse + Send + Sync + 'static,
@@ -216,7 +212,6 @@ pub(crate) fn stochastic() -> DescribeResponse {
     DescribeResponse { stochastic: true, ..description("p", 1) }
 }
 
-/// Returns the points on which a server fails.
 pub(crate) async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     let target = Target {
         url: format!("grpc://{}", server.address),

@@ -9,7 +9,6 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use student::{PICTURE_BYTES, Query};
 
-/// SplitMix64.
 pub struct Random(pub u64);
 
 impl Random {
@@ -26,7 +25,6 @@ impl Random {
     }
 }
 
-/// A tensor of a weights file that is being built.
 #[derive(Clone)]
 pub struct Tensor {
     pub dtype: Dtype,
@@ -34,7 +32,6 @@ pub struct Tensor {
     pub bytes: Vec<u8>,
 }
 
-/// A weights file that is being built.
 #[derive(Clone)]
 pub struct Weights {
     pub metadata: HashMap<String, String>,
@@ -120,7 +117,6 @@ impl Weights {
     }
 }
 
-/// A query that owns its data.
 pub struct OwnedQuery {
     pub agentview: Vec<u8>,
     pub wrist: Vec<u8>,

@@ -1,14 +1,11 @@
 //! Rules of every program's help texts. Shared by the tests of all programs.
 
-/// Most lines that `-h` may print.
 const MAX_SHORT_LINES: usize = 45;
 /// Words in rollout ids for which texts say `nominal` and `simultaneous`. Commands accept them, but
 /// no help text mentions them.
 const ID_WORDS: [&str; 2] = ["clean", "combination"];
 
-/// The help of a command.
 pub(crate) struct Help {
-    /// The command, as it is typed.
     pub(crate) words: String,
     pub(crate) short: String,
     pub(crate) long: String,

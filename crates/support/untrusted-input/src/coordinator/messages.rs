@@ -1,12 +1,41 @@
-//! Valid messages to the coordinator.
-
 use prost::Message;
 use proto::coordinator as wire;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rollout_types::AttemptId;
 
-use super::methods::CLAIM;
+/// All methods; an input selects one by its index.
+pub(super) const METHODS: [&str; 26] = [
+    "WorkerService/Register",
+    CLAIM,
+    "WorkerService/Heartbeat",
+    "WorkerService/Commit",
+    "WorkerService/Release",
+    "WorkerService/PutArtifact",
+    "WorkerService/NextFilm",
+    "OperatorService/CreateCampaign",
+    "OperatorService/ListCampaigns",
+    "OperatorService/GetCampaign",
+    "OperatorService/ChangeCampaign",
+    "OperatorService/DeleteCampaign",
+    "OperatorService/ListJobs",
+    "OperatorService/GetJob",
+    "OperatorService/RetryJobs",
+    "OperatorService/ListWorkers",
+    "OperatorService/Backup",
+    "OperatorService/Report",
+    "OperatorService/Export",
+    "OperatorService/AlterCampaign",
+    "OperatorService/Forecast",
+    "WorkerService/SignOff",
+    "OperatorService/ArchiveCampaign",
+    "OperatorService/ImportCampaign",
+    "OperatorService/SkipJobs",
+    "OperatorService/AppendRows",
+];
+
+/// The only method that may wait before it answers, namely for a job.
+pub(super) const CLAIM: &str = "WorkerService/Claim";
 
 /// A method's name and the encoded message of a call.
 pub(super) type EncodedCall = (&'static str, Vec<u8>);
@@ -17,7 +46,6 @@ pub(super) const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"ht
     "nominal":"eval"}"#;
 /// Seed of the coordinator's attempt ids.
 pub(super) const SEED: u64 = 1;
-/// Control steps of the committed rollout.
 const STEPS: u32 = 100;
 
 /// Calls made before an input, after which worker `w` holds a lease.

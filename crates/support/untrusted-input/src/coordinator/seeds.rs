@@ -1,18 +1,14 @@
-//! Seed inputs for calls of the coordinator.
-
 use prost::Message;
 use proto::coordinator as wire;
 use tonic::codegen::Bytes;
 
 use super::messages::{
-    EncodedCall, SPEC, attempt, claim, commit, create, digest, get_campaign, heartbeat, job,
-    release,
+    EncodedCall, METHODS, SPEC, attempt, claim, commit, create, digest, get_campaign, heartbeat,
+    job, release,
 };
-use super::methods::METHODS;
 use super::service::run_valid;
 use crate::script;
 
-/// File name of a worker's video.
 const VIDEO: &str = "video.mp4";
 
 /// Returns seed inputs: single calls; the calls of a leased rollout from its heartbeat to its
@@ -98,7 +94,6 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// Returns the archive of campaign `c`.
 fn archive() -> Vec<u8> {
     let request = get_campaign().encode_to_vec();
     let (_, chunks) = run_valid(&[create(), ("OperatorService/ArchiveCampaign", request)]);
@@ -106,7 +101,6 @@ fn archive() -> Vec<u8> {
     chunks.into_iter().flat_map(data).collect()
 }
 
-/// Encodes several calls as an input.
 fn calls(calls: &[&EncodedCall]) -> Vec<u8> {
     let write = |call: &&EncodedCall| script::write(method_number(call.0), &call.1);
     calls.iter().flat_map(write).collect()
@@ -117,7 +111,6 @@ fn method_number(method: &str) -> u8 {
     u8::try_from(index.expect("a method")).expect("fewer than 256 methods")
 }
 
-/// Returns the messages of a video upload in two chunks.
 fn upload() -> [Vec<u8>; 2] {
     let first =
         wire::ArtifactChunk { attempt_id: attempt(), name: VIDEO.into(), data: vec![1, 2, 3] };

@@ -1,5 +1,3 @@
-//! The coordinator under test.
-
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,16 +13,13 @@ use tonic::codegen::Bytes;
 use tonic::service::Routes;
 use transport::Security;
 
-use super::messages::{EncodedCall, SEED, registration};
-use super::methods::CLAIM;
+use super::messages::{CLAIM, EncodedCall, SEED, registration};
 use crate::call::{block_on, call};
 
 /// Time that a claim may wait before its caller disconnects.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(20);
-/// Constant time of the stopped clock.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
-/// Answer of a service: its messages, or a refusal.
 pub(super) type Answer = Result<Vec<Bytes>, Status>;
 
 /// A coordinator without a listener; tests call its services directly.
@@ -68,7 +63,6 @@ impl TestCoordinator {
         answer
     }
 
-    /// Calls a method and waits for its answer, however long.
     async fn call_to_end(&mut self, method: &str, messages: &[&[u8]]) -> Answer {
         let path = format!("/rollout.coordinator.v1.{method}");
         call(&mut self.services, &path, messages).await
