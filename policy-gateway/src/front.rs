@@ -15,16 +15,12 @@ use crate::{
 
 /// Gateway in front of a server. Dropping this value stops the gateway.
 pub struct Front {
-    /// Listening address.
     pub address: SocketAddr,
     _task: JoinSet<()>,
 }
 
 impl Front {
     /// Starts a gateway in front of the server at `url`.
-    ///
-    /// # Errors
-    /// If the address or the access files cannot be used, or no local port can be opened.
     pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
         let backend = url.parse().map_err(ConfigError::from)?;
         let route = RouteSpec {

@@ -101,10 +101,6 @@ pub struct Tried {
 /// folder `output`.
 ///
 /// The policy is reset at the step of the lift, so a policy with memory starts afresh.
-///
-/// # Errors
-/// If the rollout is not perturbed or succeeds, a rollout has no outcome, the film cannot be made,
-/// or a file cannot be written.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,
@@ -202,7 +198,6 @@ pub fn run(
     Ok(rescue)
 }
 
-/// Returns a word for the outcome of a rollout.
 fn outcome_word(success: bool) -> &'static str {
     match success {
         true => "success",

@@ -13,21 +13,14 @@ pub const MAX_REPLICAS: usize = 64;
 /// Reason why a configuration is invalid. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// No route is given.
     #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
     NoRoute,
     /// The file cannot be read.
     #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
+    Unreadable { path: PathBuf, source: std::io::Error },
     /// The file is not a valid configuration.
     #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
     Toml {
-        /// Path of the file.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
@@ -36,40 +29,25 @@ pub enum ConfigError {
     },
     /// The routes of the file are invalid.
     #[error("use {path:?}")]
-    InFile {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error in the file.
-        source: Box<ConfigError>,
-    },
+    InFile { path: PathBuf, source: Box<ConfigError> },
     /// A route or suite has no replica.
     #[error(
         "find a server for policy {name}: give `replicas`, or a `suites` table, with at least one \
          server each"
     )]
-    NoReplica {
-        /// Name of the route.
-        name: RouteName,
-    },
+    NoReplica { name: RouteName },
     /// A policy has both `replicas` and `suites`.
     #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
-    ReplicasAndSuites {
-        /// Name of the route.
-        name: RouteName,
-    },
+    ReplicasAndSuites { name: RouteName },
     /// A checkpoint has more replicas than the limit.
     #[error(
         "take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}: serve the \
          others under another policy's name"
     )]
-    TooManyReplicas {
-        /// Name of the route.
-        name: RouteName,
-    },
+    TooManyReplicas { name: RouteName },
     /// A server is given twice as a replica.
     #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
     DuplicateReplica {
-        /// Name of the route.
         name: RouteName,
         /// Replica as written.
         replica: String,
@@ -77,7 +55,6 @@ pub enum ConfigError {
     /// The longest wait for an answer is out of range.
     #[error("use answer_within_secs = {secs} of policy {name}: take a positive number up to 3600")]
     AnswerWithin {
-        /// Name of the route.
         name: RouteName,
         /// Seconds as written.
         secs: f64,
@@ -93,10 +70,7 @@ pub enum ConfigError {
     Name(#[from] RouteNameError),
     /// Two routes have the same name.
     #[error("tell two routes named {name} apart: give each its own name")]
-    DuplicateRoute {
-        /// The name.
-        name: RouteName,
-    },
+    DuplicateRoute { name: RouteName },
     /// The text does not specify a back-end.
     #[error(transparent)]
     Backend(#[from] BackendSpecError),
@@ -106,7 +80,6 @@ pub enum ConfigError {
          certificate, as `ca = \"FILE\"` in --config"
     )]
     NoAuthority {
-        /// Name of the route.
         name: RouteName,
         /// Replica as written.
         replica: String,

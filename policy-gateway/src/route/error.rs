@@ -16,7 +16,6 @@ pub enum RouteError {
     /// The replica did not answer, or answered with an error.
     #[error("route {route}{}", replica_problem(replica, source))]
     Replica {
-        /// Name of the route.
         route: RouteName,
         /// Back-end of the replica, as configured.
         replica: String,
@@ -30,13 +29,11 @@ pub enum RouteError {
          actions: {source}; `policy-gateway doctor {replica}` looks for the cause"
     )]
     Action {
-        /// Name of the route.
         route: RouteName,
         /// Back-end of the replica, as configured.
         replica: String,
         /// Index of the query in its session.
         query_index: u32,
-        /// Fault of the answer.
         #[source]
         source: ActionFault,
     },
@@ -46,19 +43,13 @@ pub enum RouteError {
         "route {route}: session {session:?} is not open here (the gateway may have restarted \
          since its Reset); start the rollout again"
     )]
-    SessionLost {
-        /// Name of the route.
-        route: RouteName,
-        /// Name of the session.
-        session: String,
-    },
+    SessionLost { route: RouteName, session: String },
     /// The route has no checkpoint for the suite, or the request names no suite.
     #[error(
         "route {route} has a checkpoint per suite{}; it has them for {known}",
         suite_problem(suite)
     )]
     Suite {
-        /// Name of the route.
         route: RouteName,
         /// Requested suite; empty if none is named.
         suite: String,
@@ -73,10 +64,7 @@ pub enum RouteError {
     },
     /// The route was removed from the configuration.
     #[error("route {route} takes no new sessions: it was taken out of the configuration")]
-    Retired {
-        /// Name of the route.
-        route: RouteName,
-    },
+    Retired { route: RouteName },
     /// The route has as many sessions as its replicas can answer in time.
     #[error(
         "route {route} has {sessions} rollouts under way, as many as its policy servers answer in \
@@ -84,7 +72,6 @@ pub enum RouteError {
         per_query.as_secs_f64()
     )]
     Full {
-        /// Name of the route.
         route: RouteName,
         /// Number of open sessions.
         sessions: usize,

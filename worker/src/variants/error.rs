@@ -25,16 +25,13 @@ pub enum VariantsError {
     /// A rollout cannot be brought to its start.
     #[error("start {id}")]
     Start {
-        /// The rollout.
         id: RolloutId,
         /// Error of the simulator.
         #[source]
         source: Box<SimError>,
     },
-    /// The suite file is invalid.
     #[error("use {}", path.display())]
     SuiteFile {
-        /// Path of the file.
         path: PathBuf,
         /// Error that names the field and the remedy.
         #[source]
@@ -46,7 +43,6 @@ pub enum VariantsError {
          of the two measure different things, so give another --output", path.display()
     )]
     Pinned {
-        /// Path of the results.
         path: PathBuf,
         /// Property that differs.
         what: &'static str,
@@ -58,7 +54,6 @@ pub enum VariantsError {
     /// A line of earlier results is malformed.
     #[error("read line {line} of {}: {problem}; remove the line", path.display())]
     Malformed {
-        /// Path of the results.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
@@ -68,9 +63,7 @@ pub enum VariantsError {
     /// A file cannot be read or written.
     #[error("use {}: check its path and permissions", path.display())]
     File {
-        /// Path of the file.
         path: PathBuf,
-        /// Error of the system.
         #[source]
         source: io::Error,
     },

@@ -21,7 +21,6 @@ impl AxisSet {
     /// Set of all six axes.
     pub const ALL: Self = Self((1 << Axis::ALL.len()) - 1);
 
-    /// Returns the set of one axis.
     pub const fn of(axis: Axis) -> Self {
         Self(1 << axis as u8)
     }

@@ -9,16 +9,12 @@ use crate::names::{UnknownName, serde_as_text};
 /// A benchmark of LIBERO's family.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Benchmark {
-    /// LIBERO-Plus.
     Plus,
-    /// LIBERO-PRO.
     Pro,
-    /// LIBERO-Para.
     Para,
 }
 
 impl Benchmark {
-    /// All benchmarks.
     pub const ALL: [Self; 3] = [Self::Plus, Self::Pro, Self::Para];
 
     /// Returns the name in results, which is also the name of the folder of the task files.

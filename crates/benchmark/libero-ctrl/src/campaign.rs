@@ -40,9 +40,7 @@ use crate::wording::JsonError;
 pub struct CampaignSpec {
     /// Name, unique at a coordinator.
     pub name: String,
-    /// The policy that acts.
     pub policy: PolicyRoute,
-    /// The rollouts to run.
     pub rollouts: Rollouts,
     /// Source of the random elements of perturbations.
     pub realisation: Realisation,
@@ -235,7 +233,6 @@ impl CampaignSpec {
         }
     }
 
-    /// Returns the version of the design that the rollouts belong to.
     pub fn version(&self) -> DesignVersion {
         let version = match &self.rollouts {
             Rollouts::Design(design) => design.version(),

@@ -16,7 +16,6 @@ const VARIANT: &str = "variant";
 pub enum Condition {
     /// Nominal rollout: no axis is perturbed.
     Clean,
-    /// One axis alone.
     Single(Axis),
     /// The latency axis, which no [`AxisSet`] contains: delayed responses without further
     /// perturbation.

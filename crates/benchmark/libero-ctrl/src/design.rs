@@ -68,13 +68,7 @@ pub enum DesignError {
         remedy: &'static str,
     },
     #[error("`{field}` has {given}, valid are {valid}")]
-    OutOfRange {
-        field: &'static str,
-        /// The number.
-        given: u64,
-        /// Valid range.
-        valid: String,
-    },
+    OutOfRange { field: &'static str, given: u64, valid: String },
     #[error(
         "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
          single axes and all at once always run"
@@ -89,15 +83,9 @@ pub enum DesignError {
     #[error(
         "`placebo_radius` is {given}, valid are {} to {}", PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
-    PlaceboRadius {
-        /// The radius.
-        given: f64,
-    },
+    PlaceboRadius { given: f64 },
     #[error("`placebo_configs` has {given}, which is not in `configs`")]
-    PlaceboConfig {
-        /// The configuration.
-        given: u16,
-    },
+    PlaceboConfig { given: u16 },
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
          remove it from `axes`, or import a manifest with its own instructions"
@@ -265,7 +253,6 @@ impl Design {
         condition != Condition::Latency || level != Level::L0
     }
 
-    /// Returns the set of all axes of the design.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect()
     }

@@ -78,7 +78,6 @@ impl DesignVersion {
         Self(format!("{prefix}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Returns the text.
     pub fn as_str(&self) -> &str {
         &self.0
     }

@@ -36,7 +36,6 @@ pub enum Execution {
     /// The arm continues with the previous response. Action i of the response to step t belongs
     /// to step t + i, so that the response loses one action per step of delay.
     Overlap {
-        /// Delay of a response.
         delays: Delays,
         /// Real-time chunking: the policy receives the commands that are executed during the delay.
         rtc: bool,
@@ -78,7 +77,6 @@ pub struct LatencyFileError {
      `hold:{dropped}`, which drops none, or a policy with longer answers"
 )]
 pub struct TooLate {
-    /// The model.
     pub execution: Execution,
     /// Smallest number of actions dropped per response.
     pub dropped: u16,

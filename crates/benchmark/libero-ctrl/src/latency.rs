@@ -31,7 +31,6 @@ pub(crate) fn execution_at(level: Level) -> Option<Execution> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AnyAxis {
     Protocol(Axis),
-    /// The latency axis.
     Latency,
 }
 

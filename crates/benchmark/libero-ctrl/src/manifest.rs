@@ -31,13 +31,7 @@ const RADIUS_TOLERANCE: f64 = 2e-3;
 /// radii.
 const ROUNDING: f64 = 0.5e-6;
 
-/// Parses a manifest. Empty lines are skipped.
-///
-/// # Errors
-/// If the manifest has no rows or more than [`MAX_ROWS`], or a line is not a row, contradicts
-/// itself or its configuration's other rows, has parameters of a different level, has another
-/// execution model than the first row (rows of the latency axis aside), or repeats an id. The error
-/// lists up to 20 of these faults, each with its line.
+/// Parses a manifest. Empty lines are skipped. The error lists up to 20 faults, each with its line.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();
@@ -113,9 +107,7 @@ pub enum Difference {
     OnlyLeft(RolloutId),
     /// A row that only the second manifest has.
     OnlyRight(RolloutId),
-    /// A value that differs.
     Value {
-        /// The row.
         id: RolloutId,
         /// The column, for example `perturb.camera.d_azimuth_deg`.
         column: String,
@@ -145,7 +137,6 @@ pub struct ManifestErrors {
     count: usize,
 }
 
-/// Problem of one line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineError {
     /// The line, from 1.
@@ -165,7 +156,6 @@ pub enum LineProblem {
     },
     #[error("{id}: {column} differ from those of its configuration in line {first}")]
     Unpaired {
-        /// The row.
         id: RolloutId,
         /// Words for the values that differ, such as `initial states`.
         column: String,
@@ -177,7 +167,6 @@ pub enum LineProblem {
              models into separate manifests"
     )]
     Execution {
-        /// The row.
         id: RolloutId,
         /// The row's model.
         given: Execution,
@@ -192,7 +181,6 @@ pub enum LineProblem {
     NoRows,
     #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
     Radius {
-        /// The row.
         id: RolloutId,
         axis: Axis,
         /// The row's level.

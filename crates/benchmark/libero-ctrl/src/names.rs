@@ -1,6 +1,5 @@
 //! Error for unknown names: quotes the name and lists the valid names.
 
-/// Error: the name is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {kind}{}: valid are {valid}", quoted(given))]
 pub struct UnknownName {

@@ -135,19 +135,14 @@ parameters! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Perturbation {
-    /// Camera axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraShift>,
-    /// Lighting axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lighting: Option<LightingShift>,
-    /// Robot axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<RobotShift>,
-    /// Sensor axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<SensorCorruption>,
-    /// Actuation axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actuation: Option<ActuationDistortion>,
 }

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A policy and its endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyRoute {

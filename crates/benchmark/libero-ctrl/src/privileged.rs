@@ -44,7 +44,6 @@ pub struct Entity {
 pub enum EntityKind {
     /// A free-moving object.
     Object,
-    /// A static fixture.
     Fixture,
     /// A site that marks a region.
     Site,

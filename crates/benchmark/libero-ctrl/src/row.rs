@@ -31,7 +31,6 @@ pub const MAX_ROWS: usize = 250_000;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatRow", into = "FlatRow")]
 pub struct ManifestRow {
-    /// Identity of the rollout.
     pub id: RolloutId,
     /// Index of the initial state in the design: the configuration, or in a row without a
     /// configuration the initial state itself.
@@ -92,7 +91,6 @@ impl ManifestRow {
         self.placebo_radius.unwrap_or(self.id.level()).radius()
     }
 
-    /// Returns the perturbed axes.
     pub fn axes(&self) -> AxisSet {
         let metric: AxisSet = self.perturbation.axes().into_iter().collect();
         match self.variant_id {

@@ -23,7 +23,6 @@ const GRIPPER: usize = ACTION_WIDTH - 1;
 /// Gripper command that keeps the gripper open, as in the steps in which the scene settles.
 const OPEN: f64 = -1.0;
 
-/// Schedule of one rollout.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     execution: Execution,
@@ -56,7 +55,6 @@ struct Answer {
     actions: Vec<Action>,
 }
 
-/// A query that is due.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Query {
     /// Number of control steps until the response takes effect.
@@ -66,7 +64,6 @@ pub struct Query {
     pub under_way: Vec<Action>,
 }
 
-/// A command and its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     pub action: Action,

@@ -15,10 +15,7 @@ pub const MAX_REPLICATES: u32 = 100;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
     #[error("read campaign specification: {problem}")]
-    Json {
-        /// Problem and its line.
-        problem: String,
-    },
+    Json { problem: String },
     #[error("read campaign specification: `{field}` is empty, {remedy}")]
     Empty {
         field: &'static str,
@@ -28,10 +25,7 @@ pub enum SpecError {
     #[error(
         "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
     )]
-    Replicates {
-        /// The number given.
-        given: u32,
-    },
+    Replicates { given: u32 },
     /// The text is not quoted, since it may contain a password.
     #[error(
         "read campaign specification: `policy.endpoint` is no server's address, write \
@@ -45,10 +39,7 @@ pub enum SpecError {
          least the first {MIN_DIGEST_DIGITS} digits of a pack's digest; the pack's folder is an \
          option of workers"
     )]
-    Assets {
-        /// The text given.
-        given: String,
-    },
+    Assets { given: String },
     #[error(
         "read campaign specification: `{field}` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
@@ -60,13 +51,7 @@ pub enum SpecError {
     #[error(
         "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
     )]
-    Radius {
-        field: &'static str,
-        /// The number given.
-        given: f64,
-        /// Valid range.
-        valid: [f64; 2],
-    },
+    Radius { field: &'static str, given: f64, valid: [f64; 2] },
     #[error(
         "read campaign specification: `execution` is {given}, but the rows of its manifest have \
          `{row_model}`: remove `execution` from the specification or from the rows"

@@ -45,7 +45,6 @@ pub enum Strata {
 }
 
 impl Strata {
-    /// Returns the default strata for a rule.
     pub fn default_for(rule: &StopRule) -> Self {
         match rule.is_about_new_tasks() {
             true => Self::WholeTasks,
@@ -80,7 +79,6 @@ pub enum StopError {
     BothKinds,
     #[error("`stop` with `strata` {given}: `{rule}` needs {needed}")]
     Strata {
-        /// The strata given.
         given: &'static str,
         rule: String,
         /// Strata that the rule needs.

@@ -37,11 +37,9 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All measures.
     pub const ALL: [Self; 6] =
         [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I, Self::Difference];
 
-    /// Measures of one policy.
     pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
 
     /// Returns the name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.

@@ -54,7 +54,6 @@ impl SuitePrompt {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteFile {
-    /// Name of the benchmark.
     pub name: String,
     /// Folder of the task files, relative to the folder of a worker's option `--sources`;
     /// `suites/NAME` if not given.
@@ -169,15 +168,11 @@ impl From<FileTask> for TaskText {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SuiteFileError {
     #[error("read suite file: {problem}; docs/FAMILY.md describes its fields")]
-    Json {
-        /// Problem and its line.
-        problem: String,
-    },
+    Json { problem: String },
     #[error("read suite file: `{field}` is {given}: {remedy}")]
     Value {
         /// Place in the file, such as `suites[0].tasks[3].name`.
         field: String,
-        /// Value given.
         given: String,
         /// The value to write.
         remedy: String,

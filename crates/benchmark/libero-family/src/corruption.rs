@@ -84,7 +84,6 @@ impl Corruption {
         self.kind as u8 * SEVERITIES + self.severity as u8 + 1
     }
 
-    /// Returns the kind.
     pub const fn kind(self) -> Kind {
         self.kind
     }

@@ -30,7 +30,6 @@ pub enum Lack {
     },
     /// The file of initial states has fewer states than the suite file's `trials`.
     States {
-        /// Path of the file.
         path: String,
         /// Number of its states.
         count: usize,
@@ -94,7 +93,6 @@ pub fn fetch_command(benchmark: Benchmark) -> &'static str {
 pub struct Lacking(pub Vec<(Lack, Vec<Case>)>);
 
 impl Lacking {
-    /// Adds a rollout.
     pub fn add(&mut self, lack: Lack, case: Case) {
         match self.0.iter_mut().find(|(other, _)| *other == lack) {
             Some((_, cases)) => cases.push(case),

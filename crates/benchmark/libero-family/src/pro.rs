@@ -23,7 +23,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Language, Self::Object, Self::Position, Self::Task];
 
     /// Returns the ending of the suite's name, also used in rollout ids.
@@ -42,7 +41,6 @@ impl Kind {
 pub struct ProSuite {
     /// LIBERO's suite.
     pub suite: Suite,
-    /// The change.
     pub kind: Kind,
 }
 

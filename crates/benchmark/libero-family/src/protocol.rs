@@ -18,7 +18,6 @@ pub struct Protocol {
     pub benchmark: Benchmark,
     /// State at the start of a rollout.
     pub beginning: Beginning,
-    /// Source of the prompt.
     pub prompt: Prompt,
     /// Seed of the environment's generator.
     pub seed: u32,

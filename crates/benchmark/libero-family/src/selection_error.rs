@@ -17,23 +17,14 @@ pub enum SelectionError {
         "choose variant `{name}`: its name is well-formed, but LIBERO-Plus' task map does not \
          have it; `worker variants --list` lists the variants"
     )]
-    Unused {
-        /// Name of the variant.
-        name: String,
-    },
+    Unused { name: String },
     #[error(
         "choose variants of {benchmark} by `{filter}`: only another benchmark has this \
          filter; leave it out"
     )]
     Filter { benchmark: &'static str, filter: &'static str },
     #[error("choose variants: `{field}` has {given}, valid are {} to {}", valid[0], valid[1])]
-    Range {
-        field: &'static str,
-        /// The number given.
-        given: u16,
-        /// The valid range.
-        valid: [u16; 2],
-    },
+    Range { field: &'static str, given: u16, valid: [u16; 2] },
     #[error(
         "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO nor LIBERO-Para has it; `coordinator \
          manifest expand` prints the ids of a specification"

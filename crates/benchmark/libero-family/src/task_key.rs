@@ -37,7 +37,6 @@ impl TaskKey {
         }
     }
 
-    /// Returns all keys of a task.
     pub fn of_task(task: TaskRef) -> impl Iterator<Item = Self> {
         let benchmarks = Benchmark::ALL.map(Some).into_iter();
         let files = [None].into_iter().chain(benchmarks);

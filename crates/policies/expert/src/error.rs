@@ -13,34 +13,19 @@ pub enum ExpertError {
     },
     /// The goal names an entity that the scene lacks.
     #[error("the scene has no object, fixture or region named '{name}'")]
-    NoEntity {
-        /// Name of the entity.
-        name: String,
-    },
+    NoEntity { name: String },
     /// The scene lacks a joint.
     #[error("the scene has no joint named '{name}'")]
-    NoJointNamed {
-        /// Name of the joint.
-        name: String,
-    },
+    NoJointNamed { name: String },
     /// The fixture to turn on or close has no joint.
     #[error("'{fixture}' has no joint")]
-    NoJoint {
-        /// Name of the fixture.
-        fixture: String,
-    },
+    NoJoint { fixture: String },
     /// The region to open or close is not in a drawer.
     #[error("'{region}' is in no drawer")]
-    NoDrawer {
-        /// Name of the region.
-        region: String,
-    },
+    NoDrawer { region: String },
     /// No grasp of the object is known.
     #[error("'{object}' cannot be held")]
-    NotGraspable {
-        /// Name of the object.
-        object: String,
-    },
+    NotGraspable { object: String },
     /// The goal needs a skill that the expert lacks.
     #[error("the expert has no skill for the goal '{goal}'; run this task with another policy")]
     NoSkill {
@@ -50,11 +35,9 @@ pub enum ExpertError {
     /// A number is not finite or outside the supported range.
     #[error("{field} of '{owner}' is {value}, outside the range that the expert supports")]
     OutOfRange {
-        /// The field.
         field: &'static str,
         /// Name of the entity.
         owner: String,
-        /// The number.
         value: f64,
     },
 }

@@ -72,19 +72,28 @@ const DRAG_DONE_M: f64 = 0.012;
 /// Lead of the goal over the fingertips when dragging, m.
 const DRAG_LEAD_M: f64 = 0.05;
 
-/// Task of a routine.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum RoutineTask {
     /// Open the drawer that contains the region to the joint position `to`, m.
-    PullDrawer { region: String, to: f64 },
+    PullDrawer {
+        region: String,
+        to: f64,
+    },
     /// Close the drawer of this region.
-    PushDrawer { region: String },
+    PushDrawer {
+        region: String,
+    },
     /// Turn this stove on.
-    TurnKnob { stove: String },
-    /// Close this microwave.
-    PushDoor { microwave: String },
-    /// Drag a flat object to a region.
-    Drag { object: String, region: String },
+    TurnKnob {
+        stove: String,
+    },
+    PushDoor {
+        microwave: String,
+    },
+    Drag {
+        object: String,
+        region: String,
+    },
 }
 
 /// State of a routine in progress.
@@ -124,9 +133,6 @@ impl Routine {
     }
 
     /// Resumes at the stage derived from the state of the world.
-    ///
-    /// # Errors
-    /// If the scene lacks an entity or joint, or the region to open or close is in no drawer.
     pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), ExpertError> {
         self.stage = self.task.current_stage(world, motion)?;
         self.ticks = 0;
@@ -134,9 +140,6 @@ impl Routine {
     }
 
     /// Returns the command for this step; `None` after the last stage.
-    ///
-    /// # Errors
-    /// If the scene lacks an entity or joint, or the region to open or close is in no drawer.
     pub(crate) fn step(
         &mut self,
         world: &World,
@@ -249,10 +252,6 @@ pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
 }
 
-/// Returns true if the hand is at a stove's knob, or leaves it.
-///
-/// # Errors
-/// If the scene lacks the stove or its joint.
 pub(crate) fn is_at_knob(world: &World, stove: &str) -> Result<bool, ExpertError> {
     let Some(leaving) = turn_knob(5, world, stove)? else { return Ok(false) };
     let from = world.grip - leaving.hand.pos;

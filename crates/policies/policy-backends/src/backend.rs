@@ -24,32 +24,20 @@ pub(crate) const SETTINGS: Settings = Settings {
 pub trait Backend: fmt::Display + Send + Sync {
     /// Describes the policy and its inputs, with the checkpoint for `suite` if it has several. The
     /// description is not checked; a remote server's may be of another protocol version.
-    ///
-    /// # Errors
-    /// See [`BackendError`], as for every method here.
     async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError>;
 
     /// Starts an episode; restarts the episode if its session is open.
-    ///
-    /// # Errors
-    /// See [`BackendError`].
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
 
     /// Ends an episode and ignores errors. By default, does nothing.
     async fn end(&self, _session: &str) {}
 
     /// Answers one observation. The answer is not checked.
-    ///
-    /// # Errors
-    /// See [`BackendError`].
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
 
     /// Answers several independent observations as one batch, or one after the other if the policy
-    /// takes no batches. The answers are in the order of the requests, and are not checked.
-    ///
-    /// # Errors
-    /// If the batch failed as a whole; the error of a single observation is in its place among the
-    /// answers.
+    /// takes no batches. The answers are in the order of the requests, and are not checked. The
+    /// error of a single observation is in its place among the answers.
     async fn infer_batch(
         &self,
         requests: Vec<InferRequest>,
@@ -75,7 +63,6 @@ pub enum BackendError {
         /// Cause found at that address.
         trouble: Box<ConnectError>,
     },
-    /// The server rejected the gateway's credentials.
     #[error(
         "the policy server at {address} rejects this gateway's token: {reason}; put a token that \
          it accepts into the `token_file` of the policy, then reload the configuration (SIGHUP)"
@@ -117,7 +104,6 @@ pub enum BackendError {
     Description {
         /// The policy's own name.
         policy: String,
-        /// Fault of the description.
         fault: DescriptionFault,
     },
     /// The server's description differs from its earlier description, or from that of the other
@@ -132,10 +118,7 @@ pub enum BackendError {
     },
     /// The answer is not a valid chunk of actions.
     #[error("{fault}")]
-    InvalidActions {
-        /// Fault of the answer.
-        fault: ActionFault,
-    },
+    InvalidActions { fault: ActionFault },
     /// The queue of the policy's server is full.
     #[error("{queued} queries are already waiting for a batch; try again later")]
     QueueFull {
@@ -196,10 +179,7 @@ pub enum BackendError {
     },
     /// The policy could not answer.
     #[error("the policy failed: {message}")]
-    Policy {
-        /// Message of the policy.
-        message: String,
-    },
+    Policy { message: String },
 }
 
 impl BackendError {

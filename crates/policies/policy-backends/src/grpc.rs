@@ -36,9 +36,6 @@ pub struct GrpcAddress {
 
 impl GrpcAddress {
     /// Returns the gRPC endpoint of the address.
-    ///
-    /// # Errors
-    /// If the address is not a valid URI.
     pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));
@@ -103,9 +100,6 @@ pub struct GrpcBackend {
 
 impl GrpcBackend {
     /// Creates a back-end for an address's endpoint, without connecting.
-    ///
-    /// # Errors
-    /// If TLS cannot be set up for the endpoint.
     pub fn new(
         address: GrpcAddress,
         endpoint: Endpoint,

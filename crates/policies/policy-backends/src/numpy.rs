@@ -25,7 +25,6 @@ pub struct Array {
 /// Reason why a value is not an array of numbers. Messages begin with "its actions".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ArrayError {
-    /// The value is not an array.
     #[error("its actions are not an array of numbers")]
     NotAnArray,
     /// The array's element type is not supported.
@@ -36,7 +35,6 @@ pub enum ArrayError {
     },
 }
 
-/// Encodes an array.
 pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {
     let shape = shape.iter().map(|&side| Value::from(side)).collect();
     let entries = [
@@ -57,7 +55,6 @@ pub(super) fn map<const N: usize>(entries: [(&str, Value); N]) -> Value {
     Value::Map(entries.map(|(key, value)| (Value::from(key), value)).into())
 }
 
-/// Encodes a message.
 pub(super) fn encode(message: &Value) -> Vec<u8> {
     let mut bytes = vec![];
     write_value(&mut bytes, message).expect("a vector takes every byte");
@@ -70,9 +67,6 @@ pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
 }
 
 /// Decodes an array of floating-point numbers.
-///
-/// # Errors
-/// If the value is not an array of floating-point numbers.
 pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let shape = lookup(value, "shape").and_then(as_shape);
     let dtype = lookup(value, "dtype").and_then(as_text);

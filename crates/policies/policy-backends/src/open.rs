@@ -20,9 +20,6 @@ use crate::{
 };
 
 /// Creates the back-end of a specification, without connecting.
-///
-/// # Errors
-/// See [`UnusableBackend`].
 pub fn open(spec: &BackendSpec, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
     Ok(match spec {
         BackendSpec::Builtin(builtin) => {

@@ -33,9 +33,7 @@ pub const MAX_FILES: usize = 100_000;
 /// Query with its answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pair {
-    /// Query as sent.
     pub query: InferRequest,
-    /// Answer as received.
     pub answer: InferResponse,
 }
 
@@ -50,9 +48,6 @@ pub struct Writer {
 impl Writer {
     /// Starts the recording of a session. An existing recording of the same session is replaced
     /// when the new one is finished.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn begin(
         folder: &Path,
         described: &DescribeResponse,
@@ -72,17 +67,12 @@ impl Writer {
     }
 
     /// Adds a pair; returns its size in bytes.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn add(&mut self, pair: &Pair) -> io::Result<u64> {
         Ok(self.message(&pair.query)? + self.message(&pair.answer)?)
     }
 
-    /// Completes the recording and returns its path.
-    ///
-    /// # Errors
-    /// If the file cannot be written completely; it then keeps the suffix `.partial`.
+    /// Completes the recording and returns its path. If this fails, the file keeps the suffix
+    /// `.partial`.
     pub fn finish(mut self) -> io::Result<PathBuf> {
         self.file.flush()?;
         self.file.get_ref().sync_all()?;
@@ -120,10 +110,6 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens a recording.
-    ///
-    /// # Errors
-    /// If the file cannot be read, or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reader = Self {
             path: path.to_owned(),
@@ -142,9 +128,6 @@ impl Reader {
     }
 
     /// Reads the next pair; `None` at the end.
-    ///
-    /// # Errors
-    /// If the file is damaged or cannot be read.
     pub fn pair(&mut self) -> Result<Option<Pair>, RecordingError> {
         let Some(query) = self.message()? else {
             return Ok(None);
@@ -189,9 +172,6 @@ impl Reader {
 }
 
 /// Returns the recordings of a folder, sorted by name.
-///
-/// # Errors
-/// If the folder cannot be read, or holds no recording, or more than [`MAX_FILES`] recordings.
 pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let entries = std::fs::read_dir(folder).map_err(|source| io_error(folder, source))?;
     let mut files = vec![];
@@ -219,32 +199,22 @@ pub enum RecordingError {
     Io {
         /// Path of the file or folder.
         path: PathBuf,
-        /// Error of the system.
         source: io::Error,
     },
     /// The file is damaged or not a recording.
     #[error(
         "read {path:?} as a recording: it is damaged or no recording; record the session again"
     )]
-    Broken {
-        /// Path of the file.
-        path: PathBuf,
-    },
+    Broken { path: PathBuf },
     /// The folder has no recordings.
     #[error(
         "find a recording in {folder:?}: `policy-gateway record --output` makes them, one \
          .{SUFFIX} file per session that has ended"
     )]
-    NoRecordings {
-        /// Path of the folder.
-        folder: PathBuf,
-    },
+    NoRecordings { folder: PathBuf },
     /// The folder has more recordings than the limit.
     #[error("take more than {MAX_FILES} recordings from {folder:?}: move some to another folder")]
-    TooMany {
-        /// Path of the folder.
-        folder: PathBuf,
-    },
+    TooMany { folder: PathBuf },
     /// The recordings are of different policies.
     #[error(
         "replay {first:?} and {other:?} as one policy: {difference}; give each policy a folder of \
@@ -255,7 +225,6 @@ pub enum RecordingError {
         first: PathBuf,
         /// Path of a recording whose description differs.
         other: PathBuf,
-        /// Description of the difference.
         difference: String,
     },
 }

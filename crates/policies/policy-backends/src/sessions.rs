@@ -54,7 +54,6 @@ impl<V> SessionTable<V> {
         self.entries.values().map(|entry| &entry.value)
     }
 
-    /// Removes a session and returns its value, if it is open.
     pub fn close(&mut self, session: &str) -> Option<V> {
         self.entries.remove(session).map(|entry| entry.value)
     }

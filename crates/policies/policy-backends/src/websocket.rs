@@ -44,7 +44,6 @@ pub(super) struct Schemes {
     pub(super) encrypted: &'static str,
 }
 
-/// Host and port of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HostPort {
     /// `host:port`.
@@ -272,7 +271,6 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Sends a message.
     pub(super) async fn send(&mut self, message: Vec<u8>) -> Result<(), BackendError> {
         let sent = self.socket.send(Message::binary(message)).await;
         sent.map_err(|_| self.connection_lost())

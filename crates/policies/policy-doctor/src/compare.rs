@@ -26,10 +26,8 @@ const ROUNDING: f64 = 0.02;
 /// Seeds that servers commonly have as a default.
 const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
-/// Result of a comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// Differences between the descriptions.
     pub descriptions: Vec<DescriptionDifference>,
     /// Differences between the answers; empty if the answers count as the same.
     pub differences: Vec<Difference>,
@@ -71,9 +69,6 @@ impl AnswerPair {
 }
 
 /// Compares the answers of two servers to the same situations.
-///
-/// # Errors
-/// If a server does not answer with actions, or needs an input that the situations lack.
 pub async fn compare(
     a: Server,
     b: Server,

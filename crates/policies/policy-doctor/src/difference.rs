@@ -103,17 +103,14 @@ impl Kind {
     }
 }
 
-/// Difference with its description.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Difference {
-    /// Kind of the difference.
     pub kind: Kind,
     /// Description of the observed difference. A and B are the servers.
     pub text: String,
 }
 
 impl Difference {
-    /// Creates a difference.
     pub(crate) fn new(kind: Kind, text: impl Into<String>) -> Self {
         let text = text.into();
         Self { kind, text }

@@ -18,7 +18,6 @@ pub(crate) enum Map {
     Gripper(Convention),
     /// The value is scaled and shifted.
     Affine {
-        /// Factor.
         scale: f64,
         /// Summand, after scaling.
         offset: f64,
@@ -28,7 +27,6 @@ pub(crate) enum Map {
 /// Convention of the second server's gripper, as a function of the first server's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Convention {
-    /// The sign is inverted.
     Inverted,
     /// From −1..1 to 0..1.
     ZeroToOne,

@@ -44,7 +44,6 @@ impl DescribedServer {
     }
 }
 
-/// Formats a comparison as lines.
 pub(crate) fn comparison(comparison: &Comparison) -> Vec<String> {
     let Comparison { descriptions, differences, note } = comparison;
     let mut lines: Vec<String> = descriptions.iter().map(description).collect();

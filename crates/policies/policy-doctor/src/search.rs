@@ -20,7 +20,6 @@ const MAX_UNEXPLAINED: f64 = 0.1;
 
 /// Setup of a search: the servers, the situations and the seeds.
 pub(crate) struct SearchSetup<'a> {
-    /// The servers and the situations.
     pub servers: &'a ServerPair,
     /// Seeds of a situation; the answers with several seeds are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
@@ -45,7 +44,6 @@ impl Explanation {
     }
 }
 
-/// Result of a search.
 #[derive(Clone, Debug)]
 pub(crate) enum SearchResult {
     /// This explanation makes the answers alike.
@@ -58,9 +56,6 @@ impl SearchSetup<'_> {
     /// Searches for an explanation of the difference between the answers `a` and `b` to the
     /// unchanged situations. A change that explains nine tenths of a difference is accepted; the
     /// remaining tenth is then searched separately.
-    ///
-    /// # Errors
-    /// If a server does not answer with actions.
     pub(crate) async fn search(
         &self,
         a: &Answers,

@@ -27,7 +27,6 @@ pub type Action = [f64; 7];
 
 /// Connected server with its description.
 pub struct Server {
-    /// URL as given.
     pub(crate) url: String,
     /// Description given by the server.
     pub described: DescribeResponse,
@@ -38,14 +37,12 @@ pub struct Server {
     run: u32,
 }
 
-/// An episode at a server.
 pub(crate) struct Episode<'a> {
     server: &'a Server,
     session: String,
     next_query: u32,
 }
 
-/// Answer with its latency.
 pub(crate) struct TimedAnswer {
     /// Answer of the server, unchecked.
     pub(crate) response: InferResponse,
@@ -55,10 +52,6 @@ pub(crate) struct TimedAnswer {
 
 impl Server {
     /// Connects to the server of a route and reads its description.
-    ///
-    /// # Errors
-    /// If the back-end cannot be created, the server cannot be reached, or its description is
-    /// invalid.
     pub async fn connect(
         spec: &BackendSpec,
         access: &Access,
@@ -78,10 +71,6 @@ impl Server {
         ExaminationError::MissingInput { url: self.url.clone(), missing }
     }
 
-    /// Starts an episode.
-    ///
-    /// # Errors
-    /// If the server refuses the episode or does not answer.
     pub(crate) async fn episode(
         &self,
         suite: &str,
@@ -102,9 +91,6 @@ impl Server {
     }
 
     /// Returns the actions of an answer after checking it.
-    ///
-    /// # Errors
-    /// If the answer is not a valid chunk of actions.
     pub(crate) fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
         let actions = policy_protocol::actions(response, self.described.horizon)?;
         Ok(actions.iter().map(|action| action.map(f64::from)).collect())
@@ -113,9 +99,6 @@ impl Server {
 
 impl Episode<'_> {
     /// Sends the next query.
-    ///
-    /// # Errors
-    /// If the server refuses the query, or does not answer within [`ANSWER_TIMEOUT`].
     pub(crate) async fn query(
         &mut self,
         observation: Observation,
@@ -134,9 +117,6 @@ impl Episode<'_> {
     }
 
     /// Sends the next query, and returns the checked actions of its answer.
-    ///
-    /// # Errors
-    /// If [`Episode::query`] fails, or the answer is not a valid chunk of actions.
     pub(crate) async fn actions(
         &mut self,
         observation: Observation,
@@ -181,43 +161,24 @@ pub enum ExaminationError {
     OneLook,
     /// The server does not answer in time.
     #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
-    NoAnswer {
-        /// URL as given.
-        url: String,
-    },
+    NoAnswer { url: String },
     /// The server cannot be reached, or answers with an error.
     #[error("get an answer from {url}: {problem}")]
     Answer {
-        /// URL as given.
         url: String,
         /// Error of the server or of the connection.
         problem: String,
     },
     /// The server's description cannot be used.
     #[error("use the description of {url}: {fault}; `policy-gateway check {url}` shows more")]
-    Description {
-        /// URL as given.
-        url: String,
-        /// Fault of the description.
-        fault: DescriptionFault,
-    },
+    Description { url: String, fault: DescriptionFault },
     /// The server's answer is not a valid chunk of actions.
     #[error("use the answers of {url}: {fault}; `policy-gateway doctor {url}` counts such answers")]
-    InvalidActions {
-        /// URL as given.
-        url: String,
-        /// Fault of the answer.
-        fault: ActionFault,
-    },
+    InvalidActions { url: String, fault: ActionFault },
     /// The recordings lack an input that the server needs.
     #[error(
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
          record the queries of a policy that also needs this input, or leave --recorded out"
     )]
-    MissingInput {
-        /// URL as given.
-        url: String,
-        /// Missing input.
-        missing: MissingInput,
-    },
+    MissingInput { url: String, missing: MissingInput },
 }

@@ -39,9 +39,6 @@ pub(crate) struct ServerPair {
 
 impl ServerPair {
     /// Prepares the observations of both servers.
-    ///
-    /// # Errors
-    /// If a server needs an input that the situations lack.
     pub(crate) fn new(
         a: Server,
         b: Server,
@@ -73,7 +70,6 @@ impl ServerPair {
         &self.server(side).described
     }
 
-    /// Returns one of the two servers.
     pub(crate) fn server(&self, side: Side) -> &Server {
         match side {
             Side::A => &self.a,
@@ -81,7 +77,6 @@ impl ServerPair {
         }
     }
 
-    /// Returns the number of situations.
     pub(crate) fn situation_count(&self) -> usize {
         self.situations.len()
     }
@@ -100,9 +95,6 @@ impl ServerPair {
 
     /// Queries a server in the first `count` situations, changed by `variants`, once per seed of
     /// `seeds(situation)`.
-    ///
-    /// # Errors
-    /// If the server does not answer with actions.
     pub(crate) async fn query(
         &self,
         side: Side,

@@ -12,9 +12,7 @@ use crate::pose::{self, Quaternion};
 /// Frames and readings at one moment of an episode.
 #[derive(Clone, Debug, Default)]
 pub struct Situation {
-    /// Suite of the episode.
     pub suite: String,
-    /// Instruction of the episode.
     pub instruction: String,
     /// Frames by camera, with row 0 at the bottom.
     pub frames: Vec<Image>,
@@ -29,10 +27,7 @@ pub struct Situation {
 pub enum MissingInput {
     /// No frame of a camera.
     #[error("frames of {camera:?}")]
-    Frames {
-        /// Name of the camera.
-        camera: String,
-    },
+    Frames { camera: String },
     /// No reading of this field, nor of a field from which the reading can be derived.
     #[error("the robot reading {}", field.as_str_name())]
     Reading {
@@ -46,9 +41,6 @@ pub enum MissingInput {
 
 impl Situation {
     /// Returns the observation for a server with this description.
-    ///
-    /// # Errors
-    /// If the situation lacks a requested input that cannot be derived.
     pub fn observation(&self, described: &DescribeResponse) -> Result<Observation, MissingInput> {
         let mut observation = Observation::default();
         for camera in &described.cameras {

@@ -46,7 +46,6 @@ pub(crate) enum Turn {
 /// Rule that selects one of the two quaternions of an orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SignRule {
-    /// The negated quaternion.
     Negated,
     /// The quaternion with w ≥ 0.
     PositiveW,
@@ -59,11 +58,9 @@ pub(crate) enum Topic {
     Orientation,
     /// Resolution of frames.
     Size,
-    /// Assignment of the cameras.
     Cameras,
     /// Channels of a frame.
     Colours,
-    /// Sign of quaternions.
     Sign,
     /// Meaning of the robot's readings.
     State,

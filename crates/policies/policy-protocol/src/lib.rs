@@ -33,14 +33,9 @@ const QUOTED_CHARS: usize = 64;
 /// from a broken neural network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
-/// One action in wire format.
 pub type WireAction = [f32; ACTION_WIDTH];
 
 /// Returns the actions of a response if a robot can execute them.
-///
-/// # Errors
-/// If the answer is not n × 7 finite numbers with 0 < n ≤ `horizon`, all of them
-/// within ±[`LARGEST_NUMBER`].
 pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], ActionFault> {
     if response.action_width as usize != ACTION_WIDTH {
         return Err(ActionFault::Width { width: response.action_width });
@@ -69,11 +64,6 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
 }
 
 /// Validates a policy's description of itself.
-///
-/// # Errors
-/// If the protocol version differs, the name is empty, a text or the settings cannot be stored in a
-/// result, the horizon or the number of executed actions is out of range, a camera or reading does
-/// not exist or is requested twice, or there are too many or too large frames.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse { protocol_version, horizon, execute, .. } = *described;
     if protocol_version != PROTOCOL_VERSION {

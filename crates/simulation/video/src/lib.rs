@@ -56,7 +56,6 @@ pub struct VideoEncoder {
 }
 
 impl VideoEncoder {
-    /// Starts a video.
     pub fn new() -> Result<Self, VideoError> {
         let config = EncoderConfig::new()
             .skip_frames(false)

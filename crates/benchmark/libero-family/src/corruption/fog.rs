@@ -23,7 +23,6 @@ const SEVERITIES: [(f64, f64); 10] = [
     (5.0, 1.3),
 ];
 
-/// Corrupts a picture.
 pub(super) fn add_fog(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (density, decay) = SEVERITIES[severity];
     let map = plasma(decay, rng);

@@ -9,7 +9,6 @@ const SIGMAS: [f64; 10] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0];
 /// Radius of the filter, in standard deviations.
 const TRUNCATE: f64 = 4.0;
 
-/// Corrupts a picture.
 pub(super) fn blur_picture(picture: &mut Picture<'_>, severity: usize) {
     let blurred = blur(unit(picture), picture.height, picture.width, SIGMAS[severity]);
     for (byte, value) in picture.rgb.iter_mut().zip(blurred) {

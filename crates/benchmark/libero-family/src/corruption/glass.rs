@@ -21,7 +21,6 @@ const SEVERITIES: [(f64, u32, u32); 10] = [
     (2.5, 5, 1),
 ];
 
-/// Corrupts a picture.
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (sigma, reach, rounds) = SEVERITIES[severity];
     let (height, width) = (picture.height, picture.width);

@@ -24,7 +24,6 @@ const MAX_ANGLE: f64 = 45.0;
 /// Factor between 8-bit and 16-bit channel values.
 const QUANTA: u32 = 257;
 
-/// Corrupts a picture.
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (radius, sigma) = SEVERITIES[severity];
     let angle = draw_angle(rng);

@@ -21,7 +21,6 @@ pub struct Paraphrase {
     /// Index of the task, from 0, in the alphabetical order of the suite's task names: `eval` of
     /// the benchmark.
     pub eval: u8,
-    /// Type.
     pub kind: Kind,
     /// Number within task and type, 0 to 10, with gaps: `ver` of the benchmark.
     pub number: u8,
@@ -121,7 +120,6 @@ pub fn paraphrase(task: TaskRef, label: &str) -> Option<&'static Paraphrase> {
 pub struct TypeName(String);
 
 impl TypeName {
-    /// Returns true if the set has the paraphrase.
     pub fn has(&self, paraphrase: &Paraphrase) -> bool {
         let kind = paraphrase.kind;
         self.0 == "all"

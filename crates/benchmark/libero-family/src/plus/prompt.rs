@@ -8,7 +8,6 @@ use libero_ctrl::{TaskRef, UnknownName};
 
 use super::variant::{Change, Variant};
 
-/// Source of the prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prompt {
     /// As in the released code: the file's name including the description of the change, or
@@ -22,7 +21,6 @@ pub enum Prompt {
 }
 
 impl Prompt {
-    /// All sources.
     pub const ALL: [Self; 3] = [Self::Released, Self::Stripped, Self::Bddl];
 
     /// Returns the name on the command line.

@@ -10,7 +10,6 @@ use libero_ctrl::numpy::LegacyRng;
 pub const ROBOTS: u16 = 500;
 /// Joints of the arm.
 const JOINTS: usize = 7;
-/// Seed of the directions.
 const SEED: u32 = 42;
 /// Length of the displacements of robots 1 to 100, rad; it increases by this amount with each
 /// further hundred.

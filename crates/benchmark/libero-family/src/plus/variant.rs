@@ -374,12 +374,7 @@ pub enum UnknownVariant {
          _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
          _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
     )]
-    Suffix {
-        /// The name.
-        name: String,
-        /// Its invalid suffix.
-        suffix: String,
-    },
+    Suffix { name: String, suffix: String },
 }
 
 #[cfg(test)]

@@ -20,13 +20,9 @@ type Start = Box<dyn Fn(&ResetRequest) -> Box<dyn BuiltinPolicy> + Send + Sync>;
 ///
 /// Runs on a blocking thread, because an answer may take some milliseconds.
 pub trait BuiltinPolicy: Send {
-    /// Answers one observation. Called once per query index: the gateway
-    /// answers retries itself. With a policy that declares itself stateful,
-    /// queries come in the order 0, 1, 2, ….
-    ///
-    /// # Errors
-    /// If the observation lacks a requested input or shows a scene that the policy cannot handle;
-    /// the text names the input or the fault of the scene.
+    /// Answers one observation. Called once per query index: the gateway answers retries itself.
+    /// With a policy that declares itself stateful, queries come in the order 0, 1, 2, …. The error
+    /// names the missing input or the fault of the scene.
     fn infer(&mut self, query_index: u32, observation: &Observation)
     -> Result<Vec<Action>, String>;
 }

@@ -64,26 +64,12 @@ fn shipped(weights: &[u8]) -> Arc<Network> {
 pub enum WeightsFileError {
     /// The file cannot be read.
     #[error("read {path:?}: give the path of weights that training/export.py wrote")]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
+    Unreadable { path: PathBuf, source: std::io::Error },
     /// The file does not hold weights of this network.
     #[error("use {path:?}")]
-    InvalidWeights {
-        /// Path of the file.
-        path: PathBuf,
-        /// Fault of the weights.
-        source: WeightsError,
-    },
+    InvalidWeights { path: PathBuf, source: WeightsError },
 }
 
-/// Reads a student with the weights of a file.
-///
-/// # Errors
-/// If the file cannot be read, or does not hold weights of this network.
 pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     let bytes = std::fs::read(path)
         .map_err(|source| WeightsFileError::Unreadable { path: path.to_owned(), source })?;
@@ -94,7 +80,6 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     Ok(policy(Arc::new(network), checkpoint))
 }
 
-/// Returns the policy with built-in weights.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
     // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
@@ -108,7 +93,6 @@ fn setting(name: &str, value: &str) -> Setting {
     Setting { name: name.to_owned(), value: value.to_owned() }
 }
 
-/// Wraps a network as a policy.
 pub(crate) fn policy(network: Arc<Network>, checkpoint: String) -> Policy {
     Policy {
         described: describe(&network, checkpoint),

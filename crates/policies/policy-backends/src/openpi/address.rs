@@ -63,7 +63,6 @@ impl State {
 /// settings that differ from those of openpi's LIBERO client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OpenpiAddress {
-    /// Host, port and encryption.
     pub host_port: HostPort,
     /// Actions executed per chunk.
     pub execute: u32,

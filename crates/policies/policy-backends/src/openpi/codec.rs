@@ -20,7 +20,6 @@ pub struct ClientObservation<'a> {
     pub prompt: (&'a str, &'a str),
 }
 
-/// A chunk of actions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
     /// Number of actions, and of values per action.
@@ -29,7 +28,6 @@ pub struct Chunk {
     pub numbers: Vec<f32>,
 }
 
-/// Encodes an observation.
 pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
     let frame = |rgb: &[u8]| array(Keys::Bytes, "|u1", &[input.side, input.side, 3], rgb.to_vec());
     let mut entries: Vec<(Value, Value)> =
@@ -44,9 +42,6 @@ pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
 }
 
 /// Decodes the actions of an answer; its other entries are ignored.
-///
-/// # Errors
-/// If the answer holds no actions.
 pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     let answer = numpy::read(bytes).ok_or(AnswerError::NoMessage)?;
     let actions = lookup(&answer, "actions").ok_or(AnswerError::NoActions)?;
@@ -71,10 +66,7 @@ pub enum AnswerError {
     Array(#[from] ArrayError),
     /// The array does not have two dimensions.
     #[error("its actions have shape {shape:?}, not [n, 7]")]
-    Shape {
-        /// Shape of the array.
-        shape: Vec<usize>,
-    },
+    Shape { shape: Vec<usize> },
 }
 
 #[cfg(test)]

@@ -19,7 +19,6 @@ pub const MAX_EXECUTE: u32 = 100;
 /// server and vla-eval's LIBERO benchmark negotiate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VlaEvalAddress {
-    /// Host, port and encryption.
     pub host_port: HostPort,
     /// `execute=N`: actions executed per answer.
     pub execute: u32,

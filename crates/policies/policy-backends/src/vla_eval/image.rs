@@ -22,7 +22,6 @@ pub enum ImageFormat {
 }
 
 impl ImageFormat {
-    /// Returns the format with this name.
     pub(super) fn named(name: &str) -> Option<Self> {
         [Self::Png, Self::Raw, Self::Jpeg].into_iter().find(|format| format.to_string() == name)
     }
@@ -39,9 +38,6 @@ impl fmt::Display for ImageFormat {
 }
 
 /// Encodes an RGB frame of `side`² pixels, row 0 at the top, as a message's value.
-///
-/// # Errors
-/// If the image encoder fails.
 pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, String> {
     let shape = [side as usize, side as usize, 3];
     let mut data = vec![];

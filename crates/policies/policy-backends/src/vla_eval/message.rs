@@ -9,7 +9,6 @@ use thiserror::Error;
 use super::address::MAX_EXECUTE;
 use crate::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
-/// Version of the protocol.
 pub(super) const VERSION: u64 = 1;
 /// Version of vla-eval whose client the gateway reproduces.
 const HARNESS_VERSION: &str = "0.8.0";
@@ -92,10 +91,6 @@ pub(super) fn hello_payload(bytes: &[u8]) -> Option<Value> {
 ///
 /// Gripper values from 0 up become 1 (closed) and negative values -1 (open), as in vla-eval's
 /// LIBERO benchmark.
-///
-/// # Errors
-/// If the answer does not hold the actions to execute, or is a chunk of several actions although
-/// `execute` is 1.
 pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, AnswerError> {
     let message = numpy::read(bytes);
     let reply = message.as_ref().and_then(reply);
@@ -210,11 +205,7 @@ pub enum AnswerError {
     Array(#[from] ArrayError),
     /// The array is neither one action nor a chunk.
     #[error("its actions have shape {shape:?}, not [7] or [n, 7]")]
-    Shape {
-        /// Shape of the array.
-        shape: Vec<usize>,
-    },
-    /// The answer is a chunk, and one action is executed per answer.
+    Shape { shape: Vec<usize> },
     #[error(
         "it answered a chunk of {count} actions, and one is executed per query: write \
          ?execute={} (or less) after its address, or give the server a chunk_size, so that it \
@@ -225,7 +216,6 @@ pub enum AnswerError {
         /// Number of actions in the answer.
         count: usize,
     },
-    /// The answer is one action, and several are executed per answer.
     #[error(
         "it answered one action, and {execute} are executed per query: leave out ?execute after \
          its address"

@@ -18,11 +18,9 @@ const ROUNDS: u32 = 20;
 /// that `coordinator campaign create --execution overlap:@FILE` reads.
 #[derive(Clone, Debug, Serialize)]
 pub struct Latency {
-    /// Address of the server.
     pub server: String,
     /// The policy's own name.
     pub policy: String,
-    /// Checkpoint of the policy.
     pub checkpoint: String,
     /// Number of concurrent rollouts.
     pub at_once: u32,
@@ -44,10 +42,6 @@ pub struct Latency {
 }
 
 /// Measures the latency of a policy server.
-///
-/// # Errors
-/// If the URL or the credentials cannot be used, or the server cannot be reached, does not describe
-/// itself or fails to answer.
 pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
@@ -99,9 +93,6 @@ impl Latency {
     }
 
     /// Returns the distribution of delays for a campaign.
-    ///
-    /// # Errors
-    /// If a delay is longer than a campaign accepts, or there are too many distinct delays.
     pub fn delays(&self) -> Result<Delays, LatencyFileError> {
         Delays::measured(self.delay_steps.clone())
     }

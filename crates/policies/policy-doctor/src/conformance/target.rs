@@ -25,23 +25,18 @@ pub struct Target {
 /// Reason why a server cannot be checked. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ConformanceError {
-    /// The URL is not a policy server's address.
     #[error(
         "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https://HOST:PORT \
          over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
          server of vla-eval"
     )]
-    Url {
-        /// URL as given.
-        url: String,
-    },
+    Url { url: String },
     /// TLS cannot be set up for the URL.
     #[error(transparent)]
     Access(#[from] AccessError),
     /// No policy server can be reached at the URL.
     #[error("reach the policy server at {url}: {trouble}")]
     Connect {
-        /// URL as given.
         url: String,
         /// Cause found at that address.
         trouble: Box<ConnectError>,
@@ -49,7 +44,6 @@ pub enum ConformanceError {
     /// The server does not describe its policy.
     #[error("have {url} describe its policy: {}", status_text(status))]
     Describe {
-        /// URL as given.
         url: String,
         /// Answer of the server.
         status: Box<Status>,
@@ -57,7 +51,6 @@ pub enum ConformanceError {
     /// The server answers no query.
     #[error("play one episode with {url}: {}", status_text(status))]
     Episode {
-        /// URL as given.
         url: String,
         /// Answer of the server.
         status: Box<Status>,

@@ -39,12 +39,10 @@ pub(crate) fn pass(note: impl Into<String>) -> Verdict {
     Verdict::Pass { note: note.into() }
 }
 
-/// Fails a point.
 pub(crate) fn fail(reason: impl Into<String>) -> Verdict {
     Verdict::Fail { reason: reason.into() }
 }
 
-/// Skips a point.
 pub(crate) fn skip(reason: impl Into<String>) -> Verdict {
     Verdict::Skip { reason: reason.into() }
 }
@@ -54,7 +52,6 @@ pub(crate) fn refused(status: &Status) -> Verdict {
     fail(format!("the server refused: {}", status_text(status)))
 }
 
-/// Judges a description by the result of its check.
 pub(crate) fn description(
     described: &DescribeResponse,
     checked: Result<(), DescriptionFault>,

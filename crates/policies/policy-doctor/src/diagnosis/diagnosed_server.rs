@@ -66,7 +66,6 @@ impl<'a> DiagnosedServer<'a> {
         self.server
     }
 
-    /// Returns the number of situations.
     pub(super) fn situation_count(&self) -> usize {
         self.situations.len()
     }

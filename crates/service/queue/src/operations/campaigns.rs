@@ -31,10 +31,6 @@ pub struct Created {
 
 impl Queue {
     /// Stores a campaign and its jobs. Creating the same specification again adds nothing.
-    ///
-    /// # Errors
-    /// If a campaign of this name has another specification; if the source campaign does not exist,
-    /// measures another policy or cannot be derived from; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -72,11 +68,8 @@ impl Queue {
 
     /// Pauses, resumes or cancels a campaign. Resuming also ends the back-off of its policy, which
     /// may be probed at once. Cancelling revokes the campaign's leases without a charge; each
-    /// worker learns of the revocation from the response to its next heartbeat.
-    ///
-    /// # Errors
-    /// If there is no such campaign, the campaign is cancelled or stopped (but a cancelled campaign
-    /// may be cancelled again), or the database fails.
+    /// worker learns of the revocation from the response to its next heartbeat. A cancelled
+    /// campaign may be cancelled again.
     pub async fn change_campaign(
         &self,
         name: &CampaignName,
@@ -107,12 +100,8 @@ impl Queue {
     }
 
     /// Deletes a campaign with its jobs, results and files. Returns the numbers of deleted jobs by
-    /// state.
-    ///
-    /// # Errors
-    /// If there is no such campaign, some of its rollouts are leased, another campaign derives from
-    /// it, or the database fails. Local files that cannot be removed now are removed at the next
-    /// start; remote ones by [`finish_removals`](Self::finish_removals).
+    /// state. Local files that cannot be removed now are removed at the next start; remote ones by
+    /// [`finish_removals`](Self::finish_removals).
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;

@@ -10,7 +10,6 @@ use crate::store::{Doing, StoreError, derivations, json};
 /// One rollout of a configuration, with the fields that an explanation of the configuration needs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
-    /// The job and its outcome.
     #[sqlx(flatten)]
     pub job: OutcomeRow,
     /// True if the rollout has a video.
@@ -27,9 +26,6 @@ impl View {
     }
 
     /// Returns the campaigns that derive from a campaign, oldest first.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn derived_campaigns(
         &mut self,
         campaign: CampaignId,

@@ -13,7 +13,6 @@ use paired::Record;
 pub(crate) struct Addition {
     /// The simultaneous rollout of the configuration in the explained campaign.
     pub(crate) simultaneous: RolloutId,
-    /// The axes to perturb.
     pub(crate) axes: AxisSet,
     /// Replicates to run, which neither campaign has yet.
     pub(crate) replicates: Range<u32>,
