@@ -51,7 +51,6 @@ pub enum FrontError {
     /// The back-end cannot be created.
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
-    /// No local port can be opened.
     #[error("open a port of 127.0.0.1 for the gateway of this command")]
     Listen(#[from] std::io::Error),
 }

@@ -87,7 +87,6 @@ async fn serve(
 /// Reason why a gateway cannot serve.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// The listener failed.
     #[error("serve policies: the listening socket failed ({problem})")]
     Socket {
         /// Error of the system, as text.

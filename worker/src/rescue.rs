@@ -32,10 +32,8 @@ use search::{Search, SearchResult};
 /// Reason why the search failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RescueError {
-    /// The rollout has no perturbation to lift: it is nominal, or on the latency axis.
     #[error("rescue {0}: it has no perturbation to lift; name a failing rollout that has one")]
     NotPerturbed(RolloutId),
-    /// The rollout succeeds, so there is nothing to rescue.
     #[error(
         "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails with \
          this policy and these assets"

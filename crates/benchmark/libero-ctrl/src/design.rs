@@ -73,11 +73,7 @@ pub enum DesignError {
         "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
          single axes and all at once always run"
     )]
-    Subset {
-        given: AxisSet,
-        /// The design's axes.
-        axes: AxisSet,
-    },
+    Subset { given: AxisSet, axes: AxisSet },
     #[error("`{field}` applies to the placebo level only: add L0 to `levels`, or remove `{field}`")]
     NoPlacebo { field: &'static str },
     #[error(

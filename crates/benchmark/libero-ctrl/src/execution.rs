@@ -57,7 +57,6 @@ pub struct Delays {
      control steps from 0 to {MAX_DELAY}, or a distribution of steps*weight such as 3*812+4*188"
 )]
 pub struct ExecutionError {
-    /// Clause that names the invalid part of the text.
     problem: String,
 }
 
@@ -65,7 +64,6 @@ pub struct ExecutionError {
 #[derive(Debug, thiserror::Error)]
 #[error("read measured latencies: {problem}; `policy-gateway check --latency FILE` writes them")]
 pub struct LatencyFileError {
-    /// Clause that names the fault of the file.
     problem: String,
 }
 
@@ -78,9 +76,7 @@ pub struct LatencyFileError {
 )]
 pub struct TooLate {
     pub execution: Execution,
-    /// Smallest number of actions dropped per response.
     pub dropped: u16,
-    /// Largest number of actions per response.
     pub horizon: usize,
 }
 

@@ -159,22 +159,13 @@ pub enum LineProblem {
         id: RolloutId,
         /// Words for the values that differ, such as `initial states`.
         column: String,
-        /// Line of the row that this row should agree with.
         first: usize,
     },
     #[error(
         "{id}: execution model `{given}`, but `{expected}` in line {first}: put rows of different \
              models into separate manifests"
     )]
-    Execution {
-        id: RolloutId,
-        /// The row's model.
-        given: Execution,
-        /// Model of that first row.
-        expected: Execution,
-        /// Line of that first row.
-        first: usize,
-    },
+    Execution { id: RolloutId, given: Execution, expected: Execution, first: usize },
     #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
     #[error("the manifest has no rows")]
@@ -183,11 +174,9 @@ pub enum LineProblem {
     Radius {
         id: RolloutId,
         axis: Axis,
-        /// The row's level.
         level: Level,
         /// The parameters' radius in normalised coordinates.
         given: f64,
-        /// Radius of the level.
         expected: f64,
     },
 }

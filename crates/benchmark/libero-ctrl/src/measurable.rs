@@ -24,7 +24,6 @@ pub enum NotMeasurable {
     NoCondition,
     #[error("it does not run the condition {given}; its conditions are {valid}")]
     ConditionNotRun {
-        /// The requested condition.
         given: &'static str,
         /// Conditions that the campaign runs, formatted for the message.
         valid: String,

@@ -245,27 +245,14 @@ impl Perturbation {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PerturbError {
     #[error("read `perturb`: condition {condition} has no parameters, leave it empty")]
-    NotEmpty {
-        /// The row's condition.
-        condition: Condition,
-    },
+    NotEmpty { condition: Condition },
     #[error(
         "read `perturb` of condition {condition}: it has parameters of {given}, give the \
          parameters of the condition's axes"
     )]
-    OtherAxes {
-        /// The row's condition.
-        condition: Condition,
-        /// The axes that have parameters.
-        given: AxisSet,
-    },
+    OtherAxes { condition: Condition, given: AxisSet },
     #[error("read `perturb` of condition {condition}: {problem}")]
-    Parameters {
-        /// The row's condition.
-        condition: Condition,
-        /// Name of the parameter and its problem.
-        problem: String,
-    },
+    Parameters { condition: Condition, problem: String },
 }
 
 #[cfg(test)]

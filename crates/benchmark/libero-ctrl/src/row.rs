@@ -118,33 +118,15 @@ impl ManifestRow {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
     #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
-    Contradiction {
-        /// The row's id.
-        id: RolloutId,
-        column: &'static str,
-        /// Text of the column.
-        given: String,
-        /// Text that follows from the id.
-        expected: String,
-    },
+    Contradiction { id: RolloutId, column: &'static str, given: String, expected: String },
     #[error("read row {id}: `init_id` is {given}, valid are 0 to 49")]
-    InitState {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's initial state.
-        given: u16,
-    },
+    InitState { id: RolloutId, given: u16 },
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
          leave it out of other rows",
         radius_text(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
-    Placebo {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's radius.
-        given: Option<f64>,
-    },
+    Placebo { id: RolloutId, given: Option<f64> },
     #[error(
         "read row {id}: `execution` is {given}, {}",
         expected.as_ref().map_or_else(
@@ -153,38 +135,25 @@ pub enum RowError {
         )
     )]
     Latency {
-        /// The row's id.
         id: RolloutId,
-        /// The row's execution model.
         given: Execution,
         /// Model of the row's level, if it has one.
         expected: Option<Execution>,
     },
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
-    PolicySeed {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's policy seed.
-        given: u64,
-    },
+    PolicySeed { id: RolloutId, given: u64 },
     #[error(
         "read row {id}: `protocol` is {}; write a protocol in rows of LIBERO-Plus, LIBERO-PRO, \
          LIBERO-Para \
          and suite files only",
         given.as_deref().unwrap_or("missing")
     )]
-    Protocol {
-        /// The row's id.
-        id: RolloutId,
-        /// The row's protocol.
-        given: Option<String>,
-    },
+    Protocol { id: RolloutId, given: Option<String> },
     #[error(
         "read row {id}: `own` is {}; write a task in rows of suite files only",
         if *is_given { "given" } else { "missing" }
     )]
     Own {
-        /// The row's id.
         id: RolloutId,
         /// True if the row has a task.
         is_given: bool,
@@ -193,14 +162,9 @@ pub enum RowError {
         "read row {id}: `own` has the path `{path}`; write a relative path with / and without . \
          and .."
     )]
-    OwnPath {
-        /// The row's id.
-        id: RolloutId,
-        path: String,
-    },
+    OwnPath { id: RolloutId, path: String },
     #[error("read row {id}: {problem}")]
     Perturb {
-        /// The row's id.
         id: RolloutId,
         /// Problem with the parameters. It is part of the message, because serde errors do
         /// not keep a source.

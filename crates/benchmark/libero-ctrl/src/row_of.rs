@@ -14,7 +14,6 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite};
 #[error("make the manifest row of {id}: {problem}")]
 pub struct NoSuchRow {
     pub id: RolloutId,
-    /// Reason why there is no such row.
     pub problem: String,
 }
 

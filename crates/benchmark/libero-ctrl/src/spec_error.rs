@@ -26,7 +26,6 @@ pub enum SpecError {
         "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
     )]
     Replicates { given: u32 },
-    /// The text is not quoted, since it may contain a password.
     #[error(
         "read campaign specification: `policy.endpoint` is no server's address, write \
          http://HOST:PORT or grpc://HOST:PORT, or over TLS https:// or grpcs://, without a user, a \
@@ -44,10 +43,7 @@ pub enum SpecError {
         "read campaign specification: `{field}` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
     )]
-    Unmatched {
-        /// The field that names the source campaign.
-        field: &'static str,
-    },
+    Unmatched { field: &'static str },
     #[error(
         "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
     )]
@@ -56,20 +52,12 @@ pub enum SpecError {
         "read campaign specification: `execution` is {given}, but the rows of its manifest have \
          `{row_model}`: remove `execution` from the specification or from the rows"
     )]
-    Execution {
-        /// The campaign's model.
-        given: Execution,
-        /// Model of the rows.
-        row_model: Execution,
-    },
+    Execution { given: Execution, row_model: Execution },
     #[error(
         "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
          compared with rollouts without delay; remove `execution` or the axis"
     )]
-    Latency {
-        /// The campaign's model.
-        given: Execution,
-    },
+    Latency { given: Execution },
     #[error("read campaign specification: {0}")]
     Stop(StopError),
     #[error("read campaign specification: {0}")]
@@ -85,10 +73,7 @@ pub enum SpecError {
         "read campaign specification: row {id} of its manifest is of another benchmark, whose \
          campaigns are specified with `variants` or `suite_file`: remove the row"
     )]
-    VariantRow {
-        /// The row's id.
-        id: RolloutId,
-    },
+    VariantRow { id: RolloutId },
     #[error("read campaign specification: {0}")]
     SuiteFile(SuiteFileError),
     #[error(transparent)]

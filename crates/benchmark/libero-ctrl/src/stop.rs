@@ -78,33 +78,19 @@ pub enum StopError {
     )]
     BothKinds,
     #[error("`stop` with `strata` {given}: `{rule}` needs {needed}")]
-    Strata {
-        given: &'static str,
-        rule: String,
-        /// Strata that the rule needs.
-        needed: &'static str,
-    },
+    Strata { given: &'static str, rule: String, needed: &'static str },
     #[error(
         "`stop` with {given} `replicates`: its intervals assume one replicate; write 1, \
          or remove `stop`"
     )]
-    Replicates {
-        /// The number of replicates given.
-        given: u32,
-    },
+    Replicates { given: u32 },
     #[error("`stop` with `{field}`, whose campaigns end without a stop rule: remove `stop`")]
-    Derived {
-        /// The field that names the source campaign.
-        field: &'static str,
-    },
+    Derived { field: &'static str },
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
          not in the manifest; add it, or remove `stop`"
     )]
-    Missing {
-        /// The first missing rollout.
-        rollout: RolloutId,
-    },
+    Missing { rollout: RolloutId },
 }
 
 impl Stop {

@@ -174,7 +174,6 @@ pub enum SuiteFileError {
         /// Place in the file, such as `suites[0].tasks[3].name`.
         field: String,
         given: String,
-        /// The value to write.
         remedy: String,
     },
 }

@@ -50,7 +50,6 @@ pub struct VariantsError {
     pub field: &'static str,
     /// Field that defines the rollouts, `variants` or `suite_file`.
     pub rollouts: &'static str,
-    /// Reason and remedy.
     pub problem: &'static str,
 }
 

@@ -35,9 +35,7 @@ pub enum SelectionError {
         advice(chosen - lacking)
     )]
     Lacking {
-        /// Number of rollouts that cannot run.
         lacking: usize,
-        /// Number of chosen rollouts.
         chosen: usize,
         /// Missing files, with the rollouts that need them.
         report: String,

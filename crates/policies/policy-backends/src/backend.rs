@@ -55,12 +55,10 @@ pub trait Backend: fmt::Display + Send + Sync {
 /// whether the policy failed.
 #[derive(Clone, Debug, Error)]
 pub enum BackendError {
-    /// The connection failed or broke, or leads to another service.
     #[error("cannot reach the policy server at {address}: {trouble}")]
     Unreachable {
         /// host:port.
         address: String,
-        /// Cause found at that address.
         trouble: Box<ConnectError>,
     },
     #[error(
@@ -70,42 +68,16 @@ pub enum BackendError {
     TokenRejected {
         /// host:port.
         address: String,
-        /// Reason that the server gave.
         reason: String,
     },
-    /// The server is out of service; only probes are sent until the server answers a probe.
     #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
-    OutOfService {
-        /// Back-end as configured.
-        backend: String,
-        /// Reason why the server is out of service.
-        cause: Cause,
-        /// Time until the next attempt.
-        retry_in: Duration,
-    },
-    /// The server did not answer within the limit.
+    OutOfService { backend: String, cause: Cause, retry_in: Duration },
     #[error("{backend} did not answer within {:.1} s", limit.as_secs_f64())]
-    TimedOut {
-        /// Back-end as configured.
-        backend: String,
-        /// Longest time without an answer.
-        limit: Duration,
-    },
-    /// The server's error shows that the server is broken, not the query.
+    TimedOut { backend: String, limit: Duration },
     #[error("{backend} is out of service, because it {cause}")]
-    Broken {
-        /// Back-end as configured.
-        backend: String,
-        /// Reason why the server is out of service.
-        cause: Cause,
-    },
-    /// The policy's description cannot be used.
+    Broken { backend: String, cause: Cause },
     #[error("policy {policy:?} has an invalid description: {fault}")]
-    Description {
-        /// The policy's own name.
-        policy: String,
-        fault: DescriptionFault,
-    },
+    Description { policy: String, fault: DescriptionFault },
     /// The server's description differs from its earlier description, or from that of the other
     /// replicas.
     #[error(
@@ -116,47 +88,26 @@ pub enum BackendError {
         /// The difference, and the description with which the server's was compared.
         difference: String,
     },
-    /// The answer is not a valid chunk of actions.
     #[error("{fault}")]
     InvalidActions { fault: ActionFault },
-    /// The queue of the policy's server is full.
     #[error("{queued} queries are already waiting for a batch; try again later")]
-    QueueFull {
-        /// Number of queries in the queue.
-        queued: usize,
-    },
-    /// The query timed out in the queue of a busy server.
+    QueueFull { queued: usize },
     #[error(
         "{backend} has more queries in its queue than it answers within {:.0} s; run fewer slots, \
          or give its route more replicas",
         waited.as_secs_f64()
     )]
-    Overloaded {
-        /// Back-end as configured.
-        backend: String,
-        /// Time spent in the queue.
-        waited: Duration,
-    },
-    /// The batch ended unanswered, through no fault of its queries.
+    Overloaded { backend: String, waited: Duration },
     #[error("the batch ended without an answer to this query")]
     BatchLost,
-    /// The number of answers differs from the number of queries in the batch.
     #[error("it answered a batch of {asked} with {answered} results")]
-    BatchSize {
-        /// Number of queries sent.
-        asked: usize,
-        /// Number of results received.
-        answered: usize,
-    },
-    /// The server answered with an error of its own.
+    BatchSize { asked: usize, answered: usize },
     #[error("the policy server at {address} answered: {}", status_text(status))]
     Refused {
         /// host:port.
         address: String,
-        /// Answer of the server.
         status: Box<Status>,
     },
-    /// The server's policy cannot be run under LIBERO-CTRL's conventions.
     #[error("the policy server at {address} cannot be run here: {reason}")]
     UnsupportedPolicy {
         /// host:port.
@@ -171,13 +122,11 @@ pub enum BackendError {
          the rollout again"
     )]
     SessionLost,
-    /// A query to a stateful policy came out of order.
     #[error("a stateful policy answers its queries in order, and query {expected} is next")]
     OutOfOrder {
         /// Query index that the policy expects.
         expected: u32,
     },
-    /// The policy could not answer.
     #[error("the policy failed: {message}")]
     Policy { message: String },
 }

@@ -91,6 +91,5 @@ impl FromStr for Builtin {
 #[derive(Debug, Error)]
 #[error("find the built-in policy {name:?}: there are {}", Builtin::ALL.map(Builtin::name).join(", "))]
 pub struct UnknownBuiltin {
-    /// Name as written.
     pub name: String,
 }

@@ -86,7 +86,6 @@ impl fmt::Display for GrpcAddress {
      grpc://HOST:PORT/POLICY, with https:// in place of grpc:// over TLS"
 )]
 pub struct AddressError {
-    /// Address as written.
     pub text: String,
 }
 

@@ -27,12 +27,8 @@ pub struct Array {
 pub enum ArrayError {
     #[error("its actions are not an array of numbers")]
     NotAnArray,
-    /// The array's element type is not supported.
     #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
-    Dtype {
-        /// Element type in NumPy's notation.
-        dtype: String,
-    },
+    Dtype { dtype: String },
 }
 
 pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {

@@ -194,39 +194,24 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
 /// Reason why recordings cannot be used. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum RecordingError {
-    /// The file or folder cannot be read.
     #[error("read {path:?}")]
-    Io {
-        /// Path of the file or folder.
-        path: PathBuf,
-        source: io::Error,
-    },
-    /// The file is damaged or not a recording.
+    Io { path: PathBuf, source: io::Error },
     #[error(
         "read {path:?} as a recording: it is damaged or no recording; record the session again"
     )]
     Broken { path: PathBuf },
-    /// The folder has no recordings.
     #[error(
         "find a recording in {folder:?}: `policy-gateway record --output` makes them, one \
          .{SUFFIX} file per session that has ended"
     )]
     NoRecordings { folder: PathBuf },
-    /// The folder has more recordings than the limit.
     #[error("take more than {MAX_FILES} recordings from {folder:?}: move some to another folder")]
     TooMany { folder: PathBuf },
-    /// The recordings are of different policies.
     #[error(
         "replay {first:?} and {other:?} as one policy: {difference}; give each policy a folder of \
          its own"
     )]
-    DifferentPolicies {
-        /// Path of the first recording.
-        first: PathBuf,
-        /// Path of a recording whose description differs.
-        other: PathBuf,
-        difference: String,
-    },
+    DifferentPolicies { first: PathBuf, other: PathBuf, difference: String },
 }
 
 fn io_error(path: &Path, source: io::Error) -> RecordingError {

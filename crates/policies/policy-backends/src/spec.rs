@@ -74,16 +74,12 @@ impl fmt::Display for BackendSpec {
 /// The text does not specify a back-end. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum BackendSpecError {
-    /// The text is not a known kind of back-end.
     #[error(
         "read back-end {text:?}: write grpc://HOST:PORT, or https://HOST:PORT over TLS, or \
          ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
          vla-eval, or builtin:NAME, or student:FILE, or replay:FOLDER"
     )]
-    Kind {
-        /// Text as written.
-        text: String,
-    },
+    Kind { text: String },
     /// The built-in policy does not exist.
     #[error(transparent)]
     Builtin(#[from] UnknownBuiltin),

@@ -156,26 +156,16 @@ pub enum ExaminationError {
     /// The recordings of `--recorded` cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The recordings of `--look` are not of both looks.
     #[error("compare looks: give --look twice, with recordings in mujoco-3.3.2 and mujoco-3.3.3")]
     OneLook,
-    /// The server does not answer in time.
     #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
     NoAnswer { url: String },
-    /// The server cannot be reached, or answers with an error.
     #[error("get an answer from {url}: {problem}")]
-    Answer {
-        url: String,
-        /// Error of the server or of the connection.
-        problem: String,
-    },
-    /// The server's description cannot be used.
+    Answer { url: String, problem: String },
     #[error("use the description of {url}: {fault}; `policy-gateway check {url}` shows more")]
     Description { url: String, fault: DescriptionFault },
-    /// The server's answer is not a valid chunk of actions.
     #[error("use the answers of {url}: {fault}; `policy-gateway doctor {url}` counts such answers")]
     InvalidActions { url: String, fault: ActionFault },
-    /// The recordings lack an input that the server needs.
     #[error(
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
          record the queries of a policy that also needs this input, or leave --recorded out"

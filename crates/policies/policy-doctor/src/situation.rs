@@ -25,16 +25,10 @@ pub struct Situation {
 /// Input that a server needs and a situation lacks.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum MissingInput {
-    /// No frame of a camera.
     #[error("frames of {camera:?}")]
     Frames { camera: String },
-    /// No reading of this field, nor of a field from which the reading can be derived.
     #[error("the robot reading {}", field.as_str_name())]
-    Reading {
-        /// Field of the robot's state.
-        field: StateField,
-    },
-    /// No privileged state.
+    Reading { field: StateField },
     #[error("the simulator's own state")]
     Privileged,
 }

@@ -92,7 +92,6 @@ pub enum OpenError {
         path.display()
     )]
     OlderCheckout { path: PathBuf },
-    /// The database was not written by a coordinator, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate { path: PathBuf, known: i64, source: MigrateError },
     #[error(

@@ -118,7 +118,6 @@ pub enum TokenError {
         /// Argument of `chmod` that restricts the permissions.
         chmod: &'static str,
     },
-    /// The file is larger than [`MAX_TOKEN_FILE_BYTES`].
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge { path: PathBuf },
     #[error(
@@ -137,7 +136,6 @@ pub enum TokenError {
         /// The file, or the environment variable.
         place: String,
     },
-    /// The file or variable holds more than [`MAX_TOKENS`] tokens.
     #[error("read {place}: it holds more than {MAX_TOKENS} tokens")]
     TooMany {
         /// The file, or the environment variable.

@@ -62,10 +62,8 @@ fn shipped(weights: &[u8]) -> Arc<Network> {
 /// Reason why a weights file cannot be used. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum WeightsFileError {
-    /// The file cannot be read.
     #[error("read {path:?}: give the path of weights that training/export.py wrote")]
     Unreadable { path: PathBuf, source: std::io::Error },
-    /// The file does not hold weights of this network.
     #[error("use {path:?}")]
     InvalidWeights { path: PathBuf, source: WeightsError },
 }

@@ -213,7 +213,6 @@ impl fmt::Display for OpenpiAddress {
     options_in_words()
 )]
 pub struct OpenpiAddressError {
-    /// Address as written.
     pub text: String,
 }
 

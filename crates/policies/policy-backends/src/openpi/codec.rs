@@ -55,16 +55,13 @@ pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
 /// Reason why an answer holds no actions.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
-    /// The answer is not a msgpack message.
     #[error("its answer is not a msgpack message")]
     NoMessage,
-    /// The answer lacks the entry `actions`.
     #[error("its answer has no \"actions\": is it an openpi policy server?")]
     NoActions,
     /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// The array does not have two dimensions.
     #[error("its actions have shape {shape:?}, not [n, 7]")]
     Shape { shape: Vec<usize> },
 }

@@ -114,7 +114,6 @@ impl fmt::Display for VlaEvalAddress {
      false"
 )]
 pub struct VlaEvalAddressError {
-    /// Address as written.
     pub text: String,
 }
 

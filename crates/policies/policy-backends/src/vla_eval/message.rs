@@ -164,46 +164,26 @@ fn number_list(items: &[ValueRef<'_>]) -> Option<Array> {
 /// Reason why an answer has no actions to execute.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
-    /// The answer is not a message of vla-eval's protocol.
     #[error("its answer is not a message of vla-eval's protocol")]
     NoMessage,
-    /// The answer has an unexpected type.
     #[error("it answered an observation with a message of type {kind:?}")]
-    Kind {
-        /// Type of the message.
-        kind: String,
-    },
-    /// The answer belongs to another observation.
+    Kind { kind: String },
     #[error(
         "it answered message {number} instead of message {asked}: serve it without \
          continuous_inference"
     )]
-    OutOfStep {
-        /// Sequence number of the answer.
-        number: u64,
-        /// Sequence number of the observation's message.
-        asked: u64,
-    },
-    /// The policy raised an error.
+    OutOfStep { number: u64, asked: u64 },
     #[error("{0}")]
-    Policy(
-        /// Error message of the server.
-        String,
-    ),
+    Policy(String),
     /// The server reported an error at the start of the episode. A successful start has no answer,
     /// so the error arrives in place of the answer to the first query.
     #[error("{0}")]
-    Start(
-        /// Error message of the server.
-        String,
-    ),
-    /// The answer lacks the entry `actions`.
+    Start(String),
     #[error("its answer has no \"actions\"")]
     NoActions,
     /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// The array is neither one action nor a chunk.
     #[error("its actions have shape {shape:?}, not [7] or [n, 7]")]
     Shape { shape: Vec<usize> },
     #[error(
@@ -212,10 +192,7 @@ pub enum AnswerError {
          answers single actions of the chunk",
         (*count).min(MAX_EXECUTE as usize)
     )]
-    Chunk {
-        /// Number of actions in the answer.
-        count: usize,
-    },
+    Chunk { count: usize },
     #[error(
         "it answered one action, and {execute} are executed per query: leave out ?execute after \
          its address"
@@ -224,7 +201,6 @@ pub enum AnswerError {
         /// Actions per query, as configured.
         execute: u32,
     },
-    /// The chunk has no actions.
     #[error(
         "it answered an empty chunk: serve a checkpoint with chunks of {execute} or more actions"
     )]
@@ -232,13 +208,11 @@ pub enum AnswerError {
         /// Actions per query, as configured.
         execute: u32,
     },
-    /// The chunk has too few actions.
     #[error(
         "it answered {count} actions, and {execute} are executed per query: write \
          ?execute={count} after its address, or serve longer chunks"
     )]
     Short {
-        /// Number of actions in the answer.
         count: usize,
         /// Actions per query, as configured.
         execute: u32,

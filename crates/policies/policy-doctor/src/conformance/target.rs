@@ -34,25 +34,10 @@ pub enum ConformanceError {
     /// TLS cannot be set up for the URL.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// No policy server can be reached at the URL.
     #[error("reach the policy server at {url}: {trouble}")]
-    Connect {
-        url: String,
-        /// Cause found at that address.
-        trouble: Box<ConnectError>,
-    },
-    /// The server does not describe its policy.
+    Connect { url: String, trouble: Box<ConnectError> },
     #[error("have {url} describe its policy: {}", status_text(status))]
-    Describe {
-        url: String,
-        /// Answer of the server.
-        status: Box<Status>,
-    },
-    /// The server answers no query.
+    Describe { url: String, status: Box<Status> },
     #[error("play one episode with {url}: {}", status_text(status))]
-    Episode {
-        url: String,
-        /// Answer of the server.
-        status: Box<Status>,
-    },
+    Episode { url: String, status: Box<Status> },
 }

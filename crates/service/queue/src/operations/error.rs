@@ -55,7 +55,6 @@ pub enum QueueError {
         "delete campaign `{campaign}`: campaign `{derived}` is derived from it; delete that one first"
     )]
     HasDerived { campaign: CampaignName, derived: CampaignName },
-    /// A campaign with the realisation `reference` cannot be derived from.
     #[error(
         "derive from campaign `{campaign}`: its realisation is reference, in which each condition \
          perturbs an axis differently; name a campaign whose realisation is matched"

@@ -69,7 +69,6 @@ pub enum PortableError {
     Open(#[from] OpenError),
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The database holds no campaign, or several.
     #[error("find the campaign of the database: it holds {count} campaigns, not one")]
     NotOne { count: usize },
     #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
