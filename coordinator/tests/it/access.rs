@@ -20,6 +20,7 @@ use tonic::codegen::InterceptedService;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
+use crate::assertions::{assert_contains, assert_refused};
 use crate::harness::{registration, rows, small_spec};
 use crate::process::{Serve, coordinator, fail, succeed, text};
 
@@ -122,10 +123,9 @@ async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
     let spec = || small_spec("stranger").to_string();
     for token in [None, Some("wrong-secret-0123456789"), Some("x")] {
         for _ in 0..3 {
-            let refused = register(&channel, token, "w").await.expect_err("a stranger");
-            assert_eq!(refused.code(), Code::Unauthenticated, "{refused}");
+            assert_refused(register(&channel, token, "w").await, Code::Unauthenticated, &[]);
             let refused = create(&channel, token, spec()).await;
-            assert_eq!(refused.expect_err("a stranger").code(), Code::Unauthenticated);
+            assert_refused(refused, Code::Unauthenticated, &[]);
         }
     }
     assert_eq!(guarded.logged("was refused"), 1);
@@ -302,9 +302,7 @@ fn non_loopback_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
     let message = &fail(coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]), 2);
-    for word in ["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"] {
-        assert!(message.contains(word), "{message}");
-    }
+    assert_contains(&message, &["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"]);
     assert!(!folder.path().join("data").exists());
 }
 
@@ -315,9 +313,7 @@ fn an_address_in_use_is_named_before_a_database_is_created() {
     let data = folder.path().join("second");
     let data = data.to_str().expect("UTF-8");
     let message = &fail(coordinator(&["serve", "--listen", address, "--data", data]), 1);
-    for words in [address, "choose another address with --listen"] {
-        assert!(message.contains(words), "{message}");
-    }
+    assert_contains(&message, &[address, "choose another address with --listen"]);
     assert!(!folder.path().join("second").exists());
 }
 

@@ -160,8 +160,7 @@ async fn the_clock_begins_at_the_newest_instant_of_every_column() {
 
 #[tokio::test]
 async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("back")).await.expect("created");
+    let bench = Bench::with(&small_spec("back")).await;
     let mut worker = bench.worker("a").await;
     // The policy counts as available from today on.
     let lease = worker.claim_one().await;
@@ -182,8 +181,7 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
 
 #[tokio::test]
 async fn a_clock_jump_ahead_expires_no_lease() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("ahead")).await.expect("created");
+    let bench = Bench::with(&small_spec("ahead")).await;
     let lease = bench.worker("a").await.claim_one().await;
     bench.clock.advance(Duration::from_secs(24 * 3_600));
     let bench = bench.restart().await;

@@ -13,6 +13,7 @@ use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 
+use crate::assertions::assert_contains;
 use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 
 /// Execution model `overlap` with delays of 3 control steps (weight 812) and 4 (weight 188).
@@ -147,20 +148,20 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     };
     for more in [&[][..], &["--dry-run"]] {
         let message = &fail(create("late", "overlap:10", more), 2);
-        for part in [
-            "create campaign late of policy `expert` at http://127.0.0.1:",
-            "`overlap:10` drops at least 10 actions of each answer",
-            "Choose a delay below 10, `hold:10`",
-        ] {
-            assert!(message.contains(part), "{message}");
-        }
+        assert_contains(
+            &message,
+            &[
+                "create campaign late of policy `expert` at http://127.0.0.1:",
+                "`overlap:10` drops at least 10 actions of each answer",
+                "Choose a delay below 10, `hold:10`",
+            ],
+        );
     }
     // So is a policy that the endpoint does not serve, unless it is not asked.
     let named = ["campaign", "create", "--name", "typo", "--policy", "exprt"];
     let rollouts = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
     let message = &fail(serve.command(&[&named[..], &rollouts].concat()), 2);
-    assert!(message.contains("this server serves no policy \"exprt\""), "{message}");
-    assert!(message.contains("--no-probe"), "{message}");
+    assert_contains(&message, &["this server serves no policy \"exprt\"", "--no-probe"]);
     let unasked = [&named[..], &rollouts, &["--no-probe"]].concat();
     assert!(serve.command(&unasked).status.success());
     // The latency axis is checked too: r20 is ten steps late.
@@ -187,12 +188,13 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let created = create("unknown", "overlap:10", &[]);
     assert!(created.status.success(), "{}", text(&created.stderr));
     let message = text(&created.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in [
-        "the length of the answers of policy",
-        "rollouts fail if overlap:10 drops every action of an answer",
-    ] {
-        assert!(message.contains(part), "{message}");
-    }
+    assert_contains(
+        &message,
+        &[
+            "the length of the answers of policy",
+            "rollouts fail if overlap:10 drops every action of an answer",
+        ],
+    );
     let message = &succeed(serve.command(&[&named[..], &rollouts, &axis].concat()));
     let words: Vec<&str> = message.split_whitespace().collect();
     let part = "the arm holds still in rollouts in which overlap:10 drops every action";

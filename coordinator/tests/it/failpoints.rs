@@ -10,13 +10,12 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use queue::DATABASE_FILE;
-use queue::invariants::check;
 use queue::{FAILPOINT_VARIABLE, Side, Step};
 use tempfile::TempDir;
 use tokio::task::JoinSet;
 use tonic::Status;
 
-use crate::harness::{Worker, small_spec};
+use crate::harness::{Worker, assert_sound, small_spec};
 use crate::invariants::valid_database;
 use crate::process::{Serve, coordinator, succeed};
 
@@ -203,11 +202,9 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
         tokio::time::sleep(Duration::from_millis(20)).await;
     };
     assert!(!status.success(), "{point}: {status}");
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, [], "{point}");
+    assert_sound(folder.path()).await;
     let report = finish(folder.path()).await;
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, [], "{point}");
+    assert_sound(folder.path()).await;
     assert!(
         !folder.path().join("artifacts/passing").exists() || step != Step::FinishRemoval,
         "{point}: a deleted campaign's files are removed at the next start"

@@ -7,6 +7,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use serde_json::Value;
 
+use crate::assertions::assert_contains;
 use crate::process::{CREATE, Serve, fits_a_terminal, succeed, text};
 
 /// Returns the documented keys of a command: the first cells of its table's rows.
@@ -246,9 +247,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
 fn every_shell_gets_a_script_that_completes_commands() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let script = &succeed(crate::process::coordinator(&["completions", shell]));
-        for word in ["set-priority", "coordinator", "dry-run"] {
-            assert!(script.contains(word), "{shell}: {word}");
-        }
+        assert_contains(&script, &["set-priority", "coordinator", "dry-run"]);
     }
     let refused = crate::process::coordinator(&["completions", "cmd"]);
     assert_eq!(refused.status.code(), Some(2));

@@ -4,6 +4,7 @@
 mod access;
 mod altering;
 mod artifacts;
+mod assertions;
 mod blame;
 mod bounds;
 mod campaigns;

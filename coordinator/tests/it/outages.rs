@@ -158,9 +158,8 @@ async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
 /// Runs a campaign of eight rollouts on two slots. One rollout crashes the policy after
 /// `answered_queries` queries, and every other rollout in progress loses the policy with it.
 async fn run_with_killer(answered_queries: u32) -> Bench {
-    let bench = Bench::start().await;
     let spec = spec_of("first", "fragile");
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let is_killer = |lease: &Lease| rollout_id(lease).ends_with("sensor/L1/c00");
     for _ in 0..200 {
@@ -211,8 +210,7 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
 
 #[tokio::test]
 async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_time() {
-    let bench = Bench::start().await;
-    bench.create(&spec_of("first", "fragile")).await.expect("created");
+    let bench = Bench::with(&spec_of("first", "fragile")).await;
     let mut worker = bench.worker("a").await;
     // All rollouts had reached the policy when it went down.
     for lease in worker.claim(8).await {
@@ -260,8 +258,7 @@ async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
 /// Regression: the log had the skip of a running rollout as an error after its last attempt.
 #[tokio::test]
 async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("some")).await.expect("created");
+    let bench = Bench::with(&small_spec("some")).await;
     let lease = bench.worker("a").await.claim_one().await;
     let log = tempfile::NamedTempFile::new().expect("a file");
     let subscriber = tracing_subscriber::fmt()
@@ -283,8 +280,7 @@ async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
 
 #[tokio::test]
 async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("some")).await.expect("created");
+    let bench = Bench::with(&small_spec("some")).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);

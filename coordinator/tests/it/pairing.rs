@@ -6,12 +6,12 @@ use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 use tonic::Code;
 
+use crate::assertions::assert_contains;
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
 /// Commits two siblings and returns the lease of a third.
 async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("paired")).await.expect("created");
+    let bench = Bench::with(&small_spec("paired")).await;
     let mut worker = bench.worker("a").await;
     for lease in worker.claim(2).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -78,12 +78,11 @@ async fn another_pack_simulator_renderer_or_realisation_than_the_campaigns_is_re
 
 #[tokio::test]
 async fn siblings_share_the_initial_state_and_include_replicates() {
-    let bench = Bench::start().await;
     let spec = with(
         small_spec("twice"),
         json!({"axes": ["camera"], "nominal": "none", "configs": [0, 1], "replicates": 2}),
     );
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(4).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -100,9 +99,8 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
 /// Returns the leases of a campaign of one configuration: nominal, single axes, combination, and
 /// then the same rollouts of the second replicate, if there is one.
 async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
-    let bench = Bench::start().await;
     let spec = with(small_spec("paired"), changes);
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(64).await;
     (bench, worker, leases)
@@ -133,15 +131,14 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
     let [clean, camera, sensor, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
     };
-    for lease in [clean, camera, sensor] {
-        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-    }
+    worker.commit_all([clean, camera, sensor], true).await;
     let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "sensor", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    for word in ["realisation of axis sensor", "object/t0/sensor/L1/c00", "worker `a`"] {
-        assert!(detail.contains(word), "{detail} lacks {word}");
-    }
+    assert_contains(
+        &detail,
+        &["realisation of axis sensor", "object/t0/sensor/L1/c00", "worker `a`"],
+    );
 }
 
 /// In reference mode, the sensor's random values are drawn anew in every rollout; the camera has no
@@ -150,9 +147,7 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
 async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_may_not() {
     let verdict_of = async |axis: &'static str| {
         let (_bench, mut worker, leases) = leases_of(json!({"realisation": "reference"})).await;
-        for lease in &leases[..3] {
-            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-        }
+        worker.commit_all(&leases[..3], true).await;
         let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, axis, 0.5);
         commit_altered(&mut worker, &leases[3], shifted).await.0
     };
@@ -189,9 +184,7 @@ async fn a_replicate_with_another_first_frame_is_refused() {
     assert_eq!(first.0, Verdict::Accepted);
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], with_first_frame("two")).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    for word in ["first-frame digest", &sha("one"), &sha("two")] {
-        assert!(detail.contains(word), "{detail} lacks {word}");
-    }
+    assert_contains(&detail, &["first-frame digest", &sha("one"), &sha("two")]);
 }
 
 #[tokio::test]
@@ -225,9 +218,7 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
         [(1e-9, Verdict::Accepted), (-1e-9, Verdict::Accepted), (1e-6, Verdict::Unpaired)]
     {
         let (bench, mut worker, leases) = leases_of(json!({})).await;
-        for lease in &leases[..3] {
-            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-        }
+        worker.commit_all(&leases[..3], true).await;
         let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", by);
         let (verdict, detail) = commit_altered(&mut worker, &leases[3], shifted).await;
         assert_eq!(verdict, expected, "{by}: {detail}");

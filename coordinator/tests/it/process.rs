@@ -14,6 +14,7 @@ use tempfile::TempDir;
 use tokio::task::JoinSet;
 use tonic::Status;
 
+use crate::assertions::assert_contains;
 use crate::harness::{Worker, open_database, registration, small_spec};
 
 /// A `coordinator serve` process; killed when dropped.
@@ -195,9 +196,7 @@ async fn a_killed_coordinator_continues_after_a_restart() {
     assert!(first.command(&CREATE).status.success());
     let mut worker = first.worker("a").await;
     let committed = worker.claim(3).await;
-    for lease in &committed {
-        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-    }
+    worker.commit_all(&committed, true).await;
     let held = worker.claim_one().await;
     first.signal("-KILL");
     drop(first);
@@ -330,11 +329,16 @@ fn an_unreachable_coordinator_is_named_after_retries() {
     let stderr =
         &fail(coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]), 1);
     assert!(stderr.contains("trying again for 2 s"), "{stderr}");
-    for word in
-        ["failed to reach", url.as_str(), "nothing listens there", "coordinator serve", "--connect"]
-    {
-        assert!(stderr.contains(word), "{stderr}");
-    }
+    assert_contains(
+        &stderr,
+        &[
+            "failed to reach",
+            url.as_str(),
+            "nothing listens there",
+            "coordinator serve",
+            "--connect",
+        ],
+    );
 }
 
 #[test]

@@ -4,7 +4,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use proto::coordinator as wire;
-use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, rollout_id, small_spec, with};
@@ -27,9 +26,7 @@ async fn run(bench: &Bench, spec: &Value) -> Vec<wire::Lease> {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(64).await;
     assert_eq!(leases.len(), 4 * REPLICATES as usize);
-    for lease in &leases {
-        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-    }
+    worker.commit_all(&leases, true).await;
     leases
 }
 

@@ -10,11 +10,11 @@ use paired::{CampaignLook, Outcome, Record, Records};
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use queue::expand::NewCampaign;
-use queue::{Side, Step, invariants};
+use queue::{Side, Step};
 use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, kill_at_failpoint};
-use crate::harness::{Worker, rollout_id};
+use crate::harness::{Worker, assert_sound, rollout_id};
 use crate::page::http;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 
@@ -209,8 +209,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let [low, high] = [0, 1].map(|end| &sequential["levels"]["L2"]["S_sim"][end]);
     let width = high.as_f64().zip(low.as_f64()).map(|(high, low)| high - low);
     assert!(width.is_some_and(|width| width < 0.7), "{width:?}");
-    let violations = invariants::check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -273,8 +272,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     for name in ["early-thresholds", "early-explained", "early"] {
         succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
     }
-    let violations = invariants::check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }
 
 /// Runs all rollouts of a derived campaign and returns the complete findings.
@@ -348,8 +346,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     ] {
         let point = format!("{side:?}:{step:?}:{occurrence}");
         kill_at_failpoint(folder.path(), &point, &spec("early"), outcome).await;
-        let violations = invariants::check(folder.path()).await.expect("a database");
-        assert_eq!(violations, [], "{point}");
+        assert_sound(folder.path()).await;
     }
     let serve = Serve::start(folder.path());
     assert_eq!(stopped(&serve, "early").await["early_stop"], expected);

@@ -7,11 +7,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use proto::coordinator::commit_response::Verdict;
-use queue::invariants::check;
 use tempfile::TempDir;
 
 use crate::artifacts::put;
-use crate::harness::{Worker, rollout_id, small_spec};
+use crate::harness::{Worker, assert_sound, rollout_id, small_spec};
 use crate::process::{Serve, succeed, text};
 
 /// Variable with the path of the S3 server for tests: `moto_server` of the package `moto[server]`.
@@ -210,8 +209,7 @@ async fn check_film_lifecycle(
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     run(&coordinator, &delete);
     wait_until("no object is left", || stored() == 0).await;
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -292,6 +290,5 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     run(&coordinator, &["campaign", "cancel", "filmed"]);
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     run(&coordinator, &delete);
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }

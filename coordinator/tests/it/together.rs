@@ -45,9 +45,8 @@ async fn assert_invariants(bench: Bench) {
 
 /// Returns twelve leases of one task: three configurations with four rollouts each.
 async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
-    let bench = Bench::start().await;
     let spec = with(small_spec("together"), json!({"configs": [0, 1, 2]}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
     assert_eq!(leases.len(), 12);

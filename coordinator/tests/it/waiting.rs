@@ -6,6 +6,7 @@ use libero_ctrl::{AxisSet, Condition, RolloutId};
 use paired::Outcome;
 use serde_json::{Value, json};
 
+use crate::assertions::assert_contains;
 use crate::derived::{PATIENCE, run_all};
 use crate::harness::{Worker, rollout_id};
 use crate::page::http;
@@ -65,8 +66,7 @@ async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     assert!(reason.contains(waiting_words), "{reason}");
     let output = serve.command(&["campaign", "status", "first-explained"]);
     let status_text = text(&output.stdout);
-    assert!(status_text.contains("waits for first"), "{status_text}");
-    assert!(status_text.contains(waiting_words), "{status_text}");
+    assert_contains(&status_text, &["waits for first", waiting_words]);
     for address in ["/", "/campaigns/first-explained"] {
         let page = http(&serve.url, &format!("GET {address}")).await.text();
         assert!(page.contains("waits for campaign first"), "{address}");

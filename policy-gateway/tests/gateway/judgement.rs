@@ -10,6 +10,7 @@ use proto::policy::{
 use serde_json::Value;
 use tonic::Status;
 
+use crate::assertions::assert_contains;
 use crate::{
     planted::{Planted, SIDE, hash, upside_down},
     program::program,
@@ -214,9 +215,7 @@ async fn recorded_observations_replace_synthetic_observations() {
     assert_eq!(compared.status, Some(1), "{}", compared.stderr);
     let words: Vec<&str> = compared.stdout.split_whitespace().collect();
     let words = words.join(" ");
-    for expected in ["frames flipped vertically", "to 6 observations"] {
-        assert!(words.contains(expected), "{words}");
-    }
+    assert_contains(&words, &["frames flipped vertically", "to 6 observations"]);
 
     let joints = serve(Planted::sound().with_state(&[StateField::JointPos])).await;
     let lacking = run_to_end(&["doctor", &url(&joints), "--recorded", recorded]).await;

@@ -2,6 +2,8 @@
 
 mod access;
 mod answers;
+#[path = "../../../coordinator/tests/it/assertions.rs"]
+mod assertions;
 mod batches;
 mod both_paths;
 mod conformance;
