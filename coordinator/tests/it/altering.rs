@@ -7,10 +7,11 @@ use proto::coordinator::release_request::Reason;
 use serde_json::{Value, json};
 use tonic::{Code, Status};
 
+use crate::artifacts::put;
 use crate::assertions::assert_refused;
 use crate::harness::{Bench, Worker, small_spec, with};
 use crate::page::http;
-use crate::process::{CREATE, Serve, text};
+use crate::process::{CREATE, Serve};
 
 const NEW_ENDPOINT: &str = "http://127.0.0.1:50099";
 
@@ -40,13 +41,7 @@ fn to_name(campaign: &str, name: &str) -> wire::AlterCampaignRequest {
 
 /// Stores a video beside a committed outcome; returns its path below the data folder.
 async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
-    let video = tokio_stream::iter([wire::ArtifactChunk {
-        attempt_id: lease.attempt_id.clone(),
-        name: "video.mp4".to_owned(),
-        data: vec![1; 100],
-    }]);
-    let put = worker.service.put_artifact(video).await.expect("stored");
-    put.into_inner().path
+    put(worker, lease, "video.mp4", &[vec![1; 100]]).await.expect("stored")
 }
 
 /// Regression: a typo in the endpoint could only be corrected by creating another campaign.
@@ -222,12 +217,7 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_alters_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
-    let run = |arguments: &[&str], code: i32, words: &str| {
-        let output = serve.command(arguments);
-        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
-        assert!(output_text.contains(words), "{arguments:?}: {output_text}");
-    };
+    let run = |arguments: &[&str], code, words: &str| serve.run(arguments, code, &[words]);
     run(&[&CREATE[..], &["--priority", "-3"]].concat(), 0, "14 rollouts");
     run(&CREATE, 0, "keeps priority -3");
     let mut worker = serve.worker("a").await;

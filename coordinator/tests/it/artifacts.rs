@@ -29,6 +29,14 @@ pub(crate) async fn put(
     Ok(worker.service.put_artifact(request).await?.into_inner().path)
 }
 
+/// Starts a coordinator and a worker, and commits one rollout.
+async fn committed() -> (Bench, Worker, wire::Lease) {
+    let bench = Bench::with(&small_spec("filmed")).await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    (bench, worker, lease)
+}
+
 #[tokio::test]
 async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     let bench = Bench::with(&small_spec("filmed")).await;
@@ -57,9 +65,7 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
 
 #[tokio::test]
 async fn films_leave_the_space_that_results_need() {
-    let bench = Bench::with(&small_spec("filmed")).await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let (bench, _, lease) = committed().await;
     let clock = bench.clock.clone();
     // No disk has this much free space.
     let bench = Bench::start_with(bench.stop().await, clock, u64::MAX).await;
@@ -89,9 +95,7 @@ async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outco
 /// video was overwritten.
 #[tokio::test]
 async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
-    let bench = Bench::with(&small_spec("filmed")).await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let (bench, mut worker, lease) = committed().await;
     let attempt_id = lease.attempt_id.clone();
     let chunk = move |byte: u8| wire::ArtifactChunk {
         attempt_id: attempt_id.clone(),
@@ -119,9 +123,7 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
 
 #[tokio::test]
 async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() {
-    let bench = Bench::with(&small_spec("filmed")).await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let (bench, mut worker, lease) = committed().await;
     let small = [vec![1; 10]];
 
     let unknown = wire::Lease { attempt_id: "0".repeat(32), ..lease.clone() };

@@ -113,16 +113,6 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
 }
 
 #[tokio::test]
-async fn campaigns_and_results_survive_a_restart() {
-    let bench = Bench::with(&small_spec("kept")).await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let bench = bench.restart().await;
-    let status = bench.status("kept").await;
-    assert_eq!((status.total, status.committed, status.succeeded), (4, 1, 1));
-}
-
-#[tokio::test]
 async fn a_database_of_another_schema_is_refused_untouched() {
     let newer = "INSERT INTO _sqlx_migrations
         (version, description, success, checksum, execution_time)

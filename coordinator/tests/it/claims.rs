@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use proto::coordinator as wire;
+use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 use tokio::task::JoinSet;
@@ -40,17 +41,23 @@ async fn claim_is_exclusive_under_concurrency() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_waiting_claim_is_woken_by_new_work() {
+async fn a_waiting_claim_is_woken_by_new_work_and_by_a_resumed_campaign() {
     let bench = Bench::start().await;
-    let mut worker = bench.worker("a").await;
     let mut waiting = JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(25.0, "").await });
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    let created = Instant::now();
-    bench.create(&small_spec("late")).await.expect("created");
-    let claimed = waiting.join_all().await.remove(0).expect("an answer");
-    assert!(claimed.lease.is_some());
-    assert!(created.elapsed() < Duration::from_secs(5), "woken, not timed out");
+    for resumed in [false, true] {
+        let mut worker = bench.worker("a").await;
+        waiting.spawn(async move { worker.try_claim(25.0, "").await });
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        let began = Instant::now();
+        match resumed {
+            false => drop(bench.create(&small_spec("late")).await.expect("created")),
+            true => drop(bench.change("late", Change::Resume).await.expect("resumed")),
+        }
+        let claimed = waiting.join_next().await.expect("a claim").expect("no panic");
+        assert!(claimed.expect("an answer").lease.is_some());
+        assert!(began.elapsed() < Duration::from_secs(5), "woken, not timed out");
+        bench.change("late", Change::Pause).await.expect("paused");
+    }
 }
 
 #[tokio::test]
@@ -284,26 +291,6 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     let leases = worker.claim(64).await;
     assert_eq!(leases.len(), 4);
     assert!(leases.iter().all(|lease| lease.campaign == "sound"));
-}
-
-#[tokio::test]
-async fn replicates_change_the_policys_seed_only() {
-    let bench = Bench::start().await;
-    let spec = with(small_spec("thrice"), json!({"replicates": 3, "record": "failures"}));
-    assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
-    let mut worker = bench.worker("a").await;
-    let leases = worker.claim(12).await;
-    let lease_of = |replicate: u32| &leases[replicate as usize * 4 + 1];
-    let rows = (0..3).map(|replicate| lease_of(replicate).manifest_row.as_str());
-    let rows: BTreeSet<&str> = rows.collect();
-    let seeds = (0..3).map(|replicate| lease_of(replicate).policy_seed);
-    let seeds: BTreeSet<u64> = seeds.collect();
-    assert_eq!((rows.len(), seeds.len()), (1, 3));
-    assert_eq!(
-        (0..3).map(|replicate| lease_of(replicate).replicate).collect::<Vec<_>>(),
-        [0, 1, 2]
-    );
-    assert!(leases.iter().all(|lease| lease.record_video && lease.record_failures_only));
 }
 
 #[tokio::test]

@@ -2,7 +2,7 @@
 //! given by a function of the rollout's id, and coordinators that are killed.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use libero_ctrl::RolloutId;
@@ -10,9 +10,10 @@ use paired::Outcome;
 use proto::coordinator::CreateCampaignRequest;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
-use queue::{FAILPOINT_VARIABLE, Side, Step};
+use queue::{Side, Step};
 use serde_json::{Value, json};
 
+use crate::failpoints;
 use crate::harness::{Worker, assert_sound, rollout_id};
 use crate::process::{Serve, succeed_in_json};
 
@@ -122,15 +123,7 @@ pub(crate) async fn kill_at_failpoint(
     spec: &Value,
     planted: impl Fn(&RolloutId) -> Outcome,
 ) {
-    let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
-        .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs", "3", "--data"])
-        .arg(folder)
-        .env(FAILPOINT_VARIABLE, point)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("starts");
-    let mut serve = Serve::wait_until_listening(child);
+    let mut serve = Serve::wait_until_listening(failpoints::serve(folder, point));
     let began = Instant::now();
     if serve.is_ready() {
         // Calls the service directly, since the command would retry while the coordinator is down.

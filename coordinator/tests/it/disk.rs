@@ -10,7 +10,7 @@ use proto::coordinator::release_request::Reason;
 
 use crate::artifacts::put;
 use crate::assertions::assert_refused;
-use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
+use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
@@ -18,7 +18,7 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
     // Requires more free space than any disk has.
     let needed = ["--min-free-mib", "1099511627776"];
     let serve = Serve::start_with(folder.path(), &needed, Stdio::null());
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     let mut worker = serve.worker("a").await;
     // The disk is first measured by the first sweep.
     let started = Instant::now();
@@ -40,8 +40,7 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
-    let (_folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (_folder, serve) = Serve::with_demo();
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
     serve.limit_files("0:unlimited");
@@ -63,7 +62,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let serve = Serve::start(&data);
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(2).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -71,8 +70,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
 
     let mut create = CREATE;
     create[3] = "other";
-    let error = &fail(serve.command(&create), 1);
-    assert!(error.contains("is gone"), "{error}");
+    serve.run(&create, 1, &["is gone"]);
     let refused = worker.try_commit(&leases[1], true).await;
     assert_refused(refused, tonic::Code::Internal, &[]);
 
@@ -94,7 +92,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     let log = File::create(folder.path().join("log")).expect("a file");
     let arguments = ["--min-free-mib", "0"];
     let mut serve = Serve::start_with(&folder.path().join("data"), &arguments, log.into());
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     serve.limit_files("0:unlimited");
     // Each registration is a line in the log.
     for worker in ["a", "b"] {
@@ -113,8 +111,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
 async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     /// Limit on the size of each file, bytes.
     const ROOM: usize = 2_000_000;
-    let (folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (folder, serve) = Serve::with_demo();
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
     // The database is smaller than this limit; the videos are not.

@@ -535,6 +535,20 @@ pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(options).await.expect("a database")
 }
 
+/// Returns the results of a campaign for a report, as JSON.
+pub(crate) async fn report_json(
+    operator: &mut OperatorServiceClient<Channel>,
+    campaign: &str,
+) -> Vec<u8> {
+    let request = wire::ReportRequest { campaign: campaign.to_owned() };
+    let mut parts = operator.report(request).await.expect("a report").into_inner();
+    let mut json = Vec::new();
+    while let Some(part) = parts.message().await.expect("a part") {
+        json.extend(part.json);
+    }
+    json
+}
+
 /// Asserts that the database of a data folder violates no invariant.
 pub(crate) async fn assert_sound(folder: &Path) {
     let violations = queue::invariants::check(folder).await.expect("a database");

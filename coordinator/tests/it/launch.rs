@@ -4,8 +4,8 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::access::write_private;
 use crate::assertions::assert_contains;
+use crate::authority::write_private;
 use crate::process::{coordinator, fail, succeed, text};
 
 const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];

@@ -10,6 +10,7 @@ use proto::coordinator::release_response::Verdict as Released;
 use serde_json::json;
 use tonic::{Code, Status};
 
+use crate::artifacts::put;
 use crate::assertions::assert_refused;
 use crate::harness::{Bench, Worker, small_spec, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
@@ -68,21 +69,6 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     bench.assert_sound().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn resuming_wakes_claims_that_wait() {
-    let bench = Bench::with(&small_spec("held")).await;
-    bench.change("held", Change::Pause).await.expect("paused");
-    let mut worker = bench.worker("a").await;
-    let mut waiting = tokio::task::JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(25.0, "").await });
-    tokio::time::sleep(std::time::Duration::from_millis(200)).await;
-    let resumed = std::time::Instant::now();
-    bench.change("held", Change::Resume).await.expect("resumed");
-    let claimed = waiting.join_all().await.remove(0).expect("an answer");
-    assert!(claimed.lease.is_some());
-    assert!(resumed.elapsed().as_secs() < 10, "woken, not timed out");
-}
-
 #[tokio::test]
 async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     let bench = Bench::with(&small_spec("ended")).await;
@@ -135,13 +121,8 @@ async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
     let mut worker = bench.worker("a").await;
     let (lease, held) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let video = tokio_stream::iter([wire::ArtifactChunk {
-        attempt_id: lease.attempt_id.clone(),
-        name: "video.mp4".to_owned(),
-        data: vec![1; 100],
-    }]);
-    let put = worker.service.put_artifact(video).await.expect("stored");
-    let video = bench.folder.path().join(put.into_inner().path);
+    let video = put(&mut worker, &lease, "video.mp4", &[vec![1; 100]]).await.expect("stored");
+    let video = bench.folder.path().join(video);
     assert!(video.is_file());
 
     assert_refused(bench.delete("old", "odl").await, Code::InvalidArgument, &[]);
@@ -290,8 +271,7 @@ async fn workers_are_listed_with_their_leases_and_stop_reasons() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_backup_of_a_running_coordinator_is_valid_and_can_be_served() {
-    let (folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (folder, serve) = Serve::with_demo();
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(3).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -317,14 +297,7 @@ async fn a_backup_of_a_running_coordinator_is_valid_and_can_be_served() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
-    let run = |arguments: &[&str], code: i32, words: &[&str]| {
-        let output = serve.command(arguments);
-        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
-        for word in words {
-            assert!(output_text.contains(word), "{arguments:?}: {output_text}");
-        }
-    };
+    let run = |arguments: &[&str], code, words: &[&str]| serve.run(arguments, code, words);
     run(&["campaign", "status"], 0, &["no campaigns yet"]);
     run(&CREATE, 0, &["14 rollouts"]);
     run(&["workers"], 0, &["no worker is alive"]);

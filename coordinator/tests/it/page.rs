@@ -21,7 +21,7 @@ const READ_TIMEOUT: Duration = Duration::from_secs(30);
 pub(crate) struct Answer {
     pub(crate) code: u16,
     head: String,
-    body: Vec<u8>,
+    pub(crate) body: Vec<u8>,
 }
 
 impl Answer {
@@ -38,7 +38,7 @@ impl Answer {
 
 /// Sends a request unchanged, since a client that normalises addresses would hide the tested cases.
 /// The chunks of a chunked answer are joined.
-fn send(url: &str, request: &str) -> Answer {
+pub(crate) fn send(url: &str, request: &str) -> Answer {
     let address = url.strip_prefix("http://").expect("a URL");
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(READ_TIMEOUT)).expect("set");

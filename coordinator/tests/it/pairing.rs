@@ -6,7 +6,7 @@ use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 use tonic::Code;
 
-use crate::assertions::assert_contains;
+use crate::assertions::{assert_contains, assert_refused};
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
 /// Commits two siblings and returns the lease of a third.
@@ -21,59 +21,44 @@ async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
     (bench, worker, lease)
 }
 
-/// Commits a result with an altered provenance, and asserts that the result is refused and that the
-/// explanation contains all `words`.
-async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str]) {
-    let (bench, mut worker, lease) = commit_siblings().await;
-    let mut report = worker.report(&lease, true);
-    alter(report.provenance.as_mut().expect("provenance"));
-    let (verdict, detail) = worker.commit_request(report).await;
-    assert_eq!(verdict, Verdict::Unpaired);
-    for word in words {
-        assert!(detail.contains(word), "{detail} lacks {word}");
+#[tokio::test]
+async fn a_result_unlike_its_siblings_or_its_campaign_is_refused_with_the_difference_named() {
+    let other = sha("other");
+    let set = |field: fn(&mut wire::Provenance) -> &mut String, value: &str| {
+        let value = value.to_owned();
+        move |provenance: &mut wire::Provenance| *field(provenance) = value.clone()
+    };
+    type Alter<'a> = &'a dyn Fn(&mut wire::Provenance);
+    let cases: [(Alter<'_>, &[&str]); 7] = [
+        (
+            &set(|result| &mut result.scene_digest, &other),
+            &["scene digest", &other, "object/t0/clean", "worker `a`"],
+        ),
+        (&set(|result| &mut result.init_state_digest, &other), &["initial-state digest", &other]),
+        (&set(|result| &mut result.asset_pack_digest, &other), &["asset pack", &other[..12]]),
+        (&set(|result| &mut result.mujoco_version, "3.4.0"), &["MuJoCo", "3.4.0", "3.3.7"]),
+        (
+            &set(|result| &mut result.renderer, "NVIDIA H200"),
+            &["renderer", "NVIDIA H200", "llvmpipe"],
+        ),
+        (
+            &set(|result| &mut result.realisation, "reference"),
+            &["realisation mode", "reference", "matched"],
+        ),
+        (
+            &|result| result.realised.clear(),
+            &["set of perturbed axes", "`none` here", "`sensor` in its manifest row"],
+        ),
+    ];
+    for (alter, words) in cases {
+        let (bench, mut worker, lease) = commit_siblings().await;
+        let (verdict, detail) = commit_altered(&mut worker, &lease, alter).await;
+        assert_eq!(verdict, Verdict::Unpaired);
+        assert_contains(&detail, words);
+        assert_eq!(bench.status("paired").await.committed, 2);
+        let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
+        assert_eq!(bench.count(charged).await, 1);
     }
-    assert_eq!(bench.status("paired").await.committed, 2);
-    let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
-    assert_eq!(bench.count(charged).await, 1);
-}
-
-#[tokio::test]
-async fn another_scene_than_the_siblings_is_refused_with_the_difference_named() {
-    let other = sha("another scene");
-    let words = ["scene digest", &other, "object/t0/clean", "worker `a`"];
-    check_unpaired(|provenance| provenance.scene_digest = other.clone(), &words).await;
-}
-
-#[tokio::test]
-async fn another_initial_state_than_the_siblings_is_refused() {
-    let other = sha("another state");
-    let words = ["initial-state digest", &other];
-    check_unpaired(|provenance| provenance.init_state_digest = other.clone(), &words).await;
-}
-
-#[tokio::test]
-async fn another_pack_simulator_renderer_or_realisation_than_the_campaigns_is_refused() {
-    let other = sha("libero");
-    check_unpaired(
-        |provenance| provenance.asset_pack_digest = other.clone(),
-        &["asset pack", &other[..12]],
-    )
-    .await;
-    check_unpaired(
-        |provenance| provenance.mujoco_version = "3.4.0".to_owned(),
-        &["MuJoCo", "3.4.0", "3.3.7"],
-    )
-    .await;
-    check_unpaired(
-        |provenance| provenance.renderer = "NVIDIA H200".to_owned(),
-        &["renderer", "NVIDIA H200", "llvmpipe"],
-    )
-    .await;
-    check_unpaired(
-        |provenance| provenance.realisation = "reference".to_owned(),
-        &["realisation mode", "reference", "matched"],
-    )
-    .await;
 }
 
 #[tokio::test]
@@ -164,12 +149,6 @@ async fn a_replicate_with_other_realised_values_is_refused() {
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("axis camera"), "{detail}");
-}
-
-#[tokio::test]
-async fn a_rollout_without_its_perturbation_is_refused() {
-    let words = ["set of perturbed axes", "`none` here", "`sensor` in its manifest row"];
-    check_unpaired(|provenance| provenance.realised.clear(), &words).await;
 }
 
 #[tokio::test]
@@ -268,39 +247,35 @@ async fn digests_and_realised_values_are_stored_with_the_result() {
 async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     let (bench, mut worker, lease) = commit_siblings().await;
     let valid = worker.report(&lease, true);
-    let mut check = async |alter: &dyn Fn(&mut wire::CommitRequest), word: &str| {
+    type Alter<'a> = &'a dyn Fn(&mut wire::CommitRequest);
+    fn provenance(request: &mut wire::CommitRequest) -> &mut wire::Provenance {
+        request.provenance.as_mut().expect("provenance")
+    }
+    fn result(request: &mut wire::CommitRequest) -> &mut wire::RolloutResult {
+        request.result.as_mut().expect("a result")
+    }
+    let nan = f64::NAN;
+    let cases: [(Alter<'_>, &str); 11] = [
+        (&|request| request.provenance = None, "provenance"),
+        (&|request| request.result = None, "result"),
+        (&|request| request.attempt_id.clear(), "attempt id"),
+        (&|request| provenance(request).scene_digest.clear(), "scene_digest"),
+        (&|request| provenance(request).init_state_digest = "0".repeat(63), "SHA-256"),
+        (
+            &|request| provenance(request).realised[0].elements.push(nan),
+            "`realised` of axis `sensor`",
+        ),
+        (&|request| provenance(request).renderer.clear(), "`renderer`"),
+        (&|request| provenance(request).fingerprint.truncate(16), "`fingerprint`"),
+        (&|request| provenance(request).host = "x".repeat(1 << 20), "`host`"),
+        (&|request| result(request).wall_secs = nan, "not finite"),
+        (&|request| result(request).ik_residual_mm = Some(-1.0), "negative"),
+    ];
+    for (alter, word) in cases {
         let mut request = valid.clone();
         alter(&mut request);
-        let refused = worker.service.commit(request).await.expect_err(word);
-        assert_eq!(refused.code(), Code::InvalidArgument);
-        assert!(refused.message().contains(word), "{refused}");
-    };
-    check(&|request| request.provenance = None, "provenance").await;
-    check(&|request| request.result = None, "result").await;
-    check(&|request| request.attempt_id.clear(), "attempt id").await;
-    check(&|request| request.provenance.as_mut().unwrap().scene_digest.clear(), "scene_digest")
-        .await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().init_state_digest = "0".repeat(63),
-        "SHA-256",
-    )
-    .await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().realised[0].elements.push(f64::NAN),
-        "`realised` of axis `sensor`",
-    )
-    .await;
-    check(&|request| request.provenance.as_mut().unwrap().renderer.clear(), "`renderer`").await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().fingerprint.truncate(16),
-        "`fingerprint`",
-    )
-    .await;
-    check(&|request| request.provenance.as_mut().unwrap().host = "x".repeat(1 << 20), "`host`")
-        .await;
-    check(&|request| request.result.as_mut().unwrap().wall_secs = f64::NAN, "not finite").await;
-    check(&|request| request.result.as_mut().unwrap().ik_residual_mm = Some(-1.0), "negative")
-        .await;
+        assert_refused(worker.service.commit(request).await, Code::InvalidArgument, &[word]);
+    }
     assert_eq!(bench.status("paired").await.leased, 1, "the lease is kept");
 }
 

@@ -2,7 +2,6 @@
 //! its rule, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId};
@@ -82,13 +81,6 @@ fn planted(spec: &Value) -> Planted {
     }
 }
 
-fn create(serve: &Serve, folder: &Path, spec: &Value) {
-    let file = folder.join(format!("{}.json", spec["name"].as_str().expect("a name")));
-    std::fs::write(&file, spec.to_string()).expect("written");
-    let file = file.to_string_lossy();
-    succeed(serve.command(&["campaign", "create", "--spec", &file]));
-}
-
 fn id(lease: &Lease) -> RolloutId {
     rollout_id(lease).parse().expect("an id")
 }
@@ -131,7 +123,7 @@ async fn stopped(serve: &Serve, name: &str) -> Value {
 async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
-    create(&serve, folder.path(), &spec("early"));
+    serve.create(&spec("early"));
     let mut worker = serve.worker("w").await;
     let begun = run(&mut worker, planted.rollouts - 1).await;
     assert_eq!(begun, planted.ids[..begun.len()], "in the drawn order");
@@ -216,7 +208,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
 async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
-    create(&serve, folder.path(), &spec("early"));
+    serve.create(&spec("early"));
     let mut worker = serve.worker("w").await;
     run(&mut worker, planted.rollouts - 1).await;
     // Commits all rollouts of the next configuration, which does not count, and then the last
@@ -240,7 +232,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
         assert!(!output.status.success(), "{arguments:?}");
         assert!(error.contains("it stopped early"), "{arguments:?}: {error}");
     }
-    create(&serve, folder.path(), &spec("early"));
+    serve.create(&spec("early"));
     assert_eq!(status(&serve, "early")["state"], "stopped");
 
     // The transitions and thresholds of the configurations that count are all explained and
@@ -320,7 +312,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     let planted = planted(&spec("early"));
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
-    create(&serve, undisturbed.path(), &spec("early"));
+    serve.create(&spec("early"));
     run(&mut serve.worker("w").await, planted.rollouts).await;
     let expected = stopped(&serve, "early").await["early_stop"].clone();
     let report = ["report", "early", "--json"];
@@ -364,17 +356,17 @@ fn shuffled(name: &str, seed: u64) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn campaigns_in_the_same_order_are_compared_sequentially() {
-    let (folder, serve) = Serve::anew();
+    let (_folder, serve) = Serve::anew();
     let mut worker = serve.worker("w").await;
     // A configuration has five rollouts, four of them perturbed.
     for (name, configurations) in [("weak", 20), ("strong", 25)] {
-        create(&serve, folder.path(), &shuffled(name, 7));
+        serve.create(&shuffled(name, 7));
         for lease in worker.claim(5 * configurations).await {
             let perturbed = id(&lease).config().is_some();
             let success = name == "strong" || !perturbed;
             assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
         }
-        assert!(serve.command(&["campaign", "pause", name]).status.success());
+        serve.run(&["campaign", "pause", name], 0, &[]);
     }
     let rule = "difference excludes 0";
     #[rustfmt::skip]
@@ -400,20 +392,19 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     assert!(words.contains("20 of 40") && words.contains("seed 7"), "{words}");
     fits_a_terminal(words);
 
-    create(&serve, folder.path(), &shuffled("elsewhere", 8));
+    serve.create(&shuffled("elsewhere", 8));
     let mut undrawn = shuffled("undrawn", 0);
     undrawn["stop"] = Value::Null;
-    create(&serve, folder.path(), &undrawn);
+    serve.create(&undrawn);
     let mut fewer = shuffled("fewer", 7);
     fewer["configs"] = json!([0]);
-    create(&serve, folder.path(), &fewer);
+    serve.create(&fewer);
     for (other, remedy) in [
         ("elsewhere", "the same `--stop-seed`"),
         ("undrawn", "create both campaigns with `--stop`"),
         ("fewer", "the same tasks and configurations"),
     ] {
-        let error = &fail(serve.command(&["compare", "weak", other, "--sequential"]), 2);
-        assert!(error.contains(remedy), "{error}");
+        serve.run(&["compare", "weak", other, "--sequential"], 2, &[remedy]);
         let plain = printed(&serve, &["compare", "weak", other, "--json"]);
         assert!(plain.get("sequential").is_none(), "{other}");
     }

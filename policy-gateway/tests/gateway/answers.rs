@@ -10,7 +10,9 @@ use proto::policy::InferResponse;
 use tonic::{Code, Status};
 
 use crate::assertions::assert_refused;
-use crate::support::{Scripted, chunk, describe, description, gateway, infer, reset, serve};
+use crate::support::{
+    Scripted, behind, chunk, describe, description, gateway, infer, reset, serve,
+};
 
 /// Returns a gateway's refusal of a query to a server that answers `answer`.
 async fn refusal(answer: Result<InferResponse, Status>) -> Status {
@@ -59,9 +61,8 @@ async fn a_retry_gets_the_same_actions_without_another_query() {
     let queries = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&queries);
     let answer = move |_| Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7));
-    let server = serve(Scripted::new(description("counter", 1), answer)).await;
-    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
-    let mut client = gateway.client().await;
+    let (_server, gateway, mut client) =
+        behind(Scripted::new(description("counter", 1), answer)).await;
     let mut send_query = async |session: &str, query_index| {
         let answer = client.infer(infer("x", session, query_index)).await.expect("an answer");
         answer.into_inner().actions[0]
@@ -88,9 +89,8 @@ async fn invalid_answers_are_not_cached_for_retries() {
         0 => Ok(chunk(&[f32::INFINITY; 7], 7)),
         _ => Ok(chunk(&[0.5; 7], 7)),
     };
-    let server = serve(Scripted::new(description("flaky", 1), answer)).await;
-    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
-    let mut client = gateway.client().await;
+    let (_server, _gateway, mut client) =
+        behind(Scripted::new(description("flaky", 1), answer)).await;
     client.infer(infer("x", "s", 0)).await.expect_err("infinite actions");
     let answer = client.infer(infer("x", "s", 0)).await.expect("good actions");
     assert_eq!(answer.get_ref().actions, [0.5; 7]);
