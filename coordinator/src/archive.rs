@@ -89,7 +89,6 @@ pub enum ArchiveError {
         "read archive {archive}: {member} is altered ({problem}); copy it again, or archive the campaign again"
     )]
     Altered { archive: String, member: String, problem: String },
-    /// The database cannot be opened, violates an invariant or does not hold exactly one campaign.
     #[error("use member {member} of archive {archive}: archive the campaign again")]
     Content { archive: String, member: &'static str, source: Box<PortableError> },
     #[error(
@@ -125,7 +124,6 @@ pub enum ArchiveError {
         /// Free space, MiB.
         free_mib: u64,
     },
-    /// A packing, unpacking or computing thread panicked.
     #[error("process archive {archive}: a thread panicked; the log says where")]
     Panicked { archive: String },
 }

@@ -61,9 +61,6 @@ impl Arguments {
     }
 
     /// Parses a command line, program name included, and the environment.
-    ///
-    /// # Errors
-    /// If the arguments are invalid or help or the version was requested.
     pub(crate) fn read(words: Vec<OsString>) -> Result<Self, clap::Error> {
         let matches = terminal::parse(Self::with_environment(), words)?;
         let read = Self::from_arg_matches(&matches);

@@ -56,9 +56,6 @@ pub enum ClientError {
 
 impl Client {
     /// Creates a client of the coordinator at `url` that retries calls for `retry_for`.
-    ///
-    /// # Errors
-    /// If `url` is invalid or its host cannot be called over TLS.
     pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
         let endpoint = parse_endpoint(url)?;
         let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
@@ -80,7 +77,6 @@ impl Client {
         Ok(list.await?.campaigns)
     }
 
-    /// Returns the status of a campaign.
     pub async fn campaign_status(&self, name: &str) -> Result<wire::CampaignStatus, ClientError> {
         let request = wire::GetCampaignRequest { campaign: name.to_owned() };
         let response = self.call(request, Service::get_campaign);

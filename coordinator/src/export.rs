@@ -49,9 +49,6 @@ struct ExportRow<'a> {
 }
 
 /// Returns the exported lines of a campaign as a stream that reads page by page on demand.
-///
-/// # Errors
-/// If the campaign does not exist or the database fails.
 pub async fn lines(
     queue: Arc<Queue>,
     name: &CampaignName,

@@ -18,9 +18,6 @@ use crate::reading::ReadError;
 /// Reads the current results of a campaign. A result of a realisation mode other than the
 /// campaign's is treated as missing and counted in `left_out`: the modes perturb differently and
 /// must not be pooled. The queue refuses to commit such results.
-///
-/// # Errors
-/// If the database fails or holds a value that cannot be parsed.
 pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
     let spec = view.spec(campaign).await?;
     let spec = CampaignSpec::from_json(&spec)
@@ -128,9 +125,6 @@ async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRang
 
 /// Returns digests of the setups of a campaign's rollouts. Rollouts of the same id in two campaigns
 /// are comparable if their digests are equal.
-///
-/// # Errors
-/// If the database fails or holds a manifest row that cannot be parsed.
 pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
     let mut setups = Setups::default();
     for row in view.setups(campaign.id).await? {

@@ -79,10 +79,6 @@ pub struct Coordinator {
 
 impl Coordinator {
     /// Opens the data folder and starts the queue.
-    ///
-    /// # Errors
-    /// If the data folder cannot be used, for example because another coordinator holds its lock or
-    /// another program wrote it.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
         remove_partial_files(&config.data)
@@ -112,10 +108,6 @@ impl Coordinator {
 
     /// Serves workers, operators and browsers on `listener` until `shutdown` is ready; then stops
     /// leasing, finishes requests in progress and closes the database.
-    ///
-    /// # Errors
-    /// If the certificate or its key is invalid, the socket or the database fails, or a background
-    /// task ends.
     pub async fn serve(
         self,
         listener: TcpListener,

@@ -89,9 +89,6 @@ impl Storage {
 
     /// Opens `s3://BUCKET/FOLDER`, or a local folder, which is created if missing. Does not contact
     /// the bucket. Credentials, region and endpoint come from the usual `AWS_…` variables.
-    ///
-    /// # Errors
-    /// If the address is invalid, or the folder cannot be created.
     pub fn open(location: &str) -> Result<Storage, StorageError> {
         let unusable = || StorageError::Location { location: location.to_owned() };
         let Some(address) = location.strip_prefix(S3) else {
@@ -121,9 +118,6 @@ impl Storage {
 
     /// Opens the storage that holds the object at `address`; returns the storage and the object's
     /// key.
-    ///
-    /// # Errors
-    /// If the address is invalid or names no object.
     pub fn of_object(address: &str) -> Result<(Storage, String), StorageError> {
         let unusable = || StorageError::Location { location: address.to_owned() };
         let (folder, name) = address.rsplit_once('/').ok_or_else(unusable)?;
@@ -139,9 +133,6 @@ impl Storage {
     }
 
     /// Uploads a file atomically and verifies the size of the stored object.
-    ///
-    /// # Errors
-    /// If the storage fails, the stored object has another size, or the file cannot be read.
     pub async fn put(&self, key: &str, file: &Path) -> Result<(), StorageError> {
         let unreadable = |source| StorageError::File { path: file.to_owned(), source };
         let mut from = tokio::fs::File::open(file).await.map_err(unreadable)?;
@@ -182,9 +173,6 @@ impl Storage {
     /// Downloads an object into a file; returns false if the object does not exist. If `size_bytes`
     /// is given, an object of another size is refused before anything is written, since it might
     /// fill the disk.
-    ///
-    /// # Errors
-    /// If the storage fails, the object has another size, or the file cannot be written.
     pub async fn fetch(
         &self,
         key: &str,
@@ -209,9 +197,6 @@ impl Storage {
     }
 
     /// Reads an object, or a range of it; `None` if the object does not exist.
-    ///
-    /// # Errors
-    /// If the storage fails.
     pub async fn read(
         &self,
         key: &str,
@@ -231,9 +216,6 @@ impl Storage {
     }
 
     /// Returns the number of bytes of an object; `None` if the object does not exist.
-    ///
-    /// # Errors
-    /// If the storage fails.
     pub async fn size_bytes(&self, key: &str) -> Result<Option<u64>, StorageError> {
         match self.store.head(&self.key(key)).await {
             Ok(object) => Ok(Some(object.size)),
@@ -243,9 +225,6 @@ impl Storage {
     }
 
     /// Removes all objects below a folder.
-    ///
-    /// # Errors
-    /// If the storage fails.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
         let prefix = self.key(folder);
         let all = self.store.list(Some(&prefix)).map_ok(|object| object.location).boxed();
@@ -257,9 +236,6 @@ impl Storage {
     }
 
     /// Removes an object; a missing object is no error.
-    ///
-    /// # Errors
-    /// If the storage fails.
     pub async fn delete(&self, key: &str) -> Result<(), StorageError> {
         match self.store.delete(&self.key(key)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
@@ -288,7 +264,6 @@ impl Storage {
     }
 }
 
-/// Opens a bucket.
 #[cfg(feature = "s3")]
 fn bucket_store(bucket: &str, location: &str) -> Result<Arc<dyn ObjectStore>, StorageError> {
     // Installs the crypto provider that tonic uses, too; an error means that it is installed

@@ -44,10 +44,7 @@ impl<T> Default for Queue<T> {
 }
 
 impl<T> Queue<T> {
-    /// Adds a query.
-    ///
-    /// # Errors
-    /// Returns the query if [`MAX_QUEUED`] queries are waiting already.
+    /// Adds a query. Returns the query if [`MAX_QUEUED`] queries are waiting already.
     pub fn push(&mut self, query: T, now: Instant) -> Result<(), T> {
         if self.waiting.len() >= MAX_QUEUED {
             return Err(query);

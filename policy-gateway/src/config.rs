@@ -22,9 +22,6 @@ pub struct Config {
 
 impl Config {
     /// Checks the routes individually and against each other.
-    ///
-    /// # Errors
-    /// If there is no route, a name occurs twice, or a route's replicas are invalid.
     pub fn new(routes: Vec<RouteSpec>) -> Result<Self, ConfigError> {
         if routes.is_empty() {
             return Err(ConfigError::NoRoute);
@@ -71,10 +68,6 @@ pub struct AccessFiles {
 }
 
 impl AccessFiles {
-    /// Reads the files.
-    ///
-    /// # Errors
-    /// See [`AccessError`].
     pub fn read(&self) -> Result<Access, AccessError> {
         let roles = [Role::Worker, Role::Operator];
         Access::from_files(self.ca.as_deref(), self.token_file.as_deref(), &roles)

@@ -15,16 +15,12 @@ use crate::{
 
 /// Gateway in front of a server. Dropping this value stops the gateway.
 pub struct Front {
-    /// Listening address.
     pub address: SocketAddr,
     _task: JoinSet<()>,
 }
 
 impl Front {
     /// Starts a gateway in front of the server at `url`.
-    ///
-    /// # Errors
-    /// If the address or the access files cannot be used, or no local port can be opened.
     pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
         let backend = url.parse().map_err(ConfigError::from)?;
         let route = RouteSpec {
@@ -55,7 +51,6 @@ pub enum FrontError {
     /// The back-end cannot be created.
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
-    /// No local port can be opened.
     #[error("open a port of 127.0.0.1 for the gateway of this command")]
     Listen(#[from] std::io::Error),
 }

@@ -43,7 +43,6 @@ const FATAL_PHRASES: [&str; 8] = [
 pub enum Call<'a> {
     /// A call for the description, which belongs to no session.
     Describe,
-    /// A call in this session.
     InSession(&'a str),
 }
 
@@ -72,7 +71,6 @@ pub struct Errors {
     tasks: Vec<String>,
 }
 
-/// Outage of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outage {
     /// Reason why the server is out.
@@ -101,10 +99,7 @@ impl Default for Health {
 }
 
 impl Health {
-    /// Decides whether a call may be sent at `now`.
-    ///
-    /// # Errors
-    /// If the server is out and the call may not probe it. Returns the reason and the time left to
+    /// Decides whether a call may be sent at `now`. The error is the reason and the time left to
     /// wait.
     pub fn admit(&mut self, call: Call<'_>, now: Instant) -> Result<(), (Cause, Duration)> {
         let Self::Out(outage) = self else {

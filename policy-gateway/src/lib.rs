@@ -30,9 +30,6 @@ pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// Serves `rollout.policy.v1` and `grpc.health.v1` on `listener` until `shutdown` resolves, then
 /// lets queries in flight finish for at most [`SHUTDOWN_GRACE`]. No back-end is called before the
 /// first request, so that the gateway starts and runs whatever the state of the back-ends.
-///
-/// # Errors
-/// If the TLS settings are invalid or the listener fails.
 pub async fn run(
     gateway: Gateway,
     security: &Security,
@@ -90,7 +87,6 @@ async fn serve(
 /// Reason why a gateway cannot serve.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// The listener failed.
     #[error("serve policies: the listening socket failed ({problem})")]
     Socket {
         /// Error of the system, as text.

@@ -96,9 +96,6 @@ pub struct NoAnswer;
 
 impl Watch {
     /// Waits for the answer to a call without queries.
-    ///
-    /// # Errors
-    /// If the server is silent for `limit`.
     pub async fn answer<T>(
         &self,
         limit: Duration,
@@ -120,9 +117,6 @@ impl Watch {
 
     /// Waits for the answer to a call with queries. `answered` returns how many of the queries were
     /// answered, which shows that the server is alive.
-    ///
-    /// # Errors
-    /// If the server is silent for `limit`.
     pub async fn queries<T>(
         &self,
         limit: Duration,

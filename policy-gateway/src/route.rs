@@ -57,7 +57,6 @@ struct Session {
     pool: Arc<Pool>,
     /// Reset of the session; `None` for a session adopted after a restart of the gateway.
     reset: Option<ResetRequest>,
-    /// Time of the last call.
     last_call: Mutex<Instant>,
     /// Locked during a query, so that a retry that overtakes the first attempt waits for its
     /// answer.
@@ -89,9 +88,6 @@ impl Session {
 impl Route {
     /// Creates a route without calling its back-ends. The observations of its queries count in
     /// `budget`, which all routes of a gateway share.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`].
     pub fn new(spec: &RouteSpec, budget: Arc<ObservationBudget>) -> Result<Self, UnusableBackend> {
         Ok(Self {
             name: spec.name.clone(),
@@ -118,10 +114,7 @@ impl Route {
     }
 
     /// Applies `spec` to new sessions. Unchanged replicas keep their connections; the agreed
-    /// descriptions are discarded.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`]; the route is then unchanged.
+    /// descriptions are discarded. If this fails, the route is unchanged.
     pub fn reload(&self, spec: &RouteSpec) -> Result<(), UnusableBackend> {
         let existing = self.checkpoints().replicas();
         let new = Arc::new(Checkpoints::new(spec, &existing)?);
@@ -131,9 +124,6 @@ impl Route {
     }
 
     /// Returns the description of the policy for `suite`.
-    ///
-    /// # Errors
-    /// If the suite has no checkpoint, no replica answers, or the description cannot be used.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];
@@ -152,10 +142,6 @@ impl Route {
     }
 
     /// Starts an episode. If the replicas are at capacity, waits for another session to end.
-    ///
-    /// # Errors
-    /// If the session's name is invalid, the route is retired, the suite has no checkpoint, no
-    /// other session ends in time, no replica answers, or a replica refuses the Reset.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
         if self.is_retired() {
@@ -191,11 +177,6 @@ impl Route {
     }
 
     /// Answers one observation. A retry of a session's last query gets the same answer.
-    ///
-    /// # Errors
-    /// If the session's name is invalid or the session is not open, the budget of observations is
-    /// exhausted, no replica answers, or the answer is an error or not a valid chunk of actions
-    /// (see [`policy_protocol::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
         let _reserved = self.budget.reserve(&request).ok_or(RouteError::Overloaded)?;

@@ -34,9 +34,6 @@ pub struct Gateway {
 
 impl Gateway {
     /// Creates a gateway without calling its back-ends.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`].
     pub fn new(config: &Config) -> Result<Self, UnusableBackend> {
         let budget = Arc::<ObservationBudget>::default();
         let routes =
@@ -45,10 +42,8 @@ impl Gateway {
         Ok(Self { routes: Arc::new(RwLock::new(routes)), budget })
     }
 
-    /// Applies `config` to new sessions; open sessions keep their replicas.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`]; earlier routes may then have changed already.
+    /// Applies `config` to new sessions; open sessions keep their replicas. If this fails, earlier
+    /// routes may have changed already.
     pub fn reload(&self, config: &Config) -> Result<(), UnusableBackend> {
         let mut routes = self.routes.write().unwrap_or_else(PoisonError::into_inner);
         for spec in config.routes() {

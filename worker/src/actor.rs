@@ -118,17 +118,9 @@ pub struct PolicySession<'a> {
 
 /// Source of a rollout's actions: a policy behind a connection, or a recording.
 pub trait Actor {
-    /// Describes the actor and its inputs.
-    ///
-    /// # Errors
-    /// If the actor does not answer, uses another protocol version, or its description fits no
-    /// rollout.
     fn describe(&mut self, session: PolicySession<'_>) -> Result<Description, PolicyError>;
 
     /// Starts an episode. Actors that keep no state between episodes do nothing.
-    ///
-    /// # Errors
-    /// If the actor does not answer, or answers with a refusal.
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
@@ -146,10 +138,6 @@ pub trait Actor {
     /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.
     /// `under_way` holds the answer's delay and the commands that are scheduled already; `None`
     /// unless the execution model sends them to the actor.
-    ///
-    /// # Errors
-    /// If the actor does not answer, its answer is not a valid chunk of actions, or a recording has
-    /// no further action.
     fn infer(
         &mut self,
         session: PolicySession<'_>,

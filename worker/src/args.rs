@@ -60,12 +60,8 @@ impl Arguments {
     }
 
     /// Parses a command line, including the program's name, and the environment, for a program of
-    /// this version.
-    ///
-    /// # Errors
-    /// If the command line is invalid, or help or the version was requested. The coordinator's
-    /// address is checked only for commands that call a coordinator; other commands and slots
-    /// accept any value of `COORDINATOR_URL`.
+    /// this version. The coordinator's address is checked only for commands that call a
+    /// coordinator; other commands and slots accept any value of `COORDINATOR_URL`.
     pub fn read<I>(version: &'static str, words: I) -> Result<Self, clap::Error>
     where
         I: IntoIterator<Item: Into<OsString>>,

@@ -29,9 +29,6 @@ const LOGGED_PERCENT: u64 = 25;
 const MAX_NAMED: usize = 20;
 
 /// Runs `worker assets`.
-///
-/// # Errors
-/// If a pack cannot be read or fetched, or its files differ from the expected ones.
 pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);
@@ -58,9 +55,6 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
 }
 
 /// Fetches the missing files of tasks, with progress on standard error.
-///
-/// # Errors
-/// If the files cannot be fetched.
 pub fn provide(
     pack: &AssetPack,
     sources: &Sources,
@@ -96,7 +90,6 @@ pub struct Provider {
 }
 
 impl Provider {
-    /// Creates the provider of a pack.
     pub fn new(pack: &AssetPack, sources: &Sources) -> Self {
         Self { pack: pack.clone(), sources: sources.clone(), is_cancelled: Arc::default() }
     }
@@ -113,10 +106,6 @@ impl Provider {
     }
 
     /// Fetches a row's missing or altered assets, with progress in the log.
-    ///
-    /// # Errors
-    /// If the assets cannot be fetched, no package index has a variant's assets, or a variant's
-    /// task files are missing or wrong.
     pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
         let files = match row.id.variant() {
@@ -366,9 +355,6 @@ fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
 
 /// Logs how many tasks a pack can show. Names and returns the tasks that it cannot show, which this
 /// worker leaves to other workers.
-///
-/// # Errors
-/// If the task files cannot be read, or the pack can show no task.
 pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackError> {
     // Tests ensure that the built-in pack is complete.
     if pack.name() == PRIMITIVES {

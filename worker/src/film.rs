@@ -25,7 +25,6 @@ use crate::supervise::link::Link;
 /// Settings of `worker film`.
 #[derive(Debug)]
 pub struct Config {
-    /// URL of the coordinator.
     pub coordinator: String,
     pub access: Access,
     pub asset_pack_digest: String,
@@ -72,10 +71,7 @@ struct Filmable {
 }
 
 /// Films rollouts until none is left, in `config.at_a_time` threads, each with a simulator of its
-/// own. `provide` fetches the files of a rollout's task if they are missing.
-///
-/// # Errors
-/// If filming cannot start, or the coordinator gives no answer or a refusal. A rollout that cannot
+/// own. `provide` fetches the files of a rollout's task if they are missing. A rollout that cannot
 /// be filmed is logged and counted.
 pub fn run(
     config: &Config,

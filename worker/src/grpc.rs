@@ -5,9 +5,6 @@ use std::time::Duration;
 use tonic::{Response, Status};
 
 /// Makes a call, and gives up after `deadline`.
-///
-/// # Errors
-/// The call's own errors, and DEADLINE_EXCEEDED.
 pub(crate) async fn with_deadline<T>(
     deadline: Duration,
     call: impl Future<Output = Result<Response<T>, Status>>,

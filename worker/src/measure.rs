@@ -48,7 +48,6 @@ pub enum MeasureError {
         terminal::counted(*slots as u64, "slot")
     )]
     Silent { slots: usize, secs: f64 },
-    /// The connection between parent and slot failed, or the table cannot be printed.
     #[error("exchange messages with a slot, or print the measurements")]
     Exchange(#[from] io::Error),
     #[error(transparent)]

@@ -25,18 +25,12 @@ pub struct FromParent<T> {
 
 impl Parent {
     /// Opens the connection on this process's standard input.
-    ///
-    /// # Errors
-    /// If standard input is not open.
     pub fn connect() -> io::Result<Self> {
         let stdin = io::stdin().as_fd().try_clone_to_owned()?;
         Ok(Self(stdin.into()))
     }
 
     /// Sends a message to the parent.
-    ///
-    /// # Errors
-    /// If the parent has closed the connection.
     pub fn send<T: Serialize>(&self, value: &T) -> io::Result<()> {
         let mut line = serde_json::to_vec(value)?;
         line.push(b'\n');
@@ -45,9 +39,6 @@ impl Parent {
 
     /// Returns an iterator over the parent's messages. To be called once, since two iterators would
     /// each get a part of the messages.
-    ///
-    /// # Errors
-    /// If this process has too many open files.
     pub fn listen<T: DeserializeOwned>(&self) -> io::Result<FromParent<T>> {
         Ok(FromParent { stream: BufReader::new(self.0.try_clone()?), _message: PhantomData })
     }

@@ -32,7 +32,6 @@ const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
 /// HTTP/2 receive window, bytes: larger than an answer, so that no call waits for a window update.
 const WINDOW_BYTES: u32 = 4 << 20;
 
-/// Client of one endpoint.
 #[derive(Debug)]
 pub struct PolicyClient {
     endpoint: String,
@@ -61,9 +60,6 @@ impl PolicyClient {
     /// Creates a client of `grpc://HOST:PORT` or `http://HOST:PORT`, or with TLS `grpcs://` or
     /// `https://`. `settings` names, in messages, the settings with which a user addresses the
     /// policy. The first call opens the connection.
-    ///
-    /// # Errors
-    /// If the endpoint is not such a URL, or the client cannot be set up.
     pub fn new(endpoint: &str, access: &Access, settings: Settings) -> Result<Self, PolicyError> {
         let address = parse_endpoint(endpoint).map_err(PolicyError::Endpoint)?;
         let address = with_settings(address);
@@ -222,7 +218,6 @@ async fn end(mut grpc: GrpcClient<Connection>, session: PolicySession<'_>) {
     }
 }
 
-/// Builds a query to a policy.
 pub fn infer_request(
     session: PolicySession<'_>,
     query_index: u32,

@@ -32,10 +32,8 @@ use search::{Search, SearchResult};
 /// Reason why the search failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RescueError {
-    /// The rollout has no perturbation to lift: it is nominal, or on the latency axis.
     #[error("rescue {0}: it has no perturbation to lift; name a failing rollout that has one")]
     NotPerturbed(RolloutId),
-    /// The rollout succeeds, so there is nothing to rescue.
     #[error(
         "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails with \
          this policy and these assets"
@@ -101,10 +99,6 @@ pub struct Tried {
 /// folder `output`.
 ///
 /// The policy is reset at the step of the lift, so a policy with memory starts afresh.
-///
-/// # Errors
-/// If the rollout is not perturbed or succeeds, a rollout has no outcome, the film cannot be made,
-/// or a file cannot be written.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,
@@ -202,7 +196,6 @@ pub fn run(
     Ok(rescue)
 }
 
-/// Returns a word for the outcome of a rollout.
 fn outcome_word(success: bool) -> &'static str {
     match success {
         true => "success",

@@ -96,9 +96,6 @@ pub struct Simulated {
 }
 
 /// Runs one rollout to its result.
-///
-/// # Errors
-/// If the simulator fails, the policy fails or the watcher abandons the rollout.
 pub fn run(
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
@@ -128,9 +125,6 @@ pub(crate) enum Change {
 /// Runs a rollout. If `resumed` is given, the rollout starts from the state after the earlier
 /// commands, with the change applied; the policy is reset there, and the commands count against the
 /// step budget.
-///
-/// # Errors
-/// See [`run`].
 pub(crate) fn run_resumed(
     resumed: Option<Resumed<'_>>,
     stage: &mut Stage<'_>,

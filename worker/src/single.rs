@@ -82,9 +82,6 @@ struct MotionFile {
 
 /// Runs one rollout and writes its outputs. If an error ends the rollout, the trace and frames up
 /// to the error are still written.
-///
-/// # Errors
-/// If the rollout has no result, or a file cannot be written.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,

@@ -46,9 +46,6 @@ pub enum SlotError {
 type Abandoned = Mutex<Option<AttemptId>>;
 
 /// Serves the parent process until it closes the connection, with `access` to policies.
-///
-/// # Errors
-/// If simulation or rendering fails at the start, or the connection to the parent fails.
 pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     raise_oom_score();

@@ -27,9 +27,6 @@ const EVENT_QUEUE: usize = 256;
 /// Runs a worker until it is asked to end, has been idle for too long or has a fault, and then
 /// until its rollouts in flight are over. `shutdown` carries one message per request; the second
 /// request gives the rollouts back.
-///
-/// # Errors
-/// If the coordinator refuses the worker or stops it, or its slots cannot run.
 pub async fn run(config: Config, shutdown: mpsc::Receiver<()>) -> Result<(), SuperviseError> {
     let (drain, draining) = watch::channel(false);
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;

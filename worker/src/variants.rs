@@ -31,9 +31,7 @@ use results::Results;
 pub use results::{Pin, Row, Tally};
 pub use rules::Rules;
 
-/// A run of variants.
 pub struct Run<'a> {
-    /// Rules of the rollouts.
     pub rules: Rules,
     /// The unperturbed rollouts, if any, followed by the chosen rollouts.
     pub cases: Vec<Case>,
@@ -47,10 +45,6 @@ pub struct Run<'a> {
 
 impl Run<'_> {
     /// Runs the cases without a result. Returns the tally over all results.
-    ///
-    /// # Errors
-    /// If earlier results are of another protocol, policy or simulator, or a rollout has no
-    /// result.
     pub fn run(
         &self,
         simulator: SimulatorConfig,

@@ -23,9 +23,6 @@ pub struct Package {
 
 /// Prepares a campaign's archive: derives members from its rows, closes its database and lists all
 /// files. `film_path` maps a film's name to its path; films whose files are missing are left out.
-///
-/// # Errors
-/// If the results cannot be read, or a file cannot be read or written.
 pub async fn package(
     campaign: Portable,
     film_path: impl Fn(&str) -> PathBuf,
@@ -104,9 +101,6 @@ impl Package {
 
     /// Writes the archive to `out`; `archive` is its path in errors. The output is reproducible:
     /// one release writes the same bytes for the same campaign in the same state.
-    ///
-    /// # Errors
-    /// If `out` fails, or a file cannot be read or has changed since it was listed.
     pub fn write(&self, out: impl Write, archive: &Path) -> Result<(), ArchiveError> {
         let write_error = |source| ArchiveError::Write { path: archive.to_owned(), source };
         // Fast compression, since films are compressed already and rows compress well at any level.

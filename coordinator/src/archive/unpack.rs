@@ -49,10 +49,8 @@ type Members<'a> = Entries<'a, Compressed>;
 
 /// Unpacks an archive into an empty folder and verifies size and SHA-256 of every member, the
 /// versions of format and schema, the specification's digest, all database invariants, and that
-/// report and provenance follow from the rows. `name` is the file's name in messages.
-///
-/// # Errors
-/// See [`ArchiveError`]. Members unpacked before the error remain in `into`.
+/// report and provenance follow from the rows. `name` is the file's name in messages. After an
+/// error, the members unpacked so far remain in `into`.
 pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
     let read = move || ArchiveReader { archive: &archive }.unpack_members(&path, &folder);
@@ -351,7 +349,6 @@ fn is_film(file: &str) -> bool {
     file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)
 }
 
-/// Shortens a name for a message.
 fn shorten(name: &str) -> &str {
     queue::ids::shortened(name, 120)
 }

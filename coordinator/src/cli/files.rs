@@ -16,9 +16,6 @@ use super::command::{CommandError, usage};
 const MAX_INPUT_BYTES: u64 = 24 << 20;
 
 /// Reads a text file; `-` is standard input.
-///
-/// # Errors
-/// A usage error if the file cannot be read or is larger than [`MAX_INPUT_BYTES`].
 fn read_text(path: &Path) -> Result<String, CommandError> {
     let mut text = String::new();
     let read = match is_standard_input(path) {
@@ -99,7 +96,6 @@ impl AtomicFile {
         Ok(AtomicFile { path: path.to_owned(), partial, file: Some(BufWriter::new(file)) })
     }
 
-    /// Returns the writer of the partial file.
     pub(super) fn writer(&mut self) -> &mut (impl Write + Send) {
         self.file.as_mut().expect("taken only when finished")
     }

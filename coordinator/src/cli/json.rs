@@ -203,8 +203,6 @@ impl Campaigns {
 }
 
 impl JobDetails {
-    /// # Errors
-    /// If the manifest row is not valid JSON.
     pub(super) fn from_message(details: &wire::GetJobResponse) -> Result<JobDetails, CommandError> {
         Ok(JobDetails {
             job: Job::from_message(&details.job.clone().unwrap_or_default()),

@@ -5,9 +5,6 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 
 /// Returns the path of a program in this program's folder.
-///
-/// # Errors
-/// If this program's folder does not contain the program.
 pub(super) fn sibling(name: &str) -> anyhow::Result<PathBuf> {
     let executable = std::env::current_exe().context("find this program's own file")?;
     let path = executable.with_file_name(name);

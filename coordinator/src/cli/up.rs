@@ -97,9 +97,6 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
 }
 
 /// Starts the programs in order and waits for SIGINT or SIGTERM.
-///
-/// # Errors
-/// If a program cannot be started or exits before all are running.
 async fn run(
     arguments: &UpArguments,
     programs: &mut Programs,

@@ -18,7 +18,6 @@ const LARGE_ANSWERS: usize = 2;
 /// Longest wait for a client to take the next message.
 const SEND_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Stream of a large answer.
 pub(super) type Large<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 /// The turns of callers who want a large answer.

@@ -66,10 +66,6 @@ impl Changes {
         MAX_STREAMS - self.permits.available_permits()
     }
 
-    /// Opens a stream.
-    ///
-    /// # Errors
-    /// If [`MAX_STREAMS`] streams are open.
     pub(super) fn stream(&self) -> Result<Response, Problem> {
         let permit = self.permits.clone().try_acquire_owned();
         let permit = permit.map_err(|_| Problem::TooManyStreams)?;

@@ -17,7 +17,6 @@ use super::state::Page;
 use super::subsets;
 use super::trace::{self, Extent};
 
-/// Renders the page.
 pub(super) async fn sheet(
     page: &Page,
     name: &str,

@@ -3,7 +3,6 @@
 
 use libero_ctrl::{Axis, ManifestRow};
 
-/// Formatter of one parameter.
 type Formatter = fn(f64) -> String;
 
 /// Describes the perturbation of a rollout along an axis, one line per parameter.

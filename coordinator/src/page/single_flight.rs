@@ -46,10 +46,8 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         }
     }
 
-    /// Returns the cached value of a key if it is fresh, otherwise the result of `make`.
-    ///
-    /// # Errors
-    /// If `make` fails; waiting callers then run their own `make`.
+    /// Returns the cached value of a key if it is fresh, otherwise the result of `make`. If `make`
+    /// fails, waiting callers run their own `make`.
     pub(super) async fn get<E>(
         &self,
         key: &str,
@@ -70,11 +68,8 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
 
     /// Returns the cached value of a key if it is fresh, otherwise a value computed on a blocking
     /// thread. `read` prepares the computation and is cancelled with its caller; the computation
-    /// itself runs to its end.
-    ///
-    /// # Errors
-    /// If `read` or the computation fails, or if the computation panics, which `panicked` converts
-    /// to an error. Waiting callers then start their own computation.
+    /// itself runs to its end. If this fails or the computation panics, which `panicked` converts
+    /// to an error, waiting callers start their own computation.
     pub(super) async fn compute<E, C>(
         &self,
         key: &str,

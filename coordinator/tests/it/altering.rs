@@ -4,13 +4,14 @@ use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
-use queue::invariants::check;
 use serde_json::{Value, json};
 use tonic::{Code, Status};
 
+use crate::artifacts::put;
+use crate::assertions::assert_refused;
 use crate::harness::{Bench, Worker, small_spec, with};
 use crate::page::http;
-use crate::process::{CREATE, Serve, text};
+use crate::process::{CREATE, Serve};
 
 const NEW_ENDPOINT: &str = "http://127.0.0.1:50099";
 
@@ -38,27 +39,15 @@ fn to_name(campaign: &str, name: &str) -> wire::AlterCampaignRequest {
     }
 }
 
-async fn assert_invariants(bench: &Bench) {
-    let violations = check(bench.folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
-}
-
 /// Stores a video beside a committed outcome; returns its path below the data folder.
 async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
-    let video = tokio_stream::iter([wire::ArtifactChunk {
-        attempt_id: lease.attempt_id.clone(),
-        name: "video.mp4".to_owned(),
-        data: vec![1; 100],
-    }]);
-    let put = worker.service.put_artifact(video).await.expect("stored");
-    put.into_inner().path
+    put(worker, lease, "video.mp4", &[vec![1; 100]]).await.expect("stored")
 }
 
 /// Regression: a typo in the endpoint could only be corrected by creating another campaign.
 #[tokio::test]
 async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("typo")).await.expect("created");
+    let bench = Bench::with(&small_spec("typo")).await;
     let mut worker = bench.worker("a").await;
     let held = worker.claim_one().await;
     let failed = worker.claim_one().await;
@@ -87,7 +76,7 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     assert!(leases.iter().all(|lease| lease.policy_endpoint == NEW_ENDPOINT));
     // No policy has the mistyped endpoint any more.
     assert_eq!(bench.count("SELECT count(*) FROM policy").await, 1);
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
 }
 
 #[tokio::test]
@@ -103,15 +92,12 @@ async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     let policy = json!({"policy": {"name": "expart", "endpoint": NEW_ENDPOINT}});
     let now = bench.create(&with(before.clone(), policy)).await;
     assert_eq!(now.expect("an existing campaign").jobs_added, 0);
-    let refused = bench.create(&before).await.expect_err("another specification");
-    assert_eq!(refused.code(), Code::AlreadyExists);
-    assert!(refused.message().contains("`policy`"), "{refused}");
+    assert_refused(bench.create(&before).await, Code::AlreadyExists, &["`policy`"]);
 }
 
 #[tokio::test]
 async fn an_invalid_alteration_is_refused_and_changes_nothing() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("one")).await.expect("created");
+    let bench = Bench::with(&small_spec("one")).await;
     bench.create(&small_spec("two")).await.expect("created");
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -133,10 +119,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
         ),
     ];
     for (request, code, words) in refusals {
-        let refused = alter(&bench, request.clone()).await;
-        let refused = refused.expect_err("a refusal");
-        assert_eq!(refused.code(), code, "{request:?}: {refused}");
-        assert!(refused.message().contains(words), "{refused}");
+        assert_refused(alter(&bench, request.clone()).await, code, &[words]);
     }
     let status = bench.status("one").await;
     assert_eq!((status.priority, status.leased), (0, 3));
@@ -146,7 +129,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     cancelled.expect("cancelled");
     let refused = alter(&bench, to_endpoint("one", NEW_ENDPOINT)).await;
     assert!(refused.expect_err("final").message().contains("final"));
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
 }
 
 #[tokio::test]
@@ -161,7 +144,7 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     let probe = worker.claim_one().await;
     assert_eq!(probe.campaign, "leaves");
     alter(&bench, to_endpoint("leaves", NEW_ENDPOINT)).await.expect("altered");
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
     let next = worker.claim(2).await;
     let campaigns: Vec<&str> = next.iter().map(|lease| lease.campaign.as_str()).collect();
     assert_eq!(campaigns, ["leaves", "leaves"], "jobs are leased at once at the new endpoint");
@@ -172,8 +155,7 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
 
 #[tokio::test]
 async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("old")).await.expect("created");
+    let bench = Bench::with(&small_spec("old")).await;
     let mut worker = bench.worker("a").await;
     let (done, held) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&done, true).await, Verdict::Accepted);
@@ -188,19 +170,19 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     let again = bench.create(&small_spec("new")).await.expect("an existing campaign");
     assert_eq!(again.jobs_added, 0);
     let request = wire::GetCampaignRequest { campaign: "old".to_owned() };
-    let refused = bench.operator().await.get_campaign(request).await;
-    let refused = refused.expect_err("renamed");
-    assert_eq!(refused.code(), Code::NotFound);
-    assert!(refused.message().contains("is called `new`"), "{refused}");
-    assert_invariants(&bench).await;
+    assert_refused(
+        bench.operator().await.get_campaign(request).await,
+        Code::NotFound,
+        &["is called `new`"],
+    );
+    bench.assert_sound().await;
 }
 
 /// A campaign's folder keeps the campaign's first name. A new campaign with the former name of a
 /// renamed campaign must neither mix its files with those of the renamed campaign nor delete them.
 #[tokio::test]
 async fn a_reused_name_shares_no_files_with_its_former_campaign() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("name")).await.expect("created");
+    let bench = Bench::with(&small_spec("name")).await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let first_path = film(&mut worker, &lease).await;
@@ -212,7 +194,7 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let second_path = film(&mut worker, &lease).await;
     assert!(second_path.starts_with("artifacts/name~2/"), "{second_path}");
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
 
     bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&first_path).is_file());
@@ -225,22 +207,17 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     // The first campaign gets its first name back, and is then renamed once more.
     alter(&bench, to_name("first", "name")).await.expect("renamed");
     alter(&bench, to_name("name", "last")).await.expect("renamed");
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
     bench.delete("last", "last").await.expect("deleted");
     assert!(!bench.folder.path().join(&first_path).exists());
     assert_eq!(bench.count("SELECT count(*) FROM former_name").await, 0);
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_alters_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
-    let run = |arguments: &[&str], code: i32, words: &str| {
-        let output = serve.command(arguments);
-        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
-        assert!(output_text.contains(words), "{arguments:?}: {output_text}");
-    };
+    let run = |arguments: &[&str], code, words: &str| serve.run(arguments, code, &[words]);
     run(&[&CREATE[..], &["--priority", "-3"]].concat(), 0, "14 rollouts");
     run(&CREATE, 0, "keeps priority -3");
     let mut worker = serve.worker("a").await;
@@ -263,8 +240,7 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_old_page_address_redirects_to_the_renamed_campaign() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("old")).await.expect("created");
+    let bench = Bench::with(&small_spec("old")).await;
     alter(&bench, to_name("old", "new")).await.expect("renamed");
     let page = async |path: &str| http(&bench.url, &format!("GET {path}")).await;
     for path in ["", "/rollouts?state=queued"] {
@@ -278,8 +254,7 @@ async fn an_old_page_address_redirects_to_the_renamed_campaign() {
 
 #[tokio::test]
 async fn every_alteration_is_stored_in_the_specification() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("old")).await.expect("created");
+    let bench = Bench::with(&small_spec("old")).await;
     let request = wire::AlterCampaignRequest {
         name: Some("new".to_owned()),
         priority: Some(1),

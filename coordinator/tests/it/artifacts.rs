@@ -8,6 +8,7 @@ use proto::coordinator::release_request::Reason;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Status};
 
+use crate::assertions::assert_refused;
 use crate::harness::{Bench, Worker, small_spec};
 
 /// Uploads a file for the attempt of `lease`, one chunk per piece; returns the path of the stored
@@ -28,15 +29,24 @@ pub(crate) async fn put(
     Ok(worker.service.put_artifact(request).await?.into_inner().path)
 }
 
+/// Starts a coordinator and a worker, and commits one rollout.
+async fn committed() -> (Bench, Worker, wire::Lease) {
+    let bench = Bench::with(&small_spec("filmed")).await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    (bench, worker, lease)
+}
+
 #[tokio::test]
 async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("filmed")).await.expect("created");
+    let bench = Bench::with(&small_spec("filmed")).await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     let pieces = [vec![1; 1_000_000], vec![2; 500_000]];
-    let early = put(&mut worker, &lease, "video.mp4", &pieces).await;
-    let early = early.expect_err("there is no outcome yet");
-    assert_eq!(early.code(), Code::PermissionDenied);
+    assert_refused(
+        put(&mut worker, &lease, "video.mp4", &pieces).await,
+        Code::PermissionDenied,
+        &[],
+    );
 
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let path = put(&mut worker, &lease, "video.mp4", &pieces).await.expect("stored");
@@ -55,33 +65,29 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
 
 #[tokio::test]
 async fn films_leave_the_space_that_results_need() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let (bench, _, lease) = committed().await;
     let clock = bench.clock.clone();
     // No disk has this much free space.
     let bench = Bench::start_with(bench.stop().await, clock, u64::MAX).await;
     let film = put(&mut bench.worker("a").await, &lease, "video.mp4", &[vec![1]]).await;
-    let refused = film.expect_err("no room");
-    assert_eq!(refused.code(), Code::ResourceExhausted);
-    assert!(refused.message().contains("make room"), "{refused}");
+    assert_refused(film, Code::ResourceExhausted, &["make room"]);
 }
 
 /// Regression: a failed attempt's film was shown beside the next attempt's outcome.
 #[tokio::test]
 async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outcome() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("filmed")).await.expect("created");
+    let bench = Bench::with(&small_spec("filmed")).await;
     let mut worker = bench.worker("a").await;
     let failed = worker.claim_one().await;
     worker.release(&failed, Reason::Draining).await;
     let second = worker.claim_one().await;
     assert_eq!(second.job_id, failed.job_id);
     assert_eq!(worker.commit(&second, true).await, Verdict::Accepted);
-    let late = put(&mut worker, &failed, "video.mp4", &[vec![1; 10]]).await;
-    let late = late.expect_err("its attempt has no outcome");
-    assert_eq!(late.code(), Code::PermissionDenied);
+    assert_refused(
+        put(&mut worker, &failed, "video.mp4", &[vec![1; 10]]).await,
+        Code::PermissionDenied,
+        &[],
+    );
     assert_eq!(bench.count("SELECT count(*) FROM artifact").await, 0);
 }
 
@@ -89,10 +95,7 @@ async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outco
 /// video was overwritten.
 #[tokio::test]
 async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let (bench, mut worker, lease) = committed().await;
     let attempt_id = lease.attempt_id.clone();
     let chunk = move |byte: u8| wire::ArtifactChunk {
         attempt_id: attempt_id.clone(),
@@ -120,24 +123,22 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
 
 #[tokio::test]
 async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let (bench, mut worker, lease) = committed().await;
     let small = [vec![1; 10]];
 
     let unknown = wire::Lease { attempt_id: "0".repeat(32), ..lease.clone() };
     let refused = put(&mut worker, &unknown, "video.mp4", &small).await;
-    assert_eq!(refused.expect_err("there is no such attempt").code(), Code::PermissionDenied);
+    assert_refused(refused, Code::PermissionDenied, &[]);
     for name in ["../../etc/passwd", "video.mp4/..", "", "notes.txt"] {
         let refused = put(&mut worker, &lease, name, &small).await;
         assert_eq!(refused.expect_err(name).code(), Code::InvalidArgument);
     }
     let pieces = vec![vec![0; 1 << 20]; 65];
-    let refused = put(&mut worker, &lease, "video.mp4", &pieces).await;
-    let refused = refused.expect_err("65 MiB");
-    assert_eq!(refused.code(), Code::InvalidArgument);
-    assert!(refused.message().contains("larger than 67108864 bytes"), "{refused}");
+    assert_refused(
+        put(&mut worker, &lease, "video.mp4", &pieces).await,
+        Code::InvalidArgument,
+        &["larger than 67108864 bytes"],
+    );
 
     let folder = bench.folder.path().join("artifacts/filmed");
     assert_eq!(std::fs::read_dir(folder).expect("a folder").count(), 0);

@@ -19,6 +19,14 @@ async fn create(bench: &Bench, name: &str, policy: &str) {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
 }
 
+/// Waits until every back-off is over, while these workers stay alive.
+async fn past_backoff<const N: usize>(bench: &Bench, alive: [&mut Worker; N]) {
+    bench.advance(PAST_BACKOFF_SECS).await;
+    for worker in alive {
+        worker.heartbeat(&[], 0).await;
+    }
+}
+
 async fn report_misbehaviour(worker: &mut Worker, lease: &proto::coordinator::Lease) -> Released {
     let released = worker.release(lease, Reason::PolicyMisbehaved).await;
     assert_eq!(released.stop_leasing, "", "the worker is not stopped");
@@ -60,8 +68,7 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     // The worker on the other machine need not try the rollouts: it would get the same answers.
     let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
     while bench.status("first").await.quarantined < 2 {
-        bench.advance(PAST_BACKOFF_SECS).await;
-        other.heartbeat(&[], 0).await;
+        past_backoff(&bench, [&mut other]).await;
         let lease = worker.claim_one().await;
         report_misbehaviour(&mut worker, &lease).await;
     }
@@ -114,9 +121,7 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
     let mut job = None;
     for start in 0..4 {
         let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
-        bench.advance(PAST_BACKOFF_SECS).await;
-        worker.heartbeat(&[], 0).await;
-        sound.heartbeat(&[], 0).await;
+        past_backoff(&bench, [&mut worker, &mut sound]).await;
         let leases = worker.claim(12).await;
         let is_job =
             |lease: &&proto::coordinator::Lease| Some(lease.job_id) == job || job.is_none();
@@ -133,8 +138,7 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
             worker.release(other, Reason::Draining).await;
         }
     }
-    bench.advance(PAST_BACKOFF_SECS).await;
-    sound.heartbeat(&[], 0).await;
+    past_backoff(&bench, [&mut sound]).await;
     let leases = sound.claim(12).await;
     let lease = leases.iter().find(|lease| Some(lease.job_id) == job);
     let committed = sound.commit(lease.expect("the job"), true).await;
@@ -150,9 +154,7 @@ async fn a_stopped_workers_last_failures_quarantine_no_rollout() {
     let mut sound = bench.worker_at("sound", "s").await;
     for start in 0..3 {
         let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
-        bench.advance(PAST_BACKOFF_SECS).await;
-        worker.heartbeat(&[], 0).await;
-        sound.heartbeat(&[], 0).await;
+        past_backoff(&bench, [&mut worker, &mut sound]).await;
         let leases = worker.claim(3).await;
         assert_eq!(leases.len(), 3);
         let mut released = None;
@@ -164,8 +166,7 @@ async fn a_stopped_workers_last_failures_quarantine_no_rollout() {
         let is_stopped = released.is_some_and(|last| !last.stop_leasing.is_empty());
         assert_eq!(is_stopped, start > 0);
     }
-    bench.advance(PAST_BACKOFF_SECS).await;
-    sound.heartbeat(&[], 0).await;
+    past_backoff(&bench, [&mut sound]).await;
     assert_eq!(sound.claim(64).await.len(), 12, "the sound machine tries all of them");
 }
 
@@ -183,16 +184,12 @@ async fn rollouts_that_avoid_a_machine_hide_no_others_from_it() {
         let mut diverging = bench.worker_at("diverging", "d").await;
         let mut sound = bench.worker_at("sound", "s").await;
         for _ in 0..3 {
-            bench.advance(PAST_BACKOFF_SECS).await;
-            diverging.heartbeat(&[], 0).await;
-            sound.heartbeat(&[], 0).await;
+            past_backoff(&bench, [&mut diverging, &mut sound]).await;
             for lease in diverging.claim(12).await {
                 diverging.release(&lease, Reason::SimulatorError).await;
             }
         }
-        bench.advance(PAST_BACKOFF_SECS).await;
-        diverging.heartbeat(&[], 0).await;
-        sound.heartbeat(&[], 0).await;
+        past_backoff(&bench, [&mut diverging, &mut sound]).await;
         assert_eq!(diverging.claim(64).await.len(), 12, "the rollouts without a failure");
         let idle = diverging.claim_response("").await.idle_reason;
         assert!(idle.contains("`first` have failed on this machine"), "{idle}");
@@ -218,9 +215,7 @@ async fn a_machine_without_the_files_of_a_task_is_not_able_to_run_it() {
     let mut complete = bench.worker_at("complete", "c").await;
     claim_without_files(&mut partial).await;
     for attempt in 1..=3 {
-        bench.advance(PAST_BACKOFF_SECS).await;
-        partial.heartbeat(&[], 0).await;
-        complete.heartbeat(&[], 0).await;
+        past_backoff(&bench, [&mut partial, &mut complete]).await;
         let lease = complete.claim_one().await;
         let released = complete.release(&lease, Reason::SlotCrashed).await;
         let expected = if attempt < 3 { Released::Requeued } else { Released::Quarantined };
@@ -240,17 +235,13 @@ async fn after_a_restart_a_machine_is_able_until_its_claim_says_otherwise() {
     let mut complete = bench.worker_at("complete", "c").await;
     let mut job = None;
     for _ in 0..3 {
-        bench.advance(PAST_BACKOFF_SECS).await;
-        partial.heartbeat(&[], 0).await;
-        complete.heartbeat(&[], 0).await;
+        past_backoff(&bench, [&mut partial, &mut complete]).await;
         let lease = complete.claim_one().await;
         job = Some(lease.job_id);
         let released = complete.release(&lease, Reason::SimulatorError).await;
         assert_eq!(released.verdict(), Released::Requeued);
     }
-    bench.advance(PAST_BACKOFF_SECS).await;
-    partial.heartbeat(&[], 0).await;
-    complete.heartbeat(&[], 0).await;
+    past_backoff(&bench, [&mut partial, &mut complete]).await;
     assert_ne!(Some(complete.claim_one().await.job_id), job, "it is left to the other machine");
     claim_without_files(&mut partial).await;
     let lease = complete.claim_one().await;
@@ -280,8 +271,7 @@ async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let fail = async |worker: &mut Worker| {
-        bench.advance(PAST_BACKOFF_SECS).await;
-        worker.heartbeat(&[], 0).await;
+        past_backoff(&bench, [worker]).await;
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::MachineError).await;
         !released.stop_leasing.is_empty()

@@ -6,6 +6,7 @@ use queue::{DATABASE_FILE, OpenError, Store, newest_known_schema};
 use serde_json::{Value, json};
 use tonic::Code;
 
+use crate::assertions::assert_refused;
 use crate::harness::{Bench, small_spec, with};
 
 #[tokio::test]
@@ -20,9 +21,7 @@ async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_ref
     assert_eq!((second.jobs_added, second.jobs_total), (0, 4));
 
     let different = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
-    let refused = bench.create(&different).await.expect_err("another specification");
-    assert_eq!(refused.code(), Code::AlreadyExists);
-    assert!(refused.message().contains("`configs`, `levels`"), "{refused}");
+    assert_refused(bench.create(&different).await, Code::AlreadyExists, &["`configs`, `levels`"]);
     assert_eq!(bench.count("SELECT count(*) FROM job").await, 4);
 }
 
@@ -49,8 +48,7 @@ async fn a_specification_that_cannot_run_is_refused_and_nothing_is_written() {
 
 #[tokio::test]
 async fn a_status_has_counts_and_rate() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("paced")).await.expect("created");
+    let bench = Bench::with(&small_spec("paced")).await;
     let before = bench.status("paced").await;
     assert_eq!((before.total, before.queued, before.live_workers), (4, 4, 0));
     assert_eq!((before.rate_per_sec, before.eta_secs), (None, None));
@@ -72,14 +70,13 @@ async fn a_status_has_counts_and_rate() {
 
     let unknown = wire::GetCampaignRequest { campaign: "nobody".to_owned() };
     let refused = bench.operator().await.get_campaign(unknown).await;
-    assert_eq!(refused.expect_err("unknown").code(), Code::NotFound);
+    assert_refused(refused, Code::NotFound, &[]);
 }
 
 #[tokio::test]
 async fn results_are_exported_as_reference_rows_in_a_stable_order() {
-    let bench = Bench::start().await;
     let spec = with(small_spec("out"), json!({"axes": ["robot"], "replicates": 2}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let mut leases = worker.claim(4).await;
     leases.reverse();
@@ -116,17 +113,6 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
 }
 
 #[tokio::test]
-async fn campaigns_and_results_survive_a_restart() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("kept")).await.expect("created");
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let bench = bench.restart().await;
-    let status = bench.status("kept").await;
-    assert_eq!((status.total, status.committed, status.succeeded), (4, 1, 1));
-}
-
-#[tokio::test]
 async fn a_database_of_another_schema_is_refused_untouched() {
     let newer = "INSERT INTO _sqlx_migrations
         (version, description, success, checksum, execution_time)
@@ -138,8 +124,7 @@ async fn a_database_of_another_schema_is_refused_untouched() {
         ("UPDATE _sqlx_migrations SET checksum = x'00'", older),
         ("UPDATE _sqlx_migrations SET version = 13", older),
     ] {
-        let bench = Bench::start().await;
-        bench.create(&small_spec("kept")).await.expect("created");
+        let bench = Bench::with(&small_spec("kept")).await;
         let pool = bench.database().await;
         sqlx::query(change).execute(&pool).await.expect("changed");
         pool.close().await;

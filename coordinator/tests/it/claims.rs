@@ -4,11 +4,13 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use proto::coordinator as wire;
+use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 use tokio::task::JoinSet;
 use tonic::Code;
 
+use crate::assertions::{assert_contains, assert_refused};
 use crate::harness::{Bench, registration, rollout_id, small_spec, with};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -39,17 +41,23 @@ async fn claim_is_exclusive_under_concurrency() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_waiting_claim_is_woken_by_new_work() {
+async fn a_waiting_claim_is_woken_by_new_work_and_by_a_resumed_campaign() {
     let bench = Bench::start().await;
-    let mut worker = bench.worker("a").await;
     let mut waiting = JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(25.0, "").await });
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    let created = Instant::now();
-    bench.create(&small_spec("late")).await.expect("created");
-    let claimed = waiting.join_all().await.remove(0).expect("an answer");
-    assert!(claimed.lease.is_some());
-    assert!(created.elapsed() < Duration::from_secs(5), "woken, not timed out");
+    for resumed in [false, true] {
+        let mut worker = bench.worker("a").await;
+        waiting.spawn(async move { worker.try_claim(25.0, "").await });
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        let began = Instant::now();
+        match resumed {
+            false => drop(bench.create(&small_spec("late")).await.expect("created")),
+            true => drop(bench.change("late", Change::Resume).await.expect("resumed")),
+        }
+        let claimed = waiting.join_next().await.expect("a claim").expect("no panic");
+        assert!(claimed.expect("an answer").lease.is_some());
+        assert!(began.elapsed() < Duration::from_secs(5), "woken, not timed out");
+        bench.change("late", Change::Pause).await.expect("paused");
+    }
 }
 
 #[tokio::test]
@@ -64,9 +72,8 @@ async fn a_claim_without_work_waits_for_the_requested_time() {
 
 #[tokio::test]
 async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
-    let bench = Bench::start().await;
     let spec = with(small_spec("units"), json!({"configs": [0, 1]}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let ids: Vec<String> = worker.claim(8).await.iter().map(rollout_id).collect();
     let conditions: Vec<&str> =
@@ -79,12 +86,11 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
 
 #[tokio::test]
 async fn a_worker_gets_jobs_of_its_warm_task_or_else_of_a_task_without_leases() {
-    let bench = Bench::start().await;
     let spec = with(
         small_spec("spread"),
         json!({"tasks": ["libero_object/0", "libero_object/1", "libero_object/2"]}),
     );
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let (mut first, mut second) = (bench.worker("a").await, bench.worker("b").await);
     let task = |id: &str| id.split('/').nth(1).expect("a task").to_owned();
     let first_rollout = rollout_id(&first.claim_one().await);
@@ -161,9 +167,7 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
     };
     claimed.sort();
     assert_eq!(claimed, ["goal/t8/plus:noise_30/i00", "goal/t8/plus:unperturbed/i00"]);
-    for words in ["campaign `plus`", "worker assets fetch --suite libero-plus"] {
-        assert!(idle_reason.contains(words), "{idle_reason}");
-    }
+    assert_contains(&idle_reason, &["campaign `plus`", "worker assets fetch --suite libero-plus"]);
     let listed = wire::ListJobsRequest {
         campaign: "plus".to_owned(),
         task: "libero_goal/8".to_owned(),
@@ -184,18 +188,14 @@ async fn a_worker_that_names_no_renderer_is_not_registered() {
     let mut worker = bench.worker("a").await;
     let mut nameless = registration("b", "primitives");
     nameless.renderer.clear();
-    let refused = worker.service.register(nameless).await;
-    let refused = refused.expect_err("no renderer");
-    assert_eq!(refused.code(), Code::InvalidArgument);
-    assert!(refused.message().contains("`renderer`"), "{refused}");
+    assert_refused(worker.service.register(nameless).await, Code::InvalidArgument, &["`renderer`"]);
     assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
 }
 
 /// Regression: the oldest campaign got all workers until it was finished.
 #[tokio::test]
 async fn campaigns_of_one_priority_progress_together() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("older")).await.expect("created");
+    let bench = Bench::with(&small_spec("older")).await;
     bench.create(&small_spec("newer")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let mut names = Vec::new();
@@ -232,8 +232,7 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
 
 #[tokio::test]
 async fn higher_priorities_are_leased_first_and_can_be_changed() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("usual")).await.expect("created");
+    let bench = Bench::with(&small_spec("usual")).await;
     let urgent = bench.create_with_priority(&small_spec("urgent"), 7).await;
     assert_eq!(urgent.expect("created").priority, 7);
     let mut worker = bench.worker("a").await;
@@ -255,12 +254,16 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(worker.claim_one().await.campaign, "usual");
     for priority in [-101, 101] {
         let request = wire::AlterCampaignRequest { priority: Some(priority), ..request.clone() };
-        let refused = operator.alter_campaign(request).await.expect_err("no priority");
-        assert_eq!(refused.code(), Code::InvalidArgument);
-        assert!(refused.message().contains("from -100 to 100"), "{refused}");
-        let refused = bench.create_with_priority(&small_spec("new"), priority).await;
-        let refused = refused.expect_err("no priority");
-        assert_eq!(refused.code(), Code::InvalidArgument);
+        assert_refused(
+            operator.alter_campaign(request).await,
+            Code::InvalidArgument,
+            &["from -100 to 100"],
+        );
+        assert_refused(
+            bench.create_with_priority(&small_spec("new"), priority).await,
+            Code::InvalidArgument,
+            &[],
+        );
     }
     // Jobs of lower priority are leased once all jobs of higher priority are leased.
     assert_eq!(worker.claim(64).await.len(), 5);
@@ -291,33 +294,11 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
 }
 
 #[tokio::test]
-async fn replicates_change_the_policys_seed_only() {
-    let bench = Bench::start().await;
-    let spec = with(small_spec("thrice"), json!({"replicates": 3, "record": "failures"}));
-    assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
-    let mut worker = bench.worker("a").await;
-    let leases = worker.claim(12).await;
-    let lease_of = |replicate: u32| &leases[replicate as usize * 4 + 1];
-    let rows = (0..3).map(|replicate| lease_of(replicate).manifest_row.as_str());
-    let rows: BTreeSet<&str> = rows.collect();
-    let seeds = (0..3).map(|replicate| lease_of(replicate).policy_seed);
-    let seeds: BTreeSet<u64> = seeds.collect();
-    assert_eq!((rows.len(), seeds.len()), (1, 3));
-    assert_eq!(
-        (0..3).map(|replicate| lease_of(replicate).replicate).collect::<Vec<_>>(),
-        [0, 1, 2]
-    );
-    assert!(leases.iter().all(|lease| lease.record_video && lease.record_failures_only));
-}
-
-#[tokio::test]
 async fn an_unregistered_worker_must_register_and_another_protocol_version_is_refused() {
     let bench = Bench::start().await;
     let mut worker = bench.worker("a").await;
     worker.id = "stranger".to_owned();
-    let refused = worker.try_claim(0.0, "").await.expect_err("a stranger");
-    assert_eq!(refused.code(), Code::NotFound);
-    assert!(refused.message().contains("register first"), "{refused}");
+    assert_refused(worker.try_claim(0.0, "").await, Code::NotFound, &["register first"]);
 
     let mut request = registration("b", "primitives");
     request.protocol_version = 99;
@@ -331,8 +312,7 @@ async fn an_unregistered_worker_must_register_and_another_protocol_version_is_re
 /// Regression: a claim whose answer was lost left a lease of which the worker did not know.
 #[tokio::test]
 async fn a_repeated_claim_returns_its_existing_lease() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("again")).await.expect("created");
+    let bench = Bench::with(&small_spec("again")).await;
     let mut worker = bench.worker("a").await;
     let request = worker.claim_request(0.0, "");
     let mut leases = Vec::new();
@@ -355,8 +335,7 @@ async fn a_repeated_claim_returns_its_existing_lease() {
 
 #[tokio::test]
 async fn leases_that_were_never_acknowledged_expire_uncharged_and_count_against_no_worker() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("lost")).await.expect("created");
+    let bench = Bench::with(&small_spec("lost")).await;
     let mut worker = bench.worker("a").await;
     // More failures than would stop a worker if they counted.
     for _ in 0..8 {

@@ -9,7 +9,8 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 
 use crate::artifacts::put;
-use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
+use crate::assertions::assert_refused;
+use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
@@ -17,7 +18,7 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
     // Requires more free space than any disk has.
     let needed = ["--min-free-mib", "1099511627776"];
     let serve = Serve::start_with(folder.path(), &needed, Stdio::null());
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     let mut worker = serve.worker("a").await;
     // The disk is first measured by the first sweep.
     let started = Instant::now();
@@ -39,15 +40,12 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
-    let (_folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (_folder, serve) = Serve::with_demo();
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
     serve.limit_files("0:unlimited");
-    let refused = worker.try_claim(0.0, "").await.expect_err("no room");
-    assert_eq!(refused.code(), tonic::Code::Unavailable);
-    let refused = worker.try_commit(&lease, true).await.expect_err("no room");
-    assert_eq!(refused.code(), tonic::Code::Unavailable);
+    assert_refused(worker.try_claim(0.0, "").await, tonic::Code::Unavailable, &[]);
+    assert_refused(worker.try_commit(&lease, true).await, tonic::Code::Unavailable, &[]);
     serve.limit_files("unlimited:unlimited");
     // Nothing was lost: neither the lease nor its outcome.
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -64,7 +62,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let serve = Serve::start(&data);
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(2).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -72,10 +70,9 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
 
     let mut create = CREATE;
     create[3] = "other";
-    let error = &fail(serve.command(&create), 1);
-    assert!(error.contains("is gone"), "{error}");
+    serve.run(&create, 1, &["is gone"]);
     let refused = worker.try_commit(&leases[1], true).await;
-    assert_eq!(refused.expect_err("gone").code(), tonic::Code::Internal);
+    assert_refused(refused, tonic::Code::Internal, &[]);
 
     let copy = folder.path().join("saved.sqlite");
     let copy = copy.to_str().expect("UTF-8");
@@ -95,7 +92,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     let log = File::create(folder.path().join("log")).expect("a file");
     let arguments = ["--min-free-mib", "0"];
     let mut serve = Serve::start_with(&folder.path().join("data"), &arguments, log.into());
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     serve.limit_files("0:unlimited");
     // Each registration is a line in the log.
     for worker in ["a", "b"] {
@@ -114,8 +111,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
 async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     /// Limit on the size of each file, bytes.
     const ROOM: usize = 2_000_000;
-    let (folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (folder, serve) = Serve::with_demo();
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
     // The database is smaller than this limit; the videos are not.
@@ -125,10 +121,11 @@ async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     let last_write_fails = [vec![1; ROOM / 2], vec![2; ROOM / 2], vec![3; 1]];
     let second_write_fails = [vec![1; ROOM / 2], vec![2; ROOM], vec![3; ROOM]];
     for pieces in [last_write_fails, second_write_fails] {
-        let refused = put(&mut worker, &lease, "video.mp4", &pieces).await;
-        let refused = refused.expect_err("no room");
-        assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
-        assert!(refused.message().contains("room on the disk"), "{refused}");
+        assert_refused(
+            put(&mut worker, &lease, "video.mp4", &pieces).await,
+            tonic::Code::Unavailable,
+            &["room on the disk"],
+        );
         let file_count = std::fs::read_dir(&artifacts).expect("a folder").count();
         assert_eq!(file_count, 0, "a part of the video is left");
     }

@@ -3,8 +3,7 @@
 use proto::coordinator::commit_response::Verdict;
 use proto::policy::policy_server::{Policy, PolicyServer};
 use proto::policy::{
-    DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
-    InferBatchResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
+    DescribeRequest, DescribeResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
 };
 use serde_json::{Value, json};
 use tokio::net::TcpListener;
@@ -13,6 +12,7 @@ use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 
+use crate::assertions::assert_contains;
 use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 
 /// Execution model `overlap` with delays of 3 control steps (weight 812) and 4 (weight 188).
@@ -28,7 +28,7 @@ async fn results_reports_and_tables_carry_the_execution_model() {
     let late = [&CREATE[..], &["--execution", MODEL]].concat();
     succeed(serve.command(&late));
     let waits = [&CREATE[..2], &["--name", "waits"], &CREATE[4..]].concat();
-    assert!(serve.command(&waits).status.success());
+    serve.run(&waits, 0, &[]);
     let mut worker = serve.worker("a").await;
     for lease in worker.claim(64).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -121,14 +121,6 @@ impl Policy for DescribeOnly {
     async fn infer(&self, _: Request<InferRequest>) -> Answer<InferResponse> {
         Err(Status::unimplemented("the test only describes"))
     }
-
-    async fn infer_batch(&self, _: Request<InferBatchRequest>) -> Answer<InferBatchResponse> {
-        Err(Status::unimplemented("the test only describes"))
-    }
-
-    async fn end(&self, _: Request<EndRequest>) -> Answer<EndResponse> {
-        Err(Status::unimplemented("the test only describes"))
-    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -147,22 +139,22 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     };
     for more in [&[][..], &["--dry-run"]] {
         let message = &fail(create("late", "overlap:10", more), 2);
-        for part in [
-            "create campaign late of policy `expert` at http://127.0.0.1:",
-            "`overlap:10` drops at least 10 actions of each answer",
-            "Choose a delay below 10, `hold:10`",
-        ] {
-            assert!(message.contains(part), "{message}");
-        }
+        assert_contains(
+            &message,
+            &[
+                "create campaign late of policy `expert` at http://127.0.0.1:",
+                "`overlap:10` drops at least 10 actions of each answer",
+                "Choose a delay below 10, `hold:10`",
+            ],
+        );
     }
     // So is a policy that the endpoint does not serve, unless it is not asked.
     let named = ["campaign", "create", "--name", "typo", "--policy", "exprt"];
     let rollouts = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
     let message = &fail(serve.command(&[&named[..], &rollouts].concat()), 2);
-    assert!(message.contains("this server serves no policy \"exprt\""), "{message}");
-    assert!(message.contains("--no-probe"), "{message}");
+    assert_contains(&message, &["this server serves no policy \"exprt\"", "--no-probe"]);
     let unasked = [&named[..], &rollouts, &["--no-probe"]].concat();
-    assert!(serve.command(&unasked).status.success());
+    serve.run(&unasked, 0, &[]);
     // The latency axis is checked too: r20 is ten steps late.
     let axis = ["--axes", "camera,latency", "--levels", "r20"];
     let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
@@ -187,12 +179,13 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let created = create("unknown", "overlap:10", &[]);
     assert!(created.status.success(), "{}", text(&created.stderr));
     let message = text(&created.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in [
-        "the length of the answers of policy",
-        "rollouts fail if overlap:10 drops every action of an answer",
-    ] {
-        assert!(message.contains(part), "{message}");
-    }
+    assert_contains(
+        &message,
+        &[
+            "the length of the answers of policy",
+            "rollouts fail if overlap:10 drops every action of an answer",
+        ],
+    );
     let message = &succeed(serve.command(&[&named[..], &rollouts, &axis].concat()));
     let words: Vec<&str> = message.split_whitespace().collect();
     let part = "the arm holds still in rollouts in which overlap:10 drops every action";

@@ -10,15 +10,15 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use queue::DATABASE_FILE;
-use queue::invariants::check;
 use queue::{FAILPOINT_VARIABLE, Side, Step};
 use tempfile::TempDir;
 use tokio::task::JoinSet;
 use tonic::Status;
 
-use crate::harness::{Worker, small_spec};
+use crate::artifacts::put;
+use crate::harness::{Worker, assert_sound, report_json, small_spec};
 use crate::invariants::valid_database;
-use crate::process::{Serve, coordinator, succeed};
+use crate::process::{Serve, coordinator, serve_command, succeed};
 
 /// Number of processes that run, and are killed, at the same time.
 const CONCURRENCY: usize = 4;
@@ -30,16 +30,9 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Starts `coordinator serve` on a folder, to be killed at a failpoint.
 pub(crate) fn serve(folder: &Path, point: &str) -> Child {
-    Command::new(env!("CARGO_BIN_EXE_coordinator"))
-        .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
-        .arg(LEASE_SECS.to_string())
-        .arg("--data")
-        .arg(folder)
-        .env(FAILPOINT_VARIABLE, point)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("starts")
+    let mut command = serve_command(folder);
+    let lease = ["--lease-secs", &LEASE_SECS.to_string()];
+    command.args(lease).env(FAILPOINT_VARIABLE, point).spawn().expect("starts")
 }
 
 /// Performs every kind of write once, as long as the coordinator answers.
@@ -67,12 +60,7 @@ async fn call_everything(serve: &Serve) -> Result<(), Status> {
     let lease = worker.try_claim(0.0, "").await?.lease.expect("a lease");
     let report = worker.report(&lease, true);
     worker.service.commit(report).await?;
-    let video = tokio_stream::iter([wire::ArtifactChunk {
-        attempt_id: lease.attempt_id.clone(),
-        name: "video.mp4".to_owned(),
-        data: vec![1; 1_000],
-    }]);
-    worker.service.put_artifact(video).await?;
+    put(&mut worker, &lease, "video.mp4", &[vec![1; 1_000]]).await?;
     for (campaign, change) in
         [("sound", Change::Pause), ("sound", Change::Resume), ("passing", Change::Cancel)]
     {
@@ -140,14 +128,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
         assert!(began.elapsed() < PATIENCE, "{status:?}");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    let request = wire::ReportRequest { campaign: "sound".to_owned() };
-    let parts = operator.report(request).await.expect("a report");
-    let mut parts = parts.into_inner();
-    let mut json = Vec::new();
-    while let Some(part) = parts.message().await.expect("a part") {
-        json.extend(part.json);
-    }
-    json
+    report_json(&mut operator, "sound").await
 }
 
 /// Commits all jobs that can be leased, and releases those that an earlier process left leased.
@@ -203,11 +184,9 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
         tokio::time::sleep(Duration::from_millis(20)).await;
     };
     assert!(!status.success(), "{point}: {status}");
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, [], "{point}");
+    assert_sound(folder.path()).await;
     let report = finish(folder.path()).await;
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, [], "{point}");
+    assert_sound(folder.path()).await;
     assert!(
         !folder.path().join("artifacts/passing").exists() || step != Step::FinishRemoval,
         "{point}: a deleted campaign's files are removed at the next start"

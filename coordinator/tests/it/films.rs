@@ -4,6 +4,7 @@ use proto::coordinator as wire;
 use serde_json::json;
 use tonic::Code;
 
+use crate::assertions::assert_refused;
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
 /// Longer than the 15 minutes after which an assigned film counts as lost, seconds.
@@ -12,9 +13,8 @@ const LONG_SECS: u64 = 16 * 60;
 /// Creates a campaign of one configuration that stores actions, with outcomes for the nominal
 /// rollout and both single axes. Returns the lease of the combination.
 async fn commit_all_but_combination(outcome: bool) -> (Bench, Worker, wire::Lease) {
-    let bench = Bench::start().await;
     let spec = with(small_spec("filmed"), json!({"record": "transitions"}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let mut leases = worker.claim(4).await;
     let combination = leases
@@ -73,8 +73,7 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
         assert!(take_films(&mut worker).await.is_empty(), "the combination has no outcome");
         worker.commit(&combination, !outcome).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
-        let unknown = film_of(&mut worker, "primitives", "unknown").await.expect_err("no campaign");
-        assert_eq!(unknown.code(), Code::NotFound);
+        assert_refused(film_of(&mut worker, "primitives", "unknown").await, Code::NotFound, &[]);
         bench.create(&small_spec("another")).await.expect("created");
         let of_another = film_of(&mut worker, "primitives", "another").await.expect("an answer");
         assert_eq!((of_another.film, of_another.left), (None, 0));
@@ -102,9 +101,7 @@ async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
         let mut report = worker.report(&combination, false);
         let motion = report.motion.as_mut().expect("a motion");
         (motion.path, motion.actions) = (vec![0; path], vec![0; actions]);
-        let refused = worker.service.commit(report).await.expect_err("no motion");
-        assert_eq!(refused.code(), Code::InvalidArgument);
-        assert!(refused.message().contains("`motion`"), "{refused}");
+        assert_refused(worker.service.commit(report).await, Code::InvalidArgument, &["`motion`"]);
     }
     assert_eq!(bench.status("filmed").await.committed, 3);
     worker.commit(&combination, false).await;

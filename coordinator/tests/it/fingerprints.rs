@@ -7,7 +7,8 @@ use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 
-use crate::harness::{Bench, Worker, sha, small_spec, with};
+use crate::assertions::assert_contains;
+use crate::harness::{Bench, Worker, report_json, sha, small_spec, with};
 use crate::page::http;
 
 /// Longest wait for the newest results on a page, which shows slightly older ones.
@@ -15,13 +16,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Returns the texts on fingerprints in the campaign's status and in its report.
 async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
-    let request = wire::ReportRequest { campaign: "mixed".to_owned() };
-    let parts = bench.operator().await.report(request).await;
-    let mut parts = parts.expect("a report").into_inner();
-    let mut json = Vec::new();
-    while let Some(part) = parts.message().await.expect("a part") {
-        json.extend(part.json);
-    }
+    let json = report_json(&mut bench.operator().await, "mixed").await;
     let subject = serde_json::from_slice(&json).expect("a subject");
     let document = report::Document::new(vec![subject]).expect("no duplicates");
     let report = document.text();
@@ -33,9 +28,7 @@ async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
 async fn check(bench: &Bench, parts: &[&str]) {
     for text in fingerprint_texts(bench).await {
         let text = text.to_lowercase();
-        for part in parts {
-            assert!(text.contains(part), "{part} is not in {text}");
-        }
+        assert_contains(&text, parts);
     }
     let began = Instant::now();
     loop {

@@ -78,6 +78,13 @@ impl Bench {
         Bench::start_in(folder, clock).await
     }
 
+    /// Starts a coordinator with a campaign.
+    pub(crate) async fn with(spec: &Value) -> Bench {
+        let bench = Bench::start().await;
+        bench.create(spec).await.expect("created");
+        bench
+    }
+
     /// Starts a coordinator on a folder that may have a database.
     pub(crate) async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
         Bench::start_with(folder, clock, 0).await
@@ -233,6 +240,10 @@ impl Bench {
         Ok(response.into_inner().results)
     }
 
+    pub(crate) async fn assert_sound(&self) {
+        assert_sound(self.folder.path()).await;
+    }
+
     /// Opens the database directly, bypassing the coordinator.
     pub(crate) async fn database(&self) -> SqlitePool {
         open_database(self.folder.path()).await
@@ -305,6 +316,17 @@ impl Worker {
     /// Reports a consistent outcome of `lease`.
     pub(crate) async fn commit(&mut self, lease: &wire::Lease, success: bool) -> Verdict {
         self.commit_request(self.report(lease, success)).await.0
+    }
+
+    /// Reports outcomes of `leases`, which must be accepted.
+    pub(crate) async fn commit_all<'a>(
+        &mut self,
+        leases: impl IntoIterator<Item = &'a wire::Lease>,
+        success: bool,
+    ) {
+        for lease in leases {
+            assert_eq!(self.commit(lease, success).await, Verdict::Accepted);
+        }
     }
 
     /// Like [`commit`](Self::commit), but returns an error if the coordinator refuses the call or
@@ -511,6 +533,26 @@ fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
 pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     let options = SqliteConnectOptions::new().filename(folder.join("coordinator.sqlite"));
     SqlitePool::connect_with(options).await.expect("a database")
+}
+
+/// Returns the results of a campaign for a report, as JSON.
+pub(crate) async fn report_json(
+    operator: &mut OperatorServiceClient<Channel>,
+    campaign: &str,
+) -> Vec<u8> {
+    let request = wire::ReportRequest { campaign: campaign.to_owned() };
+    let mut parts = operator.report(request).await.expect("a report").into_inner();
+    let mut json = Vec::new();
+    while let Some(part) = parts.message().await.expect("a part") {
+        json.extend(part.json);
+    }
+    json
+}
+
+/// Asserts that the database of a data folder violates no invariant.
+pub(crate) async fn assert_sound(folder: &Path) {
+    let violations = queue::invariants::check(folder).await.expect("a database");
+    assert_eq!(violations, []);
 }
 
 /// Returns all rows of a data folder's database, each prefixed with the name of its table.

@@ -114,9 +114,8 @@ const BREACHES: [(&str, &str, &str); 20] = [
 
 /// Returns a database that no coordinator uses, with jobs in every state.
 pub(crate) async fn valid_database() -> TempDir {
-    let bench = Bench::start().await;
     let spec = with(small_spec("sound"), json!({"configs": [0, 1]}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     for _ in 0..3 {
         let lease = worker.claim_one().await;

@@ -7,43 +7,9 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use serde_json::{Value, json};
 
+use crate::assertions::assert_contains;
+pub(crate) use crate::json_keys::{documented, keys};
 use crate::process::{CREATE, Serve, fits_a_terminal, succeed, text};
-
-/// Returns the documented keys of a command: the first cells of its table's rows.
-pub(crate) fn documented(command: &str) -> BTreeSet<String> {
-    let page = include_str!("../../../docs/JSON.md");
-    let title = format!("## `{command}`");
-    let section = page.split("\n## ").find(|part| {
-        let first = part.lines().next().unwrap_or_default();
-        format!("## {first}").contains(&title)
-    });
-    let section = section.unwrap_or_else(|| panic!("docs/JSON.md has no section {title}"));
-    let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
-    section.lines().filter_map(key).collect()
-}
-
-/// Collects the keys of a value, including nested ones such as `campaigns[].rollouts.total`. Keys
-/// of a manifest row are not collected.
-pub(crate) fn keys(value: &Value, path: &str, collected: &mut BTreeSet<String>) {
-    match value {
-        Value::Object(fields) if path != "manifest_row" => {
-            for (name, field) in fields {
-                let name = match path {
-                    "" => name.clone(),
-                    path => format!("{path}.{name}"),
-                };
-                keys(field, &name, collected);
-                collected.insert(name);
-            }
-        }
-        Value::Array(items) => {
-            for item in items {
-                keys(item, &format!("{path}[]"), collected);
-            }
-        }
-        _ => {}
-    }
-}
 
 /// JSON that a command printed.
 struct Printed(Value);
@@ -55,25 +21,26 @@ impl Printed {
         Printed(serde_json::from_str(text(&output.stdout)).expect("JSON"))
     }
 
+    fn keys(&self) -> BTreeSet<String> {
+        let mut found = BTreeSet::new();
+        keys(&self.0, "", &mut found);
+        found
+    }
+
     /// Asserts that all keys are documented; some may be missing, since `null` has no keys.
     fn assert_keys_are_documented(&self, command: &str) {
-        let mut printed_keys = BTreeSet::new();
-        keys(&self.0, "", &mut printed_keys);
-        let documented = documented(command);
-        assert!(printed_keys.is_subset(&documented), "{printed_keys:?}");
+        let printed_keys = self.keys();
+        assert!(printed_keys.is_subset(&documented(command)), "{printed_keys:?}");
     }
 
     fn assert_keys(&self, command: &str) {
-        let mut printed_keys = BTreeSet::new();
-        keys(&self.0, "", &mut printed_keys);
-        assert_eq!(printed_keys, documented(command), "{command}");
+        assert_eq!(self.keys(), documented(command), "{command}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn json_output_has_the_documented_keys() {
-    let (_folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (_folder, serve) = Serve::with_demo();
     let early = ["--name", "early", "--stop", "I excludes 0", "--priority", "-1"];
     let early = [&CREATE[..2], &early, &CREATE[4..]].concat();
     succeed(serve.command(&early));
@@ -144,7 +111,7 @@ async fn json_output_has_the_documented_keys() {
 async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     let (_folder, serve) = Serve::anew();
     let create = [&CREATE[..], &["--axes", "camera,sensor"]].concat();
-    assert!(serve.command(&create).status.success());
+    serve.run(&create, 0, &[]);
     let mut worker = serve.worker("a").await;
     for (index, lease) in worker.claim(5).await.iter().enumerate() {
         let verdict = worker.commit(lease, index % 2 == 0).await;
@@ -208,7 +175,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     assert!(words.contains("including 30 rollouts at the placebo level L0"), "{words}");
     assert!(words.contains("20 configurations of 10 tasks: none; more tasks"), "{words}");
     fits_a_terminal(words);
-    assert!(serve.command(&create).status.success());
+    serve.run(&create, 0, &[]);
     let ids = |filters: &[&str]| -> Vec<String> {
         let printed = Printed::run(&serve, &[&["jobs", "list", "floor"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
@@ -227,9 +194,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
 fn every_shell_gets_a_script_that_completes_commands() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let script = &succeed(crate::process::coordinator(&["completions", shell]));
-        for word in ["set-priority", "coordinator", "dry-run"] {
-            assert!(script.contains(word), "{shell}: {word}");
-        }
+        assert_contains(&script, &["set-priority", "coordinator", "dry-run"]);
     }
     let refused = crate::process::coordinator(&["completions", "cmd"]);
     assert_eq!(refused.status.code(), Some(2));

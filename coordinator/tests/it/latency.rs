@@ -101,7 +101,7 @@ async fn latency_is_a_separate_condition() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_latency_threshold_is_found_in_whole_control_steps() {
     let (_folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    serve.run(&CREATE, 0, &[]);
     let mut worker = serve.worker("w").await;
     let thresholds = ["thresholds", "late", "--axes", "latency"];
     let findings = searched(&serve, &mut worker, &thresholds, outcome).await;

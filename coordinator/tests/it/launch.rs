@@ -4,7 +4,8 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::access::write_private;
+use crate::assertions::assert_contains;
+use crate::authority::write_private;
 use crate::process::{coordinator, fail, succeed, text};
 
 const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];
@@ -31,16 +32,17 @@ const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
 fn scripts_are_shown_and_written_only_with_into() {
     let programs = programs();
     let scripts = &succeed(launch(programs.path(), &INSECURE));
-    for words in [
-        "serve --data",
-        "--listen 0.0.0.0:7411 --insecure",
-        "#SBATCH --array=1-4\n",
-        "#SBATCH --signal=B:USR1@60\n",
-        "COORDINATOR_URL=http://login1:7411\n",
-        "Nothing was written",
-    ] {
-        assert!(scripts.contains(words), "no {words:?} in {scripts}");
-    }
+    assert_contains(
+        &scripts,
+        &[
+            "serve --data",
+            "--listen 0.0.0.0:7411 --insecure",
+            "#SBATCH --array=1-4\n",
+            "#SBATCH --signal=B:USR1@60\n",
+            "COORDINATOR_URL=http://login1:7411\n",
+            "Nothing was written",
+        ],
+    );
     // A flag that is not given adds no line, and without a policy there is no gateway.
     for words in ["{{", "--partition", "--time", "ROLLOUT_TOKEN_FILE", "gateway"] {
         assert!(!scripts.contains(words), "{words:?} in {scripts}");
@@ -82,14 +84,15 @@ fn written_scripts_are_valid_bash_for_any_values() {
         assert!(gateway.contains(words), "no {words:?} in {gateway}");
     }
     let workers = read("workers.sbatch");
-    for words in [
-        "#SBATCH --array=1-7\n",
-        "#SBATCH --partition=low,high\n",
-        "#SBATCH \"--constraint=avx2&ib\"\n#SBATCH \"--exclude=n[1-3]\"\n",
-        "a \\\"lab's\\\" $(cluster) #1\"\n",
-    ] {
-        assert!(workers.contains(words), "no {words:?} in {workers}");
-    }
+    assert_contains(
+        &workers,
+        &[
+            "#SBATCH --array=1-7\n",
+            "#SBATCH --partition=low,high\n",
+            "#SBATCH \"--constraint=avx2&ib\"\n#SBATCH \"--exclude=n[1-3]\"\n",
+            "a \\\"lab's\\\" $(cluster) #1\"\n",
+        ],
+    );
 
     // An edited script is never overwritten.
     let edited = Path::new(into).join("workers.sbatch");
@@ -129,8 +132,10 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
     assert!(servers.contains(&named(&tokens)), "{scripts}");
     assert!(workers.contains(&named(&worker_token)), "{scripts}");
     assert!(!workers.contains(&named(&tokens)), "{scripts}");
-    assert!(scripts.contains(&format!("ROLLOUT_CA={pem}\n")), "{scripts}");
-    assert!(scripts.contains(&format!("--tls-cert {pem} --tls-key {pem}")), "{scripts}");
+    assert_contains(
+        &scripts,
+        &[&format!("ROLLOUT_CA={pem}\n"), &format!("--tls-cert {pem} --tls-key {pem}")],
+    );
     assert!(!scripts.contains(secret) && !scripts.contains("--insecure"), "{scripts}");
 }
 

@@ -4,6 +4,8 @@
 mod access;
 mod altering;
 mod artifacts;
+mod assertions;
+mod authority;
 mod blame;
 mod bounds;
 mod campaigns;
@@ -22,6 +24,7 @@ mod harness;
 mod imports;
 mod invariants;
 mod json;
+mod json_keys;
 mod latency;
 mod launch;
 mod manifests;

@@ -7,10 +7,11 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
-use queue::invariants::check;
 use serde_json::json;
 use tonic::{Code, Status};
 
+use crate::artifacts::put;
+use crate::assertions::assert_refused;
 use crate::harness::{Bench, Worker, small_spec, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
@@ -23,11 +24,6 @@ async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Resul
     };
     let response = bench.operator().await.retry_jobs(request).await?;
     Ok(response.into_inner().jobs)
-}
-
-async fn assert_invariants(bench: &Bench) {
-    let violations = check(bench.folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
 }
 
 /// Creates a campaign of one rollout, which fails on its only worker until it is quarantined.
@@ -50,8 +46,7 @@ const CAMERA: &str = "object/t0/camera/L1/c00";
 
 #[tokio::test]
 async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("held")).await.expect("created");
+    let bench = Bench::with(&small_spec("held")).await;
     bench.create(&small_spec("other")).await.expect("created");
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "held");
@@ -71,29 +66,12 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let resumed = bench.change("held", Change::Resume).await;
     assert_eq!(resumed.expect("resumed"), State::Running);
     assert_eq!(worker.claim(64).await.len(), 3);
-    assert_invariants(&bench).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn resuming_wakes_claims_that_wait() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("held")).await.expect("created");
-    bench.change("held", Change::Pause).await.expect("paused");
-    let mut worker = bench.worker("a").await;
-    let mut waiting = tokio::task::JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(25.0, "").await });
-    tokio::time::sleep(std::time::Duration::from_millis(200)).await;
-    let resumed = std::time::Instant::now();
-    bench.change("held", Change::Resume).await.expect("resumed");
-    let claimed = waiting.join_all().await.remove(0).expect("an answer");
-    assert!(claimed.lease.is_some());
-    assert!(resumed.elapsed().as_secs() < 10, "woken, not timed out");
+    bench.assert_sound().await;
 }
 
 #[tokio::test]
 async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("ended")).await.expect("created");
+    let bench = Bench::with(&small_spec("ended")).await;
     let mut worker = bench.worker("a").await;
     let (first, second) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&first, true).await, Verdict::Accepted);
@@ -110,12 +88,10 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     assert_eq!(bench.count("SELECT sum(charged_attempts) FROM job").await, 0);
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
     for change in [Change::Pause, Change::Resume] {
-        let refused = bench.change("ended", change).await.expect_err("final");
-        assert_eq!(refused.code(), Code::FailedPrecondition);
-        assert!(refused.message().contains("final"), "{refused}");
+        assert_refused(bench.change("ended", change).await, Code::FailedPrecondition, &["final"]);
     }
     bench.change("ended", Change::Cancel).await.expect("cancelled again");
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
 }
 
 #[tokio::test]
@@ -132,7 +108,7 @@ async fn cancelling_a_campaign_frees_the_policy_probe() {
     assert!(worker.claim(4).await.is_empty(), "one probe at a time");
     assert_eq!(probe.campaign, "first");
     bench.change("first", Change::Cancel).await.expect("cancelled");
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
     assert_eq!(worker.claim_one().await.campaign, "second");
 }
 
@@ -145,20 +121,16 @@ async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
     let mut worker = bench.worker("a").await;
     let (lease, held) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let video = tokio_stream::iter([wire::ArtifactChunk {
-        attempt_id: lease.attempt_id.clone(),
-        name: "video.mp4".to_owned(),
-        data: vec![1; 100],
-    }]);
-    let put = worker.service.put_artifact(video).await.expect("stored");
-    let video = bench.folder.path().join(put.into_inner().path);
+    let video = put(&mut worker, &lease, "video.mp4", &[vec![1; 100]]).await.expect("stored");
+    let video = bench.folder.path().join(video);
     assert!(video.is_file());
 
-    let refused = bench.delete("old", "odl").await.expect_err("mistyped");
-    assert_eq!(refused.code(), Code::InvalidArgument);
-    let refused = bench.delete("old", "old").await.expect_err("leased");
-    assert_eq!(refused.code(), Code::FailedPrecondition);
-    assert!(refused.message().contains("1 of its rollouts"), "{refused}");
+    assert_refused(bench.delete("old", "odl").await, Code::InvalidArgument, &[]);
+    assert_refused(
+        bench.delete("old", "old").await,
+        Code::FailedPrecondition,
+        &["1 of its rollouts"],
+    );
     worker.release(&held, Reason::Draining).await;
 
     assert_eq!(bench.delete("old", "old").await.expect("deleted"), 1);
@@ -171,9 +143,8 @@ async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
     ] {
         assert_eq!(bench.count(query).await, left, "{query}");
     }
-    assert_invariants(&bench).await;
-    let refused = bench.delete("old", "old").await.expect_err("gone");
-    assert_eq!(refused.code(), Code::NotFound);
+    bench.assert_sound().await;
+    assert_refused(bench.delete("old", "old").await, Code::NotFound, &[]);
     assert_eq!(worker.claim(64).await.len(), 4);
 }
 
@@ -182,23 +153,25 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let bench = Bench::start().await;
     let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
-    assert_eq!(unknown.expect_err("unknown").code(), Code::NotFound);
+    assert_refused(unknown, Code::NotFound, &[]);
     assert_eq!(bench.status("one").await.quarantined, 1, "neither or both are requeued");
     assert_eq!(
         retry(&bench, "one", &[CAMERA, CAMERA], false).await.expect("requeued"),
         1,
         "a job that is named twice counts once"
     );
-    let again = retry(&bench, "one", &[CAMERA], false).await.expect_err("a queued job");
-    assert_eq!(again.code(), Code::FailedPrecondition);
-    assert!(again.message().contains("queued"), "{again}");
+    assert_refused(
+        retry(&bench, "one", &[CAMERA], false).await,
+        Code::FailedPrecondition,
+        &["queued"],
+    );
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
 
     for expected in [Released::Requeued, Released::Requeued] {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::Draining).await;
         assert_eq!(released.verdict(), expected);
-        assert_invariants(&bench).await;
+        bench.assert_sound().await;
     }
     let mut fresh = bench.worker("b").await;
     let lease = fresh.claim_one().await;
@@ -209,7 +182,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     bench.advance(61).await;
     let lease = fresh.claim_one().await;
     assert_eq!(fresh.commit(&lease, true).await, Verdict::Accepted);
-    assert_invariants(&bench).await;
+    bench.assert_sound().await;
 }
 
 #[tokio::test]
@@ -246,8 +219,7 @@ async fn a_job_is_shown_with_all_its_attempts() {
 
 #[tokio::test]
 async fn jobs_are_listed_page_by_page_and_by_state() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("paged")).await.expect("created");
+    let bench = Bench::with(&small_spec("paged")).await;
     bench.worker("a").await.claim_one().await;
     let mut operator = bench.operator().await;
     let mut list = async |state: &str, after: i64, limit: u32| -> Vec<wire::Job> {
@@ -270,15 +242,13 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
         state: "lost".to_owned(),
         ..wire::ListJobsRequest::default()
     };
-    let refused = operator.list_jobs(request).await.expect_err("no state");
-    assert_eq!(refused.code(), Code::InvalidArgument);
+    assert_refused(operator.list_jobs(request).await, Code::InvalidArgument, &[]);
 }
 
 #[tokio::test]
 async fn workers_are_listed_with_their_leases_and_stop_reasons() {
-    let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1]}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     bench.worker("gone").await;
     bench.advance(100).await;
     let mut broken = bench.worker("broken").await;
@@ -301,8 +271,7 @@ async fn workers_are_listed_with_their_leases_and_stop_reasons() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_backup_of_a_running_coordinator_is_valid_and_can_be_served() {
-    let (folder, serve) = Serve::anew();
-    assert!(serve.command(&CREATE).status.success());
+    let (folder, serve) = Serve::with_demo();
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(3).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -328,14 +297,7 @@ async fn a_backup_of_a_running_coordinator_is_valid_and_can_be_served() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
-    let run = |arguments: &[&str], code: i32, words: &[&str]| {
-        let output = serve.command(arguments);
-        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
-        for word in words {
-            assert!(output_text.contains(word), "{arguments:?}: {output_text}");
-        }
-    };
+    let run = |arguments: &[&str], code, words: &[&str]| serve.run(arguments, code, words);
     run(&["campaign", "status"], 0, &["no campaigns yet"]);
     run(&CREATE, 0, &["14 rollouts"]);
     run(&["workers"], 0, &["no worker is alive"]);
@@ -375,8 +337,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
 /// campaign. Now each lease has an attempt id, and job ids are never reused.
 #[tokio::test]
 async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("before")).await.expect("created");
+    let bench = Bench::with(&small_spec("before")).await;
     let mut slot = bench.worker("a").await;
     let old = slot.claim_one().await;
     let cancelled = bench.change("before", Change::Cancel).await;
@@ -388,16 +349,14 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
 
     let lost_leases = slot.heartbeat(&[&old, &new], 9).await;
     assert_eq!(lost_leases, std::slice::from_ref(&old.attempt_id));
-    let refused = slot.try_commit(&old, true).await.expect_err("a deleted campaign");
-    assert_eq!(refused.code(), Code::NotFound);
+    assert_refused(slot.try_commit(&old, true).await, Code::NotFound, &[]);
     let release = wire::ReleaseRequest {
         attempt_id: old.attempt_id.clone(),
         reason: Reason::SlotCrashed.into(),
         error: "too late".to_owned(),
         ..wire::ReleaseRequest::default()
     };
-    let refused = slot.service.release(release).await.expect_err("a deleted campaign");
-    assert_eq!(refused.code(), Code::NotFound);
+    assert_refused(slot.service.release(release).await, Code::NotFound, &[]);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);
     assert_eq!(bench.status("after").await.succeeded, 0);

@@ -5,13 +5,12 @@ use std::collections::BTreeSet;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
-use proto::coordinator::{JobName, Lease, RetryJobsRequest, SkipJobsRequest};
+use proto::coordinator::{JobName, Lease, ReleaseResponse, RetryJobsRequest, SkipJobsRequest};
 use queue::clock::Clock;
 use queue::ids::CampaignName;
-use queue::invariants::check;
 use serde_json::json;
 
-use crate::harness::{Bench, rollout_id, small_spec, with};
+use crate::harness::{Bench, Worker, assert_sound, rollout_id, small_spec, with};
 use crate::page::http;
 
 /// Time after which the first back-off of an outage, 1 s, is over.
@@ -27,6 +26,14 @@ async fn two_campaigns() -> Bench {
     bench.create_with_priority(&spec_of("first", "fragile"), 1).await.expect("created");
     bench.create(&spec_of("second", "sound")).await.expect("created");
     bench
+}
+
+/// Like [`two_campaigns`], after a worker has reported that the first policy is unavailable.
+async fn outage() -> (Bench, Worker, ReleaseResponse) {
+    let bench = two_campaigns().await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    let released = worker.release(&lease, Reason::PolicyUnavailable).await;
+    (bench, worker, released)
 }
 
 #[tokio::test]
@@ -56,9 +63,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
 /// Regression: an operator could not report that the policy is available again.
 #[tokio::test]
 async fn resuming_a_campaign_retries_its_policy_at_once() {
-    let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    worker.release(&lease, Reason::PolicyUnavailable).await;
+    let (bench, mut worker, _) = outage().await;
     let status = bench.status("first").await;
     assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
     let sound_leases = worker.claim(64).await;
@@ -73,9 +78,7 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
 
 #[tokio::test]
 async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_its_other_jobs() {
-    let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    worker.release(&lease, Reason::PolicyUnavailable).await;
+    let (bench, mut worker, _) = outage().await;
     bench.advance(PAST_FIRST_SECS).await;
     let leases = worker.claim(4).await;
     let fragile: Vec<_> = leases.iter().filter(|lease| lease.policy == "fragile").collect();
@@ -96,9 +99,7 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_its_other_job
 
 #[tokio::test]
 async fn a_failed_probe_doubles_the_pause_and_a_crashed_probe_is_replaced() {
-    let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    let first = worker.release(&lease, Reason::PolicyUnavailable).await;
+    let (bench, mut worker, released) = outage().await;
     bench.advance(PAST_FIRST_SECS).await;
     let mut probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
@@ -108,7 +109,7 @@ async fn a_failed_probe_doubles_the_pause_and_a_crashed_probe_is_replaced() {
         probe = worker.claim(1).await.remove(0);
     }
     let last = worker.release(&probe, Reason::PolicyUnavailable).await;
-    assert!(last.backoff_secs > 4.0 * first.backoff_secs, "{}", last.backoff_secs);
+    assert!(last.backoff_secs > 4.0 * released.backoff_secs, "{}", last.backoff_secs);
     let now_ms = bench.clock.now().0;
     let paused = "SELECT max(resume_ms) FROM policy WHERE name = 'fragile'";
     let paused_secs = (bench.count(paused).await - now_ms) as f64 / 1e3;
@@ -142,9 +143,7 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
 
 #[tokio::test]
 async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
-    let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.worker_with_lease("a").await;
-    worker.release(&lease, Reason::PolicyUnavailable).await;
+    let (bench, _, _) = outage().await;
     let bench = bench.restart().await;
     assert!(bench.status("first").await.policy_paused);
     let mut worker = bench.worker("a").await;
@@ -158,9 +157,8 @@ async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
 /// Runs a campaign of eight rollouts on two slots. One rollout crashes the policy after
 /// `answered_queries` queries, and every other rollout in progress loses the policy with it.
 async fn run_with_killer(answered_queries: u32) -> Bench {
-    let bench = Bench::start().await;
     let spec = spec_of("first", "fragile");
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let is_killer = |lease: &Lease| rollout_id(lease).ends_with("sensor/L1/c00");
     for _ in 0..200 {
@@ -204,15 +202,13 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
                 AND f.error LIKE '%takes its policy down%simulated failure'";
         assert_eq!(bench.count(query).await, 1);
         assert_eq!(bench.count("SELECT count(*) FROM failure WHERE charged").await, 0);
-        let folder = bench.stop().await;
-        assert_eq!(check(folder.path()).await.expect("a database"), []);
+        assert_sound(bench.stop().await.path()).await;
     }
 }
 
 #[tokio::test]
 async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_time() {
-    let bench = Bench::start().await;
-    bench.create(&spec_of("first", "fragile")).await.expect("created");
+    let bench = Bench::with(&spec_of("first", "fragile")).await;
     let mut worker = bench.worker("a").await;
     // All rollouts had reached the policy when it went down.
     for lease in worker.claim(8).await {
@@ -260,8 +256,7 @@ async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
 /// Regression: the log had the skip of a running rollout as an error after its last attempt.
 #[tokio::test]
 async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("some")).await.expect("created");
+    let bench = Bench::with(&small_spec("some")).await;
     let lease = bench.worker("a").await.claim_one().await;
     let log = tempfile::NamedTempFile::new().expect("a file");
     let subscriber = tracing_subscriber::fmt()
@@ -283,8 +278,7 @@ async fn a_skip_of_a_running_rollout_is_not_logged_as_an_error() {
 
 #[tokio::test]
 async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("some")).await.expect("created");
+    let bench = Bench::with(&small_spec("some")).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -323,6 +317,5 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     let retried = operator.retry_jobs(request).await.expect("retried");
     assert_eq!(retried.into_inner().jobs, 2);
     assert_eq!(worker.claim(4).await.len(), 2);
-    let folder = bench.stop().await;
-    assert_eq!(check(folder.path()).await.expect("a database"), []);
+    assert_sound(bench.stop().await.path()).await;
 }

@@ -10,6 +10,7 @@ use proto::coordinator::release_request::Reason;
 
 use crate::access::{GuardedCoordinator, OPERATOR, VIEWER, WORKER};
 use crate::artifacts::put;
+use crate::assertions::assert_contains;
 use crate::harness::{Bench, small_spec};
 use crate::process::{coordinator, text};
 
@@ -20,7 +21,7 @@ const READ_TIMEOUT: Duration = Duration::from_secs(30);
 pub(crate) struct Answer {
     pub(crate) code: u16,
     head: String,
-    body: Vec<u8>,
+    pub(crate) body: Vec<u8>,
 }
 
 impl Answer {
@@ -37,7 +38,7 @@ impl Answer {
 
 /// Sends a request unchanged, since a client that normalises addresses would hide the tested cases.
 /// The chunks of a chunked answer are joined.
-fn send(url: &str, request: &str) -> Answer {
+pub(crate) fn send(url: &str, request: &str) -> Answer {
     let address = url.strip_prefix("http://").expect("a URL");
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(READ_TIMEOUT)).expect("set");
@@ -89,8 +90,7 @@ pub(crate) async fn http(url: &str, request: &str) -> Answer {
 
 /// Starts a coordinator with a campaign that has two results and two queued jobs.
 async fn half_finished() -> Bench {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("begun")).await.expect("created");
+    let bench = Bench::with(&small_spec("begun")).await;
     let mut worker = bench.worker("w").await;
     for success in [true, false] {
         let lease = worker.claim_one().await;
@@ -158,9 +158,7 @@ async fn pages_describe_outages_and_quarantine() {
     let (mut worker, lease) = bench.worker_with_lease("w").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let page = http(&bench.url, "GET /policies").await.text();
-    for word in ["paused", "is tried again", "simulated failure"] {
-        assert!(page.contains(word), "no `{word}`:\n{page}");
-    }
+    assert_contains(&page, &["paused", "is tried again", "simulated failure"]);
     let page = http(&bench.url, "GET /campaigns/begun").await.text();
     assert!(page.contains("Policy expert is paused"), "{page}");
 }
@@ -224,8 +222,7 @@ async fn invalid_addresses_give_error_pages_with_a_remedy() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn text_from_workers_is_escaped_in_pages() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("tricked")).await.expect("created");
+    let bench = Bench::with(&small_spec("tricked")).await;
     let mut worker = bench.worker("<script>alert(1)</script>").await;
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::SimulatorError).await;
@@ -238,8 +235,7 @@ async fn text_from_workers_is_escaped_in_pages() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_video_is_sent_whole_and_in_ranges() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("filmed")).await.expect("created");
+    let bench = Bench::with(&small_spec("filmed")).await;
     let (mut worker, lease) = bench.worker_with_lease("w").await;
     worker.commit(&lease, true).await;
     let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();

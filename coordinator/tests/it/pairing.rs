@@ -6,12 +6,12 @@ use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 use tonic::Code;
 
+use crate::assertions::{assert_contains, assert_refused};
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
 /// Commits two siblings and returns the lease of a third.
 async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("paired")).await.expect("created");
+    let bench = Bench::with(&small_spec("paired")).await;
     let mut worker = bench.worker("a").await;
     for lease in worker.claim(2).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -21,69 +21,53 @@ async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
     (bench, worker, lease)
 }
 
-/// Commits a result with an altered provenance, and asserts that the result is refused and that the
-/// explanation contains all `words`.
-async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str]) {
-    let (bench, mut worker, lease) = commit_siblings().await;
-    let mut report = worker.report(&lease, true);
-    alter(report.provenance.as_mut().expect("provenance"));
-    let (verdict, detail) = worker.commit_request(report).await;
-    assert_eq!(verdict, Verdict::Unpaired);
-    for word in words {
-        assert!(detail.contains(word), "{detail} lacks {word}");
+#[tokio::test]
+async fn a_result_unlike_its_siblings_or_its_campaign_is_refused_with_the_difference_named() {
+    let other = sha("other");
+    let set = |field: fn(&mut wire::Provenance) -> &mut String, value: &str| {
+        let value = value.to_owned();
+        move |provenance: &mut wire::Provenance| *field(provenance) = value.clone()
+    };
+    type Alter<'a> = &'a dyn Fn(&mut wire::Provenance);
+    let cases: [(Alter<'_>, &[&str]); 7] = [
+        (
+            &set(|result| &mut result.scene_digest, &other),
+            &["scene digest", &other, "object/t0/clean", "worker `a`"],
+        ),
+        (&set(|result| &mut result.init_state_digest, &other), &["initial-state digest", &other]),
+        (&set(|result| &mut result.asset_pack_digest, &other), &["asset pack", &other[..12]]),
+        (&set(|result| &mut result.mujoco_version, "3.4.0"), &["MuJoCo", "3.4.0", "3.3.7"]),
+        (
+            &set(|result| &mut result.renderer, "NVIDIA H200"),
+            &["renderer", "NVIDIA H200", "llvmpipe"],
+        ),
+        (
+            &set(|result| &mut result.realisation, "reference"),
+            &["realisation mode", "reference", "matched"],
+        ),
+        (
+            &|result| result.realised.clear(),
+            &["set of perturbed axes", "`none` here", "`sensor` in its manifest row"],
+        ),
+    ];
+    for (alter, words) in cases {
+        let (bench, mut worker, lease) = commit_siblings().await;
+        let (verdict, detail) = commit_altered(&mut worker, &lease, alter).await;
+        assert_eq!(verdict, Verdict::Unpaired);
+        assert_contains(&detail, words);
+        assert_eq!(bench.status("paired").await.committed, 2);
+        let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
+        assert_eq!(bench.count(charged).await, 1);
     }
-    assert_eq!(bench.status("paired").await.committed, 2);
-    let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
-    assert_eq!(bench.count(charged).await, 1);
-}
-
-#[tokio::test]
-async fn another_scene_than_the_siblings_is_refused_with_the_difference_named() {
-    let other = sha("another scene");
-    let words = ["scene digest", &other, "object/t0/clean", "worker `a`"];
-    check_unpaired(|provenance| provenance.scene_digest = other.clone(), &words).await;
-}
-
-#[tokio::test]
-async fn another_initial_state_than_the_siblings_is_refused() {
-    let other = sha("another state");
-    let words = ["initial-state digest", &other];
-    check_unpaired(|provenance| provenance.init_state_digest = other.clone(), &words).await;
-}
-
-#[tokio::test]
-async fn another_pack_simulator_renderer_or_realisation_than_the_campaigns_is_refused() {
-    let other = sha("libero");
-    check_unpaired(
-        |provenance| provenance.asset_pack_digest = other.clone(),
-        &["asset pack", &other[..12]],
-    )
-    .await;
-    check_unpaired(
-        |provenance| provenance.mujoco_version = "3.4.0".to_owned(),
-        &["MuJoCo", "3.4.0", "3.3.7"],
-    )
-    .await;
-    check_unpaired(
-        |provenance| provenance.renderer = "NVIDIA H200".to_owned(),
-        &["renderer", "NVIDIA H200", "llvmpipe"],
-    )
-    .await;
-    check_unpaired(
-        |provenance| provenance.realisation = "reference".to_owned(),
-        &["realisation mode", "reference", "matched"],
-    )
-    .await;
 }
 
 #[tokio::test]
 async fn siblings_share_the_initial_state_and_include_replicates() {
-    let bench = Bench::start().await;
     let spec = with(
         small_spec("twice"),
         json!({"axes": ["camera"], "nominal": "none", "configs": [0, 1], "replicates": 2}),
     );
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(4).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -100,9 +84,8 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
 /// Returns the leases of a campaign of one configuration: nominal, single axes, combination, and
 /// then the same rollouts of the second replicate, if there is one.
 async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
-    let bench = Bench::start().await;
     let spec = with(small_spec("paired"), changes);
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(64).await;
     (bench, worker, leases)
@@ -133,15 +116,14 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
     let [clean, camera, sensor, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
     };
-    for lease in [clean, camera, sensor] {
-        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-    }
+    worker.commit_all([clean, camera, sensor], true).await;
     let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "sensor", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    for word in ["realisation of axis sensor", "object/t0/sensor/L1/c00", "worker `a`"] {
-        assert!(detail.contains(word), "{detail} lacks {word}");
-    }
+    assert_contains(
+        &detail,
+        &["realisation of axis sensor", "object/t0/sensor/L1/c00", "worker `a`"],
+    );
 }
 
 /// In reference mode, the sensor's random values are drawn anew in every rollout; the camera has no
@@ -150,9 +132,7 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
 async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_may_not() {
     let verdict_of = async |axis: &'static str| {
         let (_bench, mut worker, leases) = leases_of(json!({"realisation": "reference"})).await;
-        for lease in &leases[..3] {
-            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-        }
+        worker.commit_all(&leases[..3], true).await;
         let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, axis, 0.5);
         commit_altered(&mut worker, &leases[3], shifted).await.0
     };
@@ -172,12 +152,6 @@ async fn a_replicate_with_other_realised_values_is_refused() {
 }
 
 #[tokio::test]
-async fn a_rollout_without_its_perturbation_is_refused() {
-    let words = ["set of perturbed axes", "`none` here", "`sensor` in its manifest row"];
-    check_unpaired(|provenance| provenance.realised.clear(), &words).await;
-}
-
-#[tokio::test]
 async fn a_replicate_with_another_first_frame_is_refused() {
     let twice = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(twice).await;
@@ -189,9 +163,7 @@ async fn a_replicate_with_another_first_frame_is_refused() {
     assert_eq!(first.0, Verdict::Accepted);
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], with_first_frame("two")).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    for word in ["first-frame digest", &sha("one"), &sha("two")] {
-        assert!(detail.contains(word), "{detail} lacks {word}");
-    }
+    assert_contains(&detail, &["first-frame digest", &sha("one"), &sha("two")]);
 }
 
 #[tokio::test]
@@ -225,9 +197,7 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
         [(1e-9, Verdict::Accepted), (-1e-9, Verdict::Accepted), (1e-6, Verdict::Unpaired)]
     {
         let (bench, mut worker, leases) = leases_of(json!({})).await;
-        for lease in &leases[..3] {
-            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-        }
+        worker.commit_all(&leases[..3], true).await;
         let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", by);
         let (verdict, detail) = commit_altered(&mut worker, &leases[3], shifted).await;
         assert_eq!(verdict, expected, "{by}: {detail}");
@@ -277,39 +247,35 @@ async fn digests_and_realised_values_are_stored_with_the_result() {
 async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     let (bench, mut worker, lease) = commit_siblings().await;
     let valid = worker.report(&lease, true);
-    let mut check = async |alter: &dyn Fn(&mut wire::CommitRequest), word: &str| {
+    type Alter<'a> = &'a dyn Fn(&mut wire::CommitRequest);
+    fn provenance(request: &mut wire::CommitRequest) -> &mut wire::Provenance {
+        request.provenance.as_mut().expect("provenance")
+    }
+    fn result(request: &mut wire::CommitRequest) -> &mut wire::RolloutResult {
+        request.result.as_mut().expect("a result")
+    }
+    let nan = f64::NAN;
+    let cases: [(Alter<'_>, &str); 11] = [
+        (&|request| request.provenance = None, "provenance"),
+        (&|request| request.result = None, "result"),
+        (&|request| request.attempt_id.clear(), "attempt id"),
+        (&|request| provenance(request).scene_digest.clear(), "scene_digest"),
+        (&|request| provenance(request).init_state_digest = "0".repeat(63), "SHA-256"),
+        (
+            &|request| provenance(request).realised[0].elements.push(nan),
+            "`realised` of axis `sensor`",
+        ),
+        (&|request| provenance(request).renderer.clear(), "`renderer`"),
+        (&|request| provenance(request).fingerprint.truncate(16), "`fingerprint`"),
+        (&|request| provenance(request).host = "x".repeat(1 << 20), "`host`"),
+        (&|request| result(request).wall_secs = nan, "not finite"),
+        (&|request| result(request).ik_residual_mm = Some(-1.0), "negative"),
+    ];
+    for (alter, word) in cases {
         let mut request = valid.clone();
         alter(&mut request);
-        let refused = worker.service.commit(request).await.expect_err(word);
-        assert_eq!(refused.code(), Code::InvalidArgument);
-        assert!(refused.message().contains(word), "{refused}");
-    };
-    check(&|request| request.provenance = None, "provenance").await;
-    check(&|request| request.result = None, "result").await;
-    check(&|request| request.attempt_id.clear(), "attempt id").await;
-    check(&|request| request.provenance.as_mut().unwrap().scene_digest.clear(), "scene_digest")
-        .await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().init_state_digest = "0".repeat(63),
-        "SHA-256",
-    )
-    .await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().realised[0].elements.push(f64::NAN),
-        "`realised` of axis `sensor`",
-    )
-    .await;
-    check(&|request| request.provenance.as_mut().unwrap().renderer.clear(), "`renderer`").await;
-    check(
-        &|request| request.provenance.as_mut().unwrap().fingerprint.truncate(16),
-        "`fingerprint`",
-    )
-    .await;
-    check(&|request| request.provenance.as_mut().unwrap().host = "x".repeat(1 << 20), "`host`")
-        .await;
-    check(&|request| request.result.as_mut().unwrap().wall_secs = f64::NAN, "not finite").await;
-    check(&|request| request.result.as_mut().unwrap().ik_residual_mm = Some(-1.0), "negative")
-        .await;
+        assert_refused(worker.service.commit(request).await, Code::InvalidArgument, &[word]);
+    }
     assert_eq!(bench.status("paired").await.leased, 1, "the lease is kept");
 }
 

@@ -5,6 +5,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::{self as wire, Provenance};
 use serde_json::json;
 
+use crate::assertions::assert_contains;
 use crate::harness::{Bench, registration, small_spec, with};
 
 /// A software renderer and an OpenGL renderer, as workers name them.
@@ -23,8 +24,7 @@ async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
 
 #[tokio::test]
 async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("pinned")).await.expect("created");
+    let bench = Bench::with(&small_spec("pinned")).await;
     let mut first = bench.worker_on("a", "primitives").await;
     let mut second = bench.worker_on("b", "libero").await;
     // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
@@ -49,8 +49,7 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
 
 #[tokio::test]
 async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("pinned")).await.expect("created");
+    let bench = Bench::with(&small_spec("pinned")).await;
     let mut first = bench.worker_with_renderer("a", "primitives", "one").await;
     let mut second = bench.worker_with_renderer("b", "primitives", "another").await;
     let lease = first.claim_one().await;
@@ -58,9 +57,10 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     for warm in ["", "libero_object/0"] {
         let response = second.claim_response(warm).await;
         assert!(response.lease.is_none());
-        for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
-            assert!(response.idle_reason.contains(word), "{response:?}");
-        }
+        assert_contains(
+            &response.idle_reason,
+            &["`pinned` is pinned", "renderer `one`", "renderer `another`"],
+        );
     }
     assert_eq!(bench.status("pinned").await.live_workers, 1);
     assert_eq!(first.claim_warm(4, "libero_object/0").await.len(), 3);
@@ -72,8 +72,7 @@ async fn a_campaign_of_one_look_refuses_a_worker_of_the_other() {
         look: look.to_owned(),
         ..registration(id, "primitives")
     };
-    let bench = Bench::start().await;
-    bench.create(&small_spec("pinned")).await.expect("created");
+    let bench = Bench::with(&small_spec("pinned")).await;
     let mut first = bench.register(with_look("a", "mujoco-3.3.2")).await;
     let mut second = bench.register(with_look("b", "mujoco-3.3.3")).await;
     let (lease, other_lease) = (first.claim_one().await, second.claim_one().await);
@@ -94,8 +93,7 @@ async fn a_campaign_of_one_look_refuses_a_worker_of_the_other() {
 
 #[tokio::test]
 async fn a_result_that_is_refused_pins_nothing() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("open")).await.expect("created");
+    let bench = Bench::with(&small_spec("open")).await;
     let mut worker = bench.worker_on("a", "primitives").await;
     let lease = worker.claim_one().await;
     let mut report = worker.report(&lease, true);
@@ -121,8 +119,7 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
             replace_checkpoint_of_a_policy_without_settings,
         ),
     ] {
-        let bench = Bench::start().await;
-        bench.create(&small_spec("pinned")).await.expect("created");
+        let bench = Bench::with(&small_spec("pinned")).await;
         let mut worker = bench.worker_on("a", "primitives").await;
         let leases = worker.claim(3).await;
         let report = |lease: usize, replace: Replace| {
@@ -143,9 +140,7 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         assert_eq!(worker.commit_request(first).await.0, Verdict::Accepted);
         let (verdict, detail) = worker.commit_request(replaced).await;
         assert_eq!(verdict, Verdict::Unpaired);
-        for word in ["`pinned`", difference, "create another campaign"] {
-            assert!(detail.contains(word), "{detail}");
-        }
+        assert_contains(&detail, &["`pinned`", difference, "create another campaign"]);
         let reason = bench.status("pinned").await.policy_pause_reason;
         assert!(reason.contains(difference), "{reason}");
         let charged = "SELECT (SELECT max(charged_attempts) FROM job)
@@ -165,12 +160,11 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         (None, None, Verdict::Accepted),
         (None, Some("hold:1"), Verdict::Unpaired),
     ] {
-        let bench = Bench::start().await;
         let spec = match campaign_model {
             Some(model) => with(small_spec("late"), json!({ "execution": model })),
             None => small_spec("late"),
         };
-        bench.create(&spec).await.expect("created");
+        let bench = Bench::with(&spec).await;
         let mut worker = bench.worker_on("a", "primitives").await;
         let lease = worker.claim_one().await;
         assert_eq!(lease.execution, campaign_model.unwrap_or("wait"));
@@ -242,14 +236,13 @@ async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
     bench.create(&spec).await.expect("created");
     for (pack, renderer) in [("primitives", SOFTWARE), ("libero", GL)] {
         let reason = refusal_reason(&bench, pack, renderer).await;
-        for word in ["`choosy` wants assets `libero` and renderer `software`", pack, renderer] {
-            assert!(reason.contains(word), "{reason}");
-        }
+        assert_contains(
+            &reason,
+            &["`choosy` wants assets `libero` and renderer `software`", pack, renderer],
+        );
         // The campaign's status shows the same reason.
         let waiting_reason = bench.status("choosy").await.waiting_reason;
-        for word in ["wants assets `libero`", pack, renderer] {
-            assert!(waiting_reason.contains(word), "{waiting_reason}");
-        }
+        assert_contains(&waiting_reason, &["wants assets `libero`", pack, renderer]);
     }
     assert_eq!(refusal_reason(&bench, "libero", SOFTWARE).await, "");
     assert_eq!(bench.status("choosy").await.waiting_reason, "");

@@ -75,8 +75,7 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
 
 #[tokio::test]
 async fn rows_that_no_state_describes_cannot_be_stored() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("strict")).await.expect("created");
+    let bench = Bench::with(&small_spec("strict")).await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.commit(&lease, true).await;
     worker.claim_one().await;

@@ -4,7 +4,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use proto::coordinator as wire;
-use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, rollout_id, small_spec, with};
@@ -17,7 +16,10 @@ const CAMERA: (&str, [u64; 3]) =
 const COMBINATION: (&str, u64) = ("object/t0/combination/L1/c00", 2_351_656_207);
 
 fn spec(name: &str, realisation: &str) -> Value {
-    with(small_spec(name), json!({"replicates": REPLICATES, "realisation": realisation}))
+    with(
+        small_spec(name),
+        json!({"replicates": REPLICATES, "realisation": realisation, "record": "failures"}),
+    )
 }
 
 /// Creates a campaign of four rollouts in three replicates, commits all of its leases and returns
@@ -27,9 +29,8 @@ async fn run(bench: &Bench, spec: &Value) -> Vec<wire::Lease> {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(64).await;
     assert_eq!(leases.len(), 4 * REPLICATES as usize);
-    for lease in &leases {
-        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
-    }
+    assert!(leases.iter().all(|lease| lease.record_video && lease.record_failures_only));
+    worker.commit_all(&leases, true).await;
     leases
 }
 
@@ -39,27 +40,21 @@ fn seeds(leases: &[wire::Lease]) -> BTreeMap<(String, u32), u64> {
 }
 
 #[tokio::test]
-async fn seeds_match_the_protocol_and_differ_between_replicates_and_conditions() {
-    let bench = Bench::start().await;
-    let seeds = seeds(&run(&bench, &spec("thrice", "matched")).await);
-    for (replicate, seed) in (0..).zip(CAMERA.1) {
-        assert_eq!(seeds[&(CAMERA.0.to_owned(), replicate)], seed);
-    }
-    assert_eq!(seeds[&(COMBINATION.0.to_owned(), 0)], COMBINATION.1);
-    let distinct: BTreeSet<u64> = seeds.values().copied().collect();
-    assert_eq!(distinct.len(), seeds.len(), "{seeds:?}");
-}
-
-#[tokio::test]
-async fn seeds_agree_between_campaigns_and_realisation_modes() {
+async fn seeds_match_the_protocol_in_every_campaign_and_differ_between_rollouts() {
     let bench = Bench::start().await;
     let matched = seeds(&run(&bench, &spec("matched", "matched")).await);
+    for (replicate, seed) in (0..).zip(CAMERA.1) {
+        assert_eq!(matched[&(CAMERA.0.to_owned(), replicate)], seed);
+    }
+    assert_eq!(matched[&(COMBINATION.0.to_owned(), 0)], COMBINATION.1);
+    let distinct: BTreeSet<u64> = matched.values().copied().collect();
+    assert_eq!(distinct.len(), matched.len(), "{matched:?}");
     let reference = seeds(&run(&bench, &spec("reference", "reference")).await);
     assert_eq!(matched, reference);
 }
 
 #[tokio::test]
-async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
+async fn a_replicate_changes_the_policys_seed_and_nothing_else_and_the_seed_is_stored() {
     let bench = Bench::start().await;
     let leases = run(&bench, &spec("thrice", "matched")).await;
     let first_replicates = leases.iter().filter(|lease| lease.replicate == 0);
@@ -77,12 +72,8 @@ async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
             assert_eq!(*lease, expected);
         }
     }
-}
 
-#[tokio::test]
-async fn the_seed_of_a_lease_is_stored_with_the_result() {
-    let bench = Bench::start().await;
-    let seeds_of_leases = seeds(&run(&bench, &spec("thrice", "matched")).await);
+    // The seeds are stored with the results.
     let pool = bench.database().await;
     let stored: Vec<(String, u32, i64)> = sqlx::query_as(
         "SELECT j.rollout_id, j.replicate, j.policy_seed FROM result r JOIN job j ON j.id = r.job_id",
@@ -95,5 +86,5 @@ async fn the_seed_of_a_lease_is_stored_with_the_result() {
         .into_iter()
         .map(|(id, replicate, seed)| ((id, replicate), seed.cast_unsigned()))
         .collect();
-    assert_eq!(stored, seeds_of_leases);
+    assert_eq!(stored, seeds(&leases));
 }

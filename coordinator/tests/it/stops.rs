@@ -2,7 +2,6 @@
 //! its rule, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId};
@@ -10,10 +9,10 @@ use paired::{CampaignLook, Outcome, Record, Records};
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use queue::expand::NewCampaign;
-use queue::{Side, Step, invariants};
+use queue::{Side, Step};
 use serde_json::{Value, json};
 
-use crate::harness::{Worker, rollout_id};
+use crate::harness::{Worker, assert_sound, rollout_id};
 use crate::page::http;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 use crate::search::{PATIENCE, kill_at_failpoint, searched};
@@ -86,13 +85,6 @@ fn planted(spec: &Value) -> Planted {
     }
 }
 
-fn create(serve: &Serve, folder: &Path, spec: &Value) {
-    let file = folder.join(format!("{}.json", spec["name"].as_str().expect("a name")));
-    std::fs::write(&file, spec.to_string()).expect("written");
-    let file = file.to_string_lossy();
-    succeed(serve.command(&["campaign", "create", "--spec", &file]));
-}
-
 fn id(lease: &Lease) -> RolloutId {
     rollout_id(lease).parse().expect("an id")
 }
@@ -135,7 +127,7 @@ async fn stopped(serve: &Serve, name: &str) -> Value {
 async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
-    create(&serve, folder.path(), &spec("early"));
+    serve.create(&spec("early"));
     let mut worker = serve.worker("w").await;
     let begun = run(&mut worker, planted.rollouts - 1).await;
     assert_eq!(begun, planted.ids[..begun.len()], "in the drawn order");
@@ -213,15 +205,14 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let [low, high] = [0, 1].map(|end| &sequential["levels"]["L2"]["S_sim"][end]);
     let width = high.as_f64().zip(low.as_f64()).map(|(high, low)| high - low);
     assert!(width.is_some_and(|width| width < 0.7), "{width:?}");
-    let violations = invariants::check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
-    create(&serve, folder.path(), &spec("early"));
+    serve.create(&spec("early"));
     let mut worker = serve.worker("w").await;
     run(&mut worker, planted.rollouts - 1).await;
     // Commits all rollouts of the next configuration, which does not count, and then the last
@@ -245,7 +236,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
         assert!(!output.status.success(), "{arguments:?}");
         assert!(error.contains("it stopped early"), "{arguments:?}: {error}");
     }
-    create(&serve, folder.path(), &spec("early"));
+    serve.create(&spec("early"));
     assert_eq!(status(&serve, "early")["state"], "stopped");
 
     // The transitions and thresholds of the configurations that count are all explained and
@@ -277,8 +268,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     for name in ["early-thresholds", "early-explained", "early"] {
         succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
     }
-    let violations = invariants::check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }
 
 #[test]
@@ -309,7 +299,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     let planted = planted(&spec("early"));
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
-    create(&serve, undisturbed.path(), &spec("early"));
+    serve.create(&spec("early"));
     run(&mut serve.worker("w").await, planted.rollouts).await;
     let expected = stopped(&serve, "early").await["early_stop"].clone();
     let report = ["report", "early", "--json"];
@@ -337,8 +327,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     ] {
         let point = format!("{side:?}:{step:?}:{occurrence}");
         kill_at_failpoint(folder.path(), &point, &create, outcome).await;
-        let violations = invariants::check(folder.path()).await.expect("a database");
-        assert_eq!(violations, [], "{point}");
+        assert_sound(folder.path()).await;
     }
     let serve = Serve::start(folder.path());
     assert_eq!(stopped(&serve, "early").await["early_stop"], expected);

@@ -1,18 +1,17 @@
 //! Films stored in another folder or in S3-compatible storage, which may be unavailable.
 
-use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use proto::coordinator::commit_response::Verdict;
-use queue::invariants::check;
 use tempfile::TempDir;
 
 use crate::artifacts::put;
-use crate::harness::{Worker, rollout_id, small_spec};
-use crate::process::{Serve, succeed, text};
+use crate::harness::{Worker, assert_sound, rollout_id, small_spec};
+use crate::page::send;
+use crate::process::{Serve, serve_command, succeed, text};
 
 /// Variable with the path of the S3 server for tests: `moto_server` of the package `moto[server]`.
 const SERVER: &str = "ROLLOUT_S3_SERVER";
@@ -40,15 +39,14 @@ impl Bucket {
             assert!(began.elapsed() < PATIENCE, "{program} does not listen");
             std::thread::sleep(Duration::from_millis(100));
         }
-        let (head, _) = http(address, "PUT", "/films", "Content-Length: 0\r\n");
-        assert!(head.starts_with("HTTP/1.1 200"), "{head}");
+        assert_eq!(send(&format!("http://{address}"), "PUT /films").code, 200);
         bucket
     }
 
     /// Returns the keys of the stored objects.
     fn keys(&self) -> Vec<String> {
-        let (_, body) = http(self.address, "GET", "/films?list-type=2", "");
-        let body = String::from_utf8(body).expect("XML");
+        let list = send(&format!("http://{}", self.address), "GET /films?list-type=2");
+        let body = list.text();
         let keys = body.split("<Key>").skip(1);
         keys.filter_map(|entry| Some(entry.split_once("</Key>")?.0.to_owned())).collect()
     }
@@ -59,21 +57,6 @@ impl Drop for Bucket {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-/// Sends one request. Returns head and body of the response.
-fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String, Vec<u8>) {
-    let mut stream = TcpStream::connect(address).expect("a listening server");
-    let request = format!(
-        "{method} {path} HTTP/1.1\r\nHost: {address}\r\n{headers}Connection: close\r\n\r\n"
-    );
-    stream.write_all(request.as_bytes()).expect("sent");
-    let mut answer = Vec::new();
-    stream.read_to_end(&mut answer).expect("an answer");
-    let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n");
-    let end = end.expect("a head");
-    let head = String::from_utf8_lossy(&answer[..end]).into_owned();
-    (head, answer[end + 4..].to_vec())
 }
 
 /// Returns an address on which no program listens.
@@ -95,29 +78,12 @@ fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
 
 /// Starts a coordinator that stores its films at `place`.
 fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
-    let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
-        .args(["serve", "--listen", "127.0.0.1:0", "--data"])
-        .arg(data)
-        .env("ROLLOUT_ARTIFACTS", place)
-        .envs(variables.iter().map(|(name, value)| (name, value)))
-        .env_remove("RUST_LOG")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("starts");
-    let serve = Serve::wait_until_listening(child);
-    assert!(serve.is_ready(), "the coordinator does not listen");
-    serve
+    let variables = variables.iter().map(|(name, value)| (name, value));
+    Serve::spawn(serve_command(data).env("ROLLOUT_ARTIFACTS", place).envs(variables))
 }
 
 fn run(serve: &Serve, arguments: &[&str]) -> String {
     succeed(serve.command(arguments))
-}
-
-fn create(serve: &Serve, folder: &TempDir) {
-    let file = folder.path().join("spec.json");
-    std::fs::write(&file, small_spec("filmed").to_string()).expect("written");
-    run(serve, &["campaign", "create", "--spec", &file.display().to_string()]);
 }
 
 /// Commits a rollout and uploads its film. Returns the rollout's id.
@@ -144,31 +110,30 @@ async fn wait_until(event: &str, has_happened: impl Fn() -> bool) {
 
 /// Asserts that a browser can load a whole film and ranges of it.
 fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
-    let address = serve.url.strip_prefix("http://").expect("a URL");
-    let address = address.parse().expect("an address");
-    let path = format!("/campaigns/filmed/videos/{rollout}");
-    let (head, whole) = http(address, "GET", &path, "");
-    assert!(head.starts_with("HTTP/1.1 200"), "{head}");
-    assert!(whole == bytes, "the served film differs");
+    let get = |headers: &str| {
+        send(&serve.url, &format!("GET /campaigns/filmed/videos/{rollout}\n{headers}"))
+    };
+    let whole = get("");
+    assert_eq!(whole.code, 200);
+    assert!(whole.body == bytes, "the served film differs");
     for (range, expected) in [
         ("bytes=10-19", &bytes[10..20]),
         ("bytes=100-", &bytes[100..]),
         ("bytes=-7", &bytes[bytes.len() - 7..]),
     ] {
-        let (head, part) = http(address, "GET", &path, &format!("Range: {range}\r\n"));
-        assert!(head.starts_with("HTTP/1.1 206"), "{head}");
-        assert!(part == expected, "{range}");
-        let total_size = format!("/{}", bytes.len());
-        let has_range = |line: &str| {
-            line.to_lowercase().starts_with("content-range: bytes ") && line.ends_with(&total_size)
-        };
-        assert!(head.lines().any(has_range), "{head}");
+        let part = get(&format!("range: {range}"));
+        assert_eq!(part.code, 206);
+        assert!(part.body == expected, "{range}");
+        let sent = part.header("content-range").expect("a range");
+        assert!(
+            sent.starts_with("bytes ") && sent.ends_with(&format!("/{}", bytes.len())),
+            "{sent}"
+        );
     }
-    let beyond_end = format!("Range: bytes={}-\r\n", bytes.len());
-    let (head, _) = http(address, "GET", &path, &beyond_end);
-    assert!(head.starts_with("HTTP/1.1 416"), "{head}");
-    let size = format!("content-range: bytes */{}", bytes.len());
-    assert!(head.to_lowercase().contains(&size), "{head}");
+    let beyond_end = get(&format!("range: bytes={}-", bytes.len()));
+    assert_eq!(beyond_end.code, 416);
+    let size = format!("bytes */{}", bytes.len());
+    assert_eq!(beyond_end.header("content-range"), Some(size.as_str()));
 }
 
 fn some_film(seed: u8) -> Vec<u8> {
@@ -183,7 +148,7 @@ async fn check_film_lifecycle(
 ) {
     let folder = tempfile::tempdir().expect("a folder");
     let coordinator = serve(folder.path(), place, variables);
-    create(&coordinator, &folder);
+    coordinator.create(&small_spec("filmed"));
     let mut worker = coordinator.worker("a").await;
     let (first, second) = (some_film(1), some_film(2));
     let first_rollout = film(&mut worker, &first).await;
@@ -210,8 +175,7 @@ async fn check_film_lifecycle(
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     run(&coordinator, &delete);
     wait_until("no object is left", || stored() == 0).await;
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -238,7 +202,7 @@ async fn films_and_archives_are_stored_in_a_bucket() {
 
     let folder = tempfile::tempdir().expect("a folder");
     let coordinator = serve(folder.path(), "s3://films/lab/two", &variables);
-    create(&coordinator, &folder);
+    coordinator.create(&small_spec("filmed"));
     let run = |arguments: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_coordinator"))
             .args(arguments)
@@ -270,7 +234,7 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     let variables = variables(address);
     let folder = tempfile::tempdir().expect("a folder");
     let coordinator = serve(folder.path(), "s3://films", &variables);
-    create(&coordinator, &folder);
+    coordinator.create(&small_spec("filmed"));
     let mut worker = coordinator.worker("a").await;
     let bytes = some_film(3);
     let rollout = film(&mut worker, &bytes).await;
@@ -292,6 +256,5 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     run(&coordinator, &["campaign", "cancel", "filmed"]);
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     run(&coordinator, &delete);
-    let violations = check(folder.path()).await.expect("a database");
-    assert_eq!(violations, []);
+    assert_sound(folder.path()).await;
 }

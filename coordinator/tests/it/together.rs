@@ -7,11 +7,10 @@ use std::time::Duration;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
-use queue::invariants::check;
 use serde_json::json;
 use tokio::task::JoinSet;
 
-use crate::harness::{Bench, Worker, sha, small_spec, with};
+use crate::harness::{Bench, Worker, assert_sound, sha, small_spec, with};
 
 /// Time in which all requests arrive, while nothing can be written.
 const ARRIVAL: Duration = Duration::from_millis(300);
@@ -36,18 +35,10 @@ async fn send_in_one_batch<T: Send + 'static>(
     answers.into_iter().map(|(_, answer)| answer).collect()
 }
 
-/// Stops the coordinator and checks its database.
-async fn assert_invariants(bench: Bench) {
-    let folder = bench.stop().await;
-    let violations = check(folder.path()).await.expect("checked");
-    assert!(violations.is_empty(), "{violations:?}");
-}
-
 /// Returns twelve leases of one task: three configurations with four rollouts each.
 async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
-    let bench = Bench::start().await;
     let spec = with(small_spec("together"), json!({"configs": [0, 1, 2]}));
-    bench.create(&spec).await.expect("created");
+    let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
     assert_eq!(leases.len(), 12);
@@ -86,7 +77,7 @@ async fn batched_reports_each_get_their_own_verdict() {
     assert_eq!(bench.status("together").await.committed, 8);
     let divergences = "SELECT count(*) FROM divergence";
     assert_eq!(bench.count(divergences).await, 1);
-    assert_invariants(bench).await;
+    assert_sound(bench.stop().await.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -103,7 +94,7 @@ async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
         let expected = [Verdict::Accepted, Verdict::Duplicate];
         assert_eq!(pair, expected.iter().map(Verdict::as_str_name).collect());
     }
-    assert_invariants(bench).await;
+    assert_sound(bench.stop().await.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -119,7 +110,7 @@ async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let mut verdicts = send_in_one_batch(&bench, requests.collect()).await;
     verdicts.sort_by_key(|verdict| i32::from(*verdict));
     assert_eq!(verdicts, [Verdict::Accepted, Verdict::Unpaired]);
-    assert_invariants(bench).await;
+    assert_sound(bench.stop().await.path()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -143,5 +134,5 @@ async fn batched_claims_are_served_in_order_of_arrival() {
     let expected: Vec<i64> = leases[1..].iter().map(|lease| lease.job_id).collect();
     assert_eq!(jobs, expected, "every remaining job is leased exactly once");
     assert!(granted.iter().flatten().all(|lease| lease.attempt == 2));
-    assert_invariants(bench).await;
+    assert_sound(bench.stop().await.path()).await;
 }

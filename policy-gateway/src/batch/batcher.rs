@@ -59,10 +59,6 @@ impl Batcher {
 
     /// Answers one query as part of a batch of at most `size`. Waits for at most `patience` until
     /// the batch is sent. Dropping the future removes the query from the queue.
-    ///
-    /// # Errors
-    /// If the queue is full, the batch is not sent in time or is lost, the server does not answer
-    /// in time, or [`Backend::infer_batch`] fails or returns an error for this query.
     pub async fn infer(
         &self,
         request: InferRequest,

@@ -13,102 +13,48 @@ pub const MAX_REPLICAS: usize = 64;
 /// Reason why a configuration is invalid. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// No route is given.
     #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
     NoRoute,
-    /// The file cannot be read.
     #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
-    /// The file is not a valid configuration.
+    Unreadable { path: PathBuf, source: std::io::Error },
     #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
     Toml {
-        /// Path of the file.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
-        /// Description of the fault in that line.
         problem: String,
     },
-    /// The routes of the file are invalid.
     #[error("use {path:?}")]
-    InFile {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error in the file.
-        source: Box<ConfigError>,
-    },
-    /// A route or suite has no replica.
+    InFile { path: PathBuf, source: Box<ConfigError> },
     #[error(
         "find a server for policy {name}: give `replicas`, or a `suites` table, with at least one \
          server each"
     )]
-    NoReplica {
-        /// Name of the route.
-        name: RouteName,
-    },
-    /// A policy has both `replicas` and `suites`.
+    NoReplica { name: RouteName },
     #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
-    ReplicasAndSuites {
-        /// Name of the route.
-        name: RouteName,
-    },
-    /// A checkpoint has more replicas than the limit.
+    ReplicasAndSuites { name: RouteName },
     #[error(
         "take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}: serve the \
          others under another policy's name"
     )]
-    TooManyReplicas {
-        /// Name of the route.
-        name: RouteName,
-    },
-    /// A server is given twice as a replica.
+    TooManyReplicas { name: RouteName },
     #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
-    DuplicateReplica {
-        /// Name of the route.
-        name: RouteName,
-        /// Replica as written.
-        replica: String,
-    },
-    /// The longest wait for an answer is out of range.
+    DuplicateReplica { name: RouteName, replica: String },
     #[error("use answer_within_secs = {secs} of policy {name}: take a positive number up to 3600")]
-    AnswerWithin {
-        /// Name of the route.
-        name: RouteName,
-        /// Seconds as written.
-        secs: f64,
-    },
-    /// The text is not `NAME=BACKEND`.
+    AnswerWithin { name: RouteName, secs: f64 },
     #[error("read route {text:?}: write NAME=BACKEND, for example expert=builtin:expert")]
-    Form {
-        /// Text as written.
-        text: String,
-    },
+    Form { text: String },
     /// The name is empty or too long, or has characters that are not allowed.
     #[error(transparent)]
     Name(#[from] RouteNameError),
-    /// Two routes have the same name.
     #[error("tell two routes named {name} apart: give each its own name")]
-    DuplicateRoute {
-        /// The name.
-        name: RouteName,
-    },
+    DuplicateRoute { name: RouteName },
     /// The text does not specify a back-end.
     #[error(transparent)]
     Backend(#[from] BackendSpecError),
-    /// A TLS server is given without a certificate authority.
     #[error(
         "trust {replica} of policy {name}: give the certificate authority that signed its \
          certificate, as `ca = \"FILE\"` in --config"
     )]
-    NoAuthority {
-        /// Name of the route.
-        name: RouteName,
-        /// Replica as written.
-        replica: String,
-    },
+    NoAuthority { name: RouteName, replica: String },
 }

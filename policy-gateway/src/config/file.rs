@@ -55,10 +55,6 @@ struct Table {
 }
 
 /// Reads a configuration from a file.
-///
-/// # Errors
-/// If the file cannot be read or its content is invalid; the error names the
-/// file.
 pub fn read(path: &Path) -> Result<Config, ConfigError> {
     let text = std::fs::read_to_string(path)
         .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;

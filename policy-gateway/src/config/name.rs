@@ -44,6 +44,5 @@ impl fmt::Display for RouteName {
      and '-'"
 )]
 pub struct RouteNameError {
-    /// Name as written.
     pub name: String,
 }

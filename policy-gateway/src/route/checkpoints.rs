@@ -14,9 +14,6 @@ pub(super) enum Checkpoints {
 
 impl Checkpoints {
     /// Creates the pools of `spec`. Reuses the `existing` replicas whose settings are unchanged.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`].
     pub(super) fn new(
         spec: &RouteSpec,
         existing: &[Arc<Replica>],
@@ -45,7 +42,6 @@ impl Checkpoints {
         })
     }
 
-    /// Returns the pool for a suite.
     pub(super) fn pool(&self, suite: &str) -> Option<&Arc<Pool>> {
         match self {
             Self::One(pool) => Some(pool),

@@ -13,30 +13,23 @@ use crate::{config::RouteName, observation_budget::MAX_OBSERVATION_BYTES};
 /// Reason why a route did not answer.
 #[derive(Debug, Error)]
 pub enum RouteError {
-    /// The replica did not answer, or answered with an error.
     #[error("route {route}{}", replica_problem(replica, source))]
     Replica {
-        /// Name of the route.
         route: RouteName,
         /// Back-end of the replica, as configured.
         replica: String,
-        /// Error of the back-end.
         #[source]
         source: Box<BackendError>,
     },
-    /// The answer is not a valid chunk of actions.
     #[error(
         "route {route} ({replica}) got an answer to query {query_index} that is no chunk of \
          actions: {source}; `policy-gateway doctor {replica}` looks for the cause"
     )]
     Action {
-        /// Name of the route.
         route: RouteName,
         /// Back-end of the replica, as configured.
         replica: String,
-        /// Index of the query in its session.
         query_index: u32,
-        /// Fault of the answer.
         #[source]
         source: ActionFault,
     },
@@ -46,52 +39,30 @@ pub enum RouteError {
         "route {route}: session {session:?} is not open here (the gateway may have restarted \
          since its Reset); start the rollout again"
     )]
-    SessionLost {
-        /// Name of the route.
-        route: RouteName,
-        /// Name of the session.
-        session: String,
-    },
-    /// The route has no checkpoint for the suite, or the request names no suite.
+    SessionLost { route: RouteName, session: String },
     #[error(
         "route {route} has a checkpoint per suite{}; it has them for {known}",
         suite_problem(suite)
     )]
     Suite {
-        /// Name of the route.
         route: RouteName,
         /// Requested suite; empty if none is named.
         suite: String,
-        /// Suites with a checkpoint.
         known: String,
     },
-    /// The session's name is empty or too long.
     #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one has {bytes}")]
     Session {
         /// Length of the name, bytes.
         bytes: usize,
     },
-    /// The route was removed from the configuration.
     #[error("route {route} takes no new sessions: it was taken out of the configuration")]
-    Retired {
-        /// Name of the route.
-        route: RouteName,
-    },
-    /// The route has as many sessions as its replicas can answer in time.
+    Retired { route: RouteName },
     #[error(
         "route {route} has {sessions} rollouts under way, as many as its policy servers answer in \
          time at {:.2} s a query; run fewer slots, or give the route more replicas",
         per_query.as_secs_f64()
     )]
-    Full {
-        /// Name of the route.
-        route: RouteName,
-        /// Number of open sessions.
-        sessions: usize,
-        /// Time per query of the slowest replica.
-        per_query: Duration,
-    },
-    /// The memory budget for waiting observations is exhausted.
+    Full { route: RouteName, sessions: usize, per_query: Duration },
     #[error(
         "this gateway holds {} MiB of observations that wait for their answers; try again later, \
          or give policies more replicas",

@@ -163,10 +163,6 @@ impl Pool {
 
     /// Reads a replica's description, and compares it with the description by the first replica to
     /// answer.
-    ///
-    /// # Errors
-    /// If the replica does not answer, or its description is invalid or differs from the first
-    /// description.
     pub async fn describe(
         &self,
         replica: &Replica,

@@ -93,9 +93,6 @@ impl Drop for CallGuard<'_> {
 
 impl Replica {
     /// Creates a replica without calling its back-end.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`].
     pub fn new(
         spec: &BackendSpec,
         access: &Access,
@@ -184,9 +181,6 @@ impl Replica {
 
     /// Reads the policy's description, for `suite` unless that is empty. `agrees` reports how a
     /// valid description differs from the expected description.
-    ///
-    /// # Errors
-    /// If the replica does not answer, or its description is invalid or unexpected.
     pub async fn describe(
         &self,
         call: Call<'_>,
@@ -212,9 +206,6 @@ impl Replica {
     }
 
     /// Starts an episode.
-    ///
-    /// # Errors
-    /// If the replica does not answer or refuses.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
         self.call_within_limit(Call::InSession(&session), self.backend.reset(request)).await?;
@@ -231,10 +222,6 @@ impl Replica {
     }
 
     /// Answers one observation of `task` with at most `horizon` actions.
-    ///
-    /// # Errors
-    /// If the replica does not answer, or its answer is an error or not a valid chunk of actions
-    /// (see [`policy_protocol::actions`]).
     pub async fn infer(
         &self,
         request: InferRequest,

@@ -4,15 +4,15 @@
 
 use std::{
     io::{BufRead, BufReader, Read},
-    path::{Path, PathBuf},
+    path::Path,
     process::{Child, Command, Stdio},
 };
 
 use policy_gateway::config;
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair, date_time_ymd};
-use tempfile::TempDir;
 use tonic::{Code, Status};
 
+use crate::assertions::assert_refused;
+use crate::authority::{Authority, write_private};
 use crate::{
     program::{listening, program},
     support::{infer, reloadable, reset},
@@ -21,58 +21,26 @@ use crate::{
 const TOKEN: &str = "worker-secret-0123456789";
 const WRONG: &str = "wrong-secret-0123456789";
 
-/// Certificates and tokens in a folder.
-struct Credentials {
-    folder: TempDir,
-    issuer: CertifiedIssuer<'static, KeyPair>,
+/// Returns an authority with a file of the token.
+fn authority() -> Authority {
+    let authority = Authority::new();
+    write_private(&authority.path("token"), &format!("worker {TOKEN}\n"));
+    authority
 }
 
-impl Credentials {
-    fn new() -> Self {
-        let mut params = CertificateParams::new(Vec::new()).expect("no names");
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        let key = KeyPair::generate().expect("a key");
-        let credentials = Self {
-            folder: tempfile::tempdir().expect("a temporary folder"),
-            issuer: CertifiedIssuer::self_signed(params, key).expect("signed"),
-        };
-        credentials.write("ca.pem", &credentials.issuer.pem());
-        credentials.write("token", &format!("worker {TOKEN}\n"));
-        credentials
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn write(&self, name: &str, text: &str) {
-        std::fs::write(self.path(name), text).expect("written");
-        let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
-        std::fs::set_permissions(self.path(name), private).expect("set");
-    }
-
-    /// Starts a server with these credentials and a certificate that is valid to the end of a year.
-    fn serve(&self, until_year: i32) -> Server {
-        let mut params = CertificateParams::new(["localhost".to_owned()]).expect("a name");
-        params.not_after = date_time_ymd(until_year, 12, 31);
-        let key = KeyPair::generate().expect("a key");
-        let certificate = params.signed_by(&key, &self.issuer).expect("signed");
-        self.write("cert.pem", &certificate.pem());
-        self.write("key.pem", &key.serialize_pem());
-        let paths =
-            ["cert.pem", "key.pem", "token"].map(|name| self.path(name).display().to_string());
-        let [certificate, key, tokens] = &paths;
-        let mut child = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
-            .args(["--tls-cert", certificate, "--tls-key", key])
-            .args(["--token-file", tokens])
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the program starts");
-        let line = listening(&mut child);
-        let address = line.split_whitespace().next().expect("an address");
-        let port = address.rsplit(':').next().expect("a port").to_owned();
-        Server { child, port }
-    }
+/// Starts a server with a certificate that is valid to the end of a year.
+fn serve(authority: &Authority, until_year: i32) -> Server {
+    let mut child = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
+        .args(authority.sign(until_year))
+        .arg("--token-file")
+        .arg(authority.path("token"))
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let line = listening(&mut child);
+    let address = line.split_whitespace().next().expect("an address");
+    let port = address.rsplit(':').next().expect("a port").to_owned();
+    Server { child, port }
 }
 
 struct Server {
@@ -119,35 +87,33 @@ async fn send_query_over(
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
-    let credentials = Credentials::new();
-    let server = credentials.serve(2099);
-    let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
+    let authority = authority();
+    let server = serve(&authority, 2099);
+    let (ca, token) = (authority.path("ca.pem"), authority.path("token"));
     send_query(&server, &ca, &token).await.expect("valid credentials");
 
-    credentials.write("other-token", &format!("worker {WRONG}\n"));
-    let refused = send_query(&server, &ca, &credentials.path("other-token")).await;
+    write_private(&authority.path("other-token"), &format!("worker {WRONG}\n"));
+    let refused = send_query(&server, &ca, &authority.path("other-token")).await;
     let refused = refused.expect_err("a token that the server does not know");
     assert_eq!(refused.code(), Code::Unavailable);
     assert!(refused.message().contains("`token_file`"), "{refused}");
     assert!(!refused.message().contains(WRONG), "{refused}");
 
-    let other_credentials = Credentials::new();
-    let untrusted = send_query(&server, &other_credentials.path("ca.pem"), &token).await;
-    let untrusted = untrusted.expect_err("another authority");
-    assert_eq!(untrusted.code(), Code::Unavailable);
-    for part in ["not signed by the authority", "`ca` of the policy"] {
-        assert!(untrusted.message().contains(part), "{part} in {untrusted}");
-    }
+    let other = Authority::new();
+    assert_refused(
+        send_query(&server, &other.path("ca.pem"), &token).await,
+        Code::Unavailable,
+        &["not signed by the authority", "`ca` of the policy"],
+    );
     let log = server.log();
     assert!(!log.contains(TOKEN) && !log.contains(WRONG), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_expired_certificate_is_named() {
-    let credentials = Credentials::new();
-    let server = credentials.serve(2020);
-    let expired =
-        send_query(&server, &credentials.path("ca.pem"), &credentials.path("token")).await;
+    let authority = authority();
+    let server = serve(&authority, 2020);
+    let expired = send_query(&server, &authority.path("ca.pem"), &authority.path("token")).await;
     let expired = expired.expect_err("expired");
     assert_eq!(expired.code(), Code::Unavailable);
     let text = expired.message();
@@ -159,19 +125,20 @@ async fn an_expired_certificate_is_named() {
 /// untrusted connection fails during the handshake.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_websocket_server_is_trusted_only_if_the_given_authority_signed_its_certificate() {
-    let credentials = Credentials::new();
-    let server = credentials.serve(2099);
-    let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
-    let other_ca = Credentials::new();
-    let other_ca = other_ca.path("ca.pem");
+    let authority = authority();
+    let server = serve(&authority, 2099);
+    let (ca, token) = (authority.path("ca.pem"), authority.path("token"));
+    let other = Authority::new();
+    let other_ca = other.path("ca.pem");
     for scheme in ["wss", "vla-evals"] {
         let untrusted = send_query_over(scheme, &server, &other_ca, &token).await;
         let untrusted = untrusted.expect_err("another authority");
         assert!(untrusted.message().contains("not signed by"), "{untrusted}");
-        let trusted = send_query_over(scheme, &server, &ca, &token).await;
-        let trusted = trusted.expect_err("no WebSocket there");
-        assert_eq!(trusted.code(), Code::Unavailable);
-        assert!(trusted.message().contains("cannot reach"), "{trusted}");
+        assert_refused(
+            send_query_over(scheme, &server, &ca, &token).await,
+            Code::Unavailable,
+            &["cannot reach"],
+        );
     }
     drop(server.log());
 }
@@ -194,7 +161,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         println!("skipped: only root starts programs as another user");
         return;
     }
-    let credentials = Credentials::new();
+    let authority = authority();
     let mut child = Command::new("python3")
         .args(["-c", STRANGER])
         .stdout(Stdio::piped())
@@ -207,13 +174,12 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
     let port = line.trim_end().rsplit(':').next().expect("a port").to_owned();
     let server = Server { child, port };
     for scheme in ["grpc", "ws", "vla-eval"] {
-        let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
-        let refused = send_query_over(scheme, &server, &ca, &token).await;
-        let refused = refused.expect_err("another user's server");
-        assert_eq!(refused.code(), Code::Unavailable, "{refused}");
-        for part in ["another user of this machine listens there", "use TLS"] {
-            assert!(refused.message().contains(part), "{part} in {refused}");
-        }
+        let (ca, token) = (authority.path("ca.pem"), authority.path("token"));
+        assert_refused(
+            send_query_over(scheme, &server, &ca, &token).await,
+            Code::Unavailable,
+            &["another user of this machine listens there", "use TLS"],
+        );
         let mut received = String::new();
         stdout.read_line(&mut received).expect("a line");
         assert_eq!(received.trim_end(), "got 0", "{scheme}");

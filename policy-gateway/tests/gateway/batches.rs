@@ -17,7 +17,8 @@ use proto::policy::{
 use tokio::{sync::Mutex, task::JoinSet};
 use tonic::{Code, Request, Response, Status};
 
-use crate::support::{chunk, describe, description, gateway, infer, reloadable, reset, serve};
+use crate::assertions::assert_refused;
+use crate::support::{behind, chunk, describe, description, infer, reloadable, reset, serve};
 
 /// Largest batch of the simulated server.
 const LARGEST: u32 = 4;
@@ -101,9 +102,7 @@ async fn play(batching: Batching) -> (usize, String) {
             for query_index in 0..3 {
                 let answer = client.infer(infer("x", &session, query_index)).await;
                 if number == 3 {
-                    let status = answer.expect_err("an error of this session only");
-                    assert_eq!(status.code(), Code::Internal, "{status}");
-                    assert!(status.message().contains("KeyError: 3"), "{status}");
+                    assert_refused(answer, Code::Internal, &["KeyError: 3"]);
                 } else {
                     let answer = answer.expect("an answer").into_inner();
                     assert_eq!(answer.actions, [number as f32 / 100.0; 7]);
@@ -134,9 +133,8 @@ async fn with_batching_off_queries_are_sent_one_by_one() {
 /// An error text that does not fit the response's HTTP/2 header would count as an outage.
 #[tokio::test]
 async fn an_error_of_a_mebibyte_is_truncated_and_no_outage() {
-    let server = serve(FixedSpeed { computing: Mutex::default(), largest: Arc::default() }).await;
-    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
-    let mut client = gateway.client().await;
+    let (_server, _gateway, mut client) =
+        behind(FixedSpeed { computing: Mutex::default(), largest: Arc::default() }).await;
     client.reset(reset("x", "99")).await.expect("an episode");
     let status = client.infer(infer("x", "99", 0)).await;
     let status = status.expect_err("an error");

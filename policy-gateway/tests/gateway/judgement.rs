@@ -10,7 +10,9 @@ use proto::policy::{
 use serde_json::Value;
 use tonic::Status;
 
+use crate::assertions::assert_contains;
 use crate::{
+    json_keys::{documented, keys},
     planted::{Planted, SIDE, hash, upside_down},
     program::program,
     support::{Running, Scripted, description, infer, reloadable, reset, serve},
@@ -85,14 +87,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
 }
 
 #[tokio::test]
-async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
-    let unused = unused_url().await;
-    let compare = ["compare", "builtin:noop", &unused];
-    let unreachable = run_to_end(&compare).await;
-    assert_eq!(unreachable.status, Some(1));
-    assert!(unreachable.stdout.is_empty());
-    let words = format!("failed to get an answer from {unused}");
-    assert!(unreachable.stderr.contains(&words), "{}", unreachable.stderr);
+async fn usage_errors_exit_with_2() {
     let invalid: [&[&str]; 4] = [
         &["compare", "builtin:noop"],
         &["compare", "builtin:noop", "http://h:1"],
@@ -101,40 +96,6 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     ];
     for arguments in invalid {
         assert_eq!(run_to_end(arguments).await.status, Some(2), "{arguments:?}");
-    }
-}
-
-async fn unused_url() -> String {
-    format!("grpc://{}", crate::support::unused_address().await)
-}
-
-/// Returns the keys that a section of docs/JSON.md documents.
-fn documented(command: &str) -> BTreeSet<String> {
-    let page = include_str!("../../../docs/JSON.md");
-    let title = format!("`{command}`");
-    let mut sections = page.split("\n## ");
-    let section = sections.find(|section| section.starts_with(&title)).expect("a section");
-    let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
-    section.lines().filter_map(key).collect()
-}
-
-/// Collects the keys of a value whose own key is `path`.
-fn keys(value: &Value, path: &str, found: &mut BTreeSet<String>) {
-    match value {
-        Value::Object(fields) => {
-            for (name, field) in fields {
-                let separator = if path.is_empty() { "" } else { "." };
-                let name = format!("{path}{separator}{name}");
-                keys(field, &name, found);
-                found.insert(name);
-            }
-        }
-        Value::Array(items) => {
-            for item in items {
-                keys(item, &format!("{path}[]"), found);
-            }
-        }
-        _ => {}
     }
 }
 
@@ -214,9 +175,7 @@ async fn recorded_observations_replace_synthetic_observations() {
     assert_eq!(compared.status, Some(1), "{}", compared.stderr);
     let words: Vec<&str> = compared.stdout.split_whitespace().collect();
     let words = words.join(" ");
-    for expected in ["frames flipped vertically", "to 6 observations"] {
-        assert!(words.contains(expected), "{words}");
-    }
+    assert_contains(&words, &["frames flipped vertically", "to 6 observations"]);
 
     let joints = serve(Planted::sound().with_state(&[StateField::JointPos])).await;
     let lacking = run_to_end(&["doctor", &url(&joints), "--recorded", recorded]).await;

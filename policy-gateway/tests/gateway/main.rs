@@ -2,10 +2,16 @@
 
 mod access;
 mod answers;
+#[path = "../../../coordinator/tests/it/assertions.rs"]
+mod assertions;
+#[path = "../../../coordinator/tests/it/authority.rs"]
+mod authority;
 mod batches;
 mod both_paths;
 mod conformance;
 mod crowd;
+#[path = "../../../coordinator/tests/it/json_keys.rs"]
+mod json_keys;
 mod judgement;
 mod outages;
 #[path = "../../../crates/policies/policy-doctor/tests/it/planted.rs"]

@@ -11,6 +11,7 @@ use tonic::{Code, transport::Endpoint};
 use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
 use transport::{ClientArguments, Role};
 
+use crate::assertions::assert_refused;
 use crate::support::{client, describe};
 
 pub(crate) fn program(arguments: &[&str]) -> Command {
@@ -81,24 +82,6 @@ async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
     child.wait().expect("the program ends");
 }
 
-#[test]
-fn usage_errors_exit_with_2_and_name_the_remedy() {
-    let cases: [(&[&str], &str); 5] = [
-        (&[], "--route"),
-        (&["--route", "x"], "NAME=BACKEND"),
-        (&["--route", "x=builtin:nope"], "noop, expert, expert-with-frames, student"),
-        (&["--route", "x=builtin:noop", "--route", "x=builtin:expert"], "two routes named x"),
-        (&["--route", "x=builtin:noop", "--listen", "nowhere"], "--listen"),
-    ];
-    for (arguments, expected) in cases {
-        let output = program(arguments).output().expect("the program runs");
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
-        assert!(stderr.contains(expected), "{arguments:?}: {stderr}");
-        assert!(output.stdout.is_empty());
-    }
-}
-
 #[tokio::test]
 async fn a_taken_port_is_named_and_the_exit_code_is_1() {
     let holder = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
@@ -109,16 +92,6 @@ async fn a_taken_port_is_named_and_the_exit_code_is_1() {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     assert!(stderr.contains(&format!("failed to listen on {taken}")), "{stderr}");
-}
-
-#[test]
-fn a_missing_configuration_is_named_with_the_remedy() {
-    let output = program(&["--config", "no/such.toml"]).output().expect("the program runs");
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
-    for part in ["no/such.toml", "docs/POLICIES.md", "No such file"] {
-        assert!(stderr.contains(part), "{part} in {stderr}");
-    }
 }
 
 #[test]
@@ -155,7 +128,7 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
     let address = address(&mut child);
 
     let refused = client(address).await.describe(describe("noop")).await;
-    assert_eq!(refused.expect_err("no token").code(), Code::Unauthenticated);
+    assert_refused(refused, Code::Unauthenticated, &[]);
     let endpoint = Endpoint::from_shared(format!("http://{address}")).expect("a URL");
     let health =
         HealthClient::new(endpoint.connect_lazy()).check(HealthCheckRequest::default()).await;
@@ -170,7 +143,7 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
     let answered = role(Role::Worker).describe(describe("noop")).await;
     assert_eq!(answered.expect("a worker").get_ref().name, "noop");
     let refused = role(Role::Viewer).describe(describe("noop")).await;
-    assert_eq!(refused.expect_err("a viewer").code(), Code::PermissionDenied);
+    assert_refused(refused, Code::PermissionDenied, &[]);
 
     // A token in the environment is enough to check a policy.
     let url = format!("grpc://{address}");
@@ -182,24 +155,4 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
     assert!(printed.contains("pass  the description is consistent"), "{printed}");
     child.kill().expect("the program runs");
     child.wait().expect("the program ends");
-}
-
-#[test]
-fn listening_to_other_machines_requires_tls_or_insecure() {
-    let output = program(&["--listen", "0.0.0.0:0", "--route", "x=builtin:noop"])
-        .output()
-        .expect("the program runs");
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{stderr}");
-    for word in ["0.0.0.0:0", "--tls-cert", "--insecure"] {
-        assert!(stderr.contains(word), "{stderr}");
-    }
-}
-
-/// Regression: the default was 7071, but every page says 7412.
-#[test]
-fn the_default_port_is_the_documented_port() {
-    let help = program(&["--help"]).output().expect("the program runs");
-    let help = String::from_utf8(help.stdout).expect("text");
-    assert!(help.contains("[default: 127.0.0.1:7412]"), "{help}");
 }

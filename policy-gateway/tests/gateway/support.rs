@@ -6,8 +6,12 @@ use policy_gateway::{
     config::{Config, RouteSpec},
     service::Gateway,
 };
-use proto::policy::{DescribeRequest, InferRequest, Observation, ResetRequest};
+use proto::policy::{
+    DescribeRequest, InferRequest, Observation, ResetRequest, policy_client::PolicyClient,
+    policy_server::Policy,
+};
 use tokio::{net::TcpListener, sync::oneshot, task::JoinSet};
+use tonic::transport::Channel;
 
 pub(crate) use crate::scripted::{Query, Running, Scripted, chunk, client, description, serve};
 
@@ -44,6 +48,14 @@ pub(crate) async fn reloadable(routes: Vec<RouteSpec>) -> (Running, Gateway) {
     let gateway = Gateway::new(&config).expect("addresses");
     let address = "127.0.0.1:0".parse().expect("an address");
     (run(gateway.clone(), address).await, gateway)
+}
+
+/// Serves a policy behind a gateway's route `x`. Returns both, and a client of the gateway.
+pub(crate) async fn behind(policy: impl Policy) -> (Running, Running, PolicyClient<Channel>) {
+    let server = serve(policy).await;
+    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+    let client = gateway.client().await;
+    (server, gateway, client)
 }
 
 /// Returns a loopback address at which nothing listens.

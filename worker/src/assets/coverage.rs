@@ -33,9 +33,6 @@ struct Models {
 impl Coverage {
     /// Checks all tasks. A file of LIBERO's counts as present if its size is right: its content is
     /// verified at use.
-    ///
-    /// # Errors
-    /// If the task files cannot be read, or need a model that is unknown or not LIBERO's.
     pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
             categories: Models::default(),

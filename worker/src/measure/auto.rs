@@ -26,9 +26,6 @@ pub struct Chosen {
 
 /// Measures how many slots are worth running on this machine: at most one per core, and no more
 /// than fit into memory if each keeps `scenes` compiled scenes. `program` starts a measured slot.
-///
-/// # Errors
-/// If the machine's cores or memory cannot be read, or slots cannot be measured.
 pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, MeasureError> {
     let cores = cores()?;
     let available = room::available()?;

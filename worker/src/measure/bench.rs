@@ -33,10 +33,6 @@ const MIB: f64 = (1 << 20) as f64;
 
 /// Measures the slots and prints a table to `out`, with the recommended number of slots in the
 /// last line.
-///
-/// # Errors
-/// If the machine's cores or memory cannot be read, slots cannot be measured, or the table cannot
-/// be printed.
 pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     let (cores, available) = (cores()?, room::available()?);
     let mut slots = Slots::new(plan.program);

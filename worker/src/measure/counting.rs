@@ -38,14 +38,12 @@ pub(super) enum SlotReport {
     Counted(Count),
 }
 
-/// Counts of one period.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Count {
     /// Duration, seconds.
     pub(super) secs: f64,
     /// Control steps after settling.
     pub(super) steps: u32,
-    /// Rendered frames.
     pub(super) frames: u32,
     /// Memory use of the process at the end.
     pub(super) memory: SlotMemory,
@@ -70,9 +68,6 @@ pub(super) struct SlotMemory {
 
 /// Counts control steps of `task` for the parent process until the parent closes the connection.
 /// The simulated policy is queried every `execute` steps and answers after `answer_after`.
-///
-/// # Errors
-/// If the task cannot be simulated or rendered, or a report cannot be sent to the parent.
 pub fn count(
     config: SimulatorConfig,
     task: TaskRef,

@@ -47,10 +47,6 @@ pub enum LimitError {
 
 /// Checks that this machine can hold `slots` slots, and raises the limit of open files as far as
 /// this process may. Returns a warning if the number is implausibly large.
-///
-/// # Errors
-/// If there are not enough cores, memory or open files for the slots, or the machine's resources
-/// cannot be read.
 pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
     let machine =
         Machine { cores: cores()?, memory: room::available()?, files: raise_open_files() };
@@ -61,9 +57,6 @@ pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
 }
 
 /// Returns the number of rollouts to film in parallel: one per core, if memory allows.
-///
-/// # Errors
-/// If the machine's cores or memory cannot be read.
 pub fn films() -> Result<NonZeroUsize, MeasureError> {
     let bytes = match SceneFolder::of_process().map(SceneFolder::check) {
         Some(Ok(())) => FILM_BYTES_WITH_FILES,

@@ -14,9 +14,6 @@ const FILES: [(&str, &str, &str); 2] = [
 ];
 
 /// Returns the bytes that this process and its children can still allocate.
-///
-/// # Errors
-/// If the kernel's memory statistics cannot be read.
 pub(super) fn available() -> Result<u64, MeasureError> {
     available_below(Path::new("/"))
 }

@@ -80,9 +80,6 @@ impl Slots {
 
     /// Measures `slots` slots together for `secs` seconds. Starts missing slots first, and begins
     /// when the last slot is ready. Surplus slots wait, which takes memory but no processor time.
-    ///
-    /// # Errors
-    /// If a slot cannot be started, ends, or sends nothing for too long.
     pub(super) fn measure(&mut self, slots: usize, secs: f64) -> Result<Measured, MeasureError> {
         self.start(slots)?;
         let request = serde_json::to_string(&secs).map_err(io::Error::from)?;

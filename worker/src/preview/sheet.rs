@@ -37,7 +37,6 @@ impl Sheet {
         self.cells.push((label.to_owned(), picture));
     }
 
-    /// Adds a cell with text in place of a picture.
     pub(super) fn add_text(&mut self, label: &str, text: &str) {
         let mut page = Picture::filled(self.cell, self.cell, PAGE);
         let columns = self.cell / CHARACTER - 2;

@@ -15,7 +15,6 @@ pub(super) struct Search {
     tried: BTreeMap<usize, bool>,
 }
 
-/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SearchResult {
     /// No tried query saves the rollout; the first query is among the tried ones.

@@ -17,10 +17,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads the header of an array in C order.
-    ///
-    /// # Errors
-    /// The reason, as a sentence about the file, if there is no such array.
+    /// Reads the header of an array in C order. The error is a sentence about the file.
     pub(super) fn read(file: &mut impl Read) -> Result<Self, String> {
         let failed = |_| "it is too short for an array".to_owned();
         let mut start = [0; 8];
@@ -64,9 +61,6 @@ impl Header {
     }
 
     /// Reads `count` floats.
-    ///
-    /// # Errors
-    /// The reason, if the values are of another type, or are fewer.
     pub(super) fn floats(&self, file: &mut impl Read, count: usize) -> Result<Vec<f64>, String> {
         let bytes = match self.descr.as_str() {
             "<f8" | "<f4" => usize::from(self.descr.as_bytes()[2] - b'0'),

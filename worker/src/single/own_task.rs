@@ -33,10 +33,6 @@ impl OwnTask {
 
     /// Returns the manifest row of the task's rollout. The language axis is left out, because its
     /// paraphrases exist only for the protocol's instructions.
-    ///
-    /// # Errors
-    /// If the protocol has no such rollout, the BDDL file is malformed, or no instruction is
-    /// found.
     pub fn row(&self) -> Result<ManifestRow, SingleError> {
         self.files().problem()?;
         let nominal = || {

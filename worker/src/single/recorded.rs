@@ -33,10 +33,6 @@ pub struct RecordedActions {
 
 impl RecordedActions {
     /// Reads a file, whose extension determines its format.
-    ///
-    /// # Errors
-    /// If the file cannot be read, holds no action or more than `MAX_RECORDED_ACTIONS`, or holds a
-    /// number that is not finite.
     pub fn read(path: &Path) -> Result<Self, SingleError> {
         let failed = |problem: String| SingleError::Recorded { path: path.to_owned(), problem };
         let actions = read_actions(path).map_err(failed)?;

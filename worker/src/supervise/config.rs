@@ -17,7 +17,6 @@ use crate::ids::WorkerId;
 /// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// URL of the coordinator.
     pub coordinator: String,
     pub access: Access,
     /// Identity under which the worker registers with the coordinator.

@@ -24,10 +24,8 @@ pub enum SuperviseError {
         #[source]
         source: AttemptIdError,
     },
-    /// A task of the worker panicked, which is a defect.
     #[error("continue: a task of this worker panicked ({0}); this is a defect")]
     Panicked(String),
-    /// The slots have different renderers, whose pixels would differ.
     #[error(
         "keep slot {slot}: its renderer is `{renderer}` and this worker is registered with \
          `{registered}`; start one worker for each renderer"

@@ -53,7 +53,6 @@ pub(crate) enum ProcessState {
     Dying,
 }
 
-/// Work of a slot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// The slot is idle.
@@ -140,7 +139,6 @@ pub(crate) struct Loss {
     pub(crate) video: Option<AttemptId>,
 }
 
-/// State of a slot.
 #[derive(Clone, Debug)]
 pub(crate) struct SlotState {
     pub(crate) process: ProcessState,

@@ -26,9 +26,6 @@ pub struct Audit {
 
 impl Audit {
     /// Checks which cases have all their files.
-    ///
-    /// # Errors
-    /// If a rollout does not exist under the rules, or an existing file cannot be read.
     pub fn new(
         cases: Vec<Case>,
         rules: &Rules,
@@ -60,9 +57,6 @@ impl Audit {
     }
 
     /// Checks that no rollout lacks files.
-    ///
-    /// # Errors
-    /// If a rollout lacks files.
     pub fn require_all(&self) -> Result<(), VariantsError> {
         match self.lacking.count() {
             0 => Ok(()),
@@ -104,9 +98,6 @@ impl Audit {
 
     /// Formats a line per rollout, separated by tabs: suite, name, group, difficulty, files needed
     /// beyond LIBERO's assets, and whether the rollout can run.
-    ///
-    /// # Errors
-    /// If one of the rollouts does not exist under the rules.
     pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
         let mut text = String::new();
         let runnable = [(None, &self.runnable)];
@@ -157,9 +148,6 @@ fn have_the_same_files(first: &Case, second: &Case) -> bool {
 }
 
 /// Returns the reason why a rollout cannot run; `None` if all its files exist.
-///
-/// # Errors
-/// If the row names no case of a benchmark, or an existing file cannot be read.
 pub fn lack(
     row: &ManifestRow,
     pack: &AssetPack,

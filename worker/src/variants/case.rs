@@ -13,7 +13,6 @@ use super::error::VariantsError;
 
 /// A rollout of LIBERO's family or of a suite file, ready to run.
 pub struct Prepared {
-    /// The task's files.
     pub files: TaskFiles,
     /// Initial conditions.
     pub start: VariantStart,
@@ -23,9 +22,6 @@ pub struct Prepared {
 
 impl Prepared {
     /// Prepares the rollout of a row of LIBERO's family or of a suite file.
-    ///
-    /// # Errors
-    /// If the row names no case of a benchmark, or its BDDL file cannot be read.
     pub fn new(row: &ManifestRow, sources: &Sources) -> Result<Self, VariantsError> {
         let (files, sentence) = files_and_sentence(row, sources)?;
         let (prompt, start) = match &row.own {
@@ -70,10 +66,6 @@ fn files_and_sentence(
     }
 }
 
-/// Returns the files of a row's task.
-///
-/// # Errors
-/// If the row names no case of a benchmark.
 pub fn files(row: &ManifestRow, sources: &Sources) -> Result<TaskFiles, SelectionError> {
     if let Some(own) = &row.own {
         return Ok(TaskFiles::of_suite_file(sources, own));

@@ -81,9 +81,6 @@ pub struct RunOptions {
 
 impl Choice {
     /// Returns the rules of the run and the chosen rollouts, in the benchmark's order.
-    ///
-    /// # Errors
-    /// If nothing matches, the protocol belongs to another benchmark, or the suite file is invalid.
     pub fn rollouts(&self, options: &RunOptions) -> Result<(Rules, Vec<Case>), VariantsError> {
         let Some(path) = &self.suite_file else {
             let selection = self.selection();
@@ -134,9 +131,6 @@ impl Choice {
 
 impl RunOptions {
     /// Returns the protocol for a benchmark.
-    ///
-    /// # Errors
-    /// If the chosen protocol belongs to another benchmark.
     pub fn protocol_of(&self, benchmark: Benchmark) -> Result<Protocol, SelectionError> {
         let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
         protocol.check(benchmark)?;

@@ -22,55 +22,33 @@ pub enum VariantsError {
     /// A rollout has no result.
     #[error(transparent)]
     Single(#[from] SingleError),
-    /// A rollout cannot be brought to its start.
     #[error("start {id}")]
     Start {
-        /// The rollout.
         id: RolloutId,
-        /// Error of the simulator.
         #[source]
         source: Box<SimError>,
     },
-    /// The suite file is invalid.
     #[error("use {}", path.display())]
     SuiteFile {
-        /// Path of the file.
         path: PathBuf,
-        /// Error that names the field and the remedy.
         #[source]
         source: SuiteFileError,
     },
-    /// Earlier results cannot be pooled with the new ones.
     #[error(
         "add to {}: its results are of {what} `{found}`, and this run is of `{expected}`; numbers \
          of the two measure different things, so give another --output", path.display()
     )]
-    Pinned {
-        /// Path of the results.
-        path: PathBuf,
-        /// Property that differs.
-        what: &'static str,
-        /// Value in the results.
-        found: String,
-        /// Value of this run.
-        expected: String,
-    },
-    /// A line of earlier results is malformed.
+    Pinned { path: PathBuf, what: &'static str, found: String, expected: String },
     #[error("read line {line} of {}: {problem}; remove the line", path.display())]
     Malformed {
-        /// Path of the results.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
-        /// Description of the fault.
         problem: String,
     },
-    /// A file cannot be read or written.
     #[error("use {}: check its path and permissions", path.display())]
     File {
-        /// Path of the file.
         path: PathBuf,
-        /// Error of the system.
         #[source]
         source: io::Error,
     },

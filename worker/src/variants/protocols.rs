@@ -63,10 +63,6 @@ fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
 
 /// Starts the chosen variants, or one of each dimension or suite if none is named, under every
 /// protocol of their benchmark, and reports each variant's starts as soon as they are known.
-///
-/// # Errors
-/// If a named variant lacks files, a case belongs to no benchmark with protocols, the simulator
-/// fails, or `report` fails.
 pub fn compare(
     audit: &Audit,
     choice: &Choice,

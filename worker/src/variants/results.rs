@@ -38,7 +38,6 @@ pub struct Pin {
     pub waits: u32,
     /// Versions of the libraries whose arithmetic the image corruptions reproduce.
     pub corruption_rules: String,
-    /// Digest of the asset pack.
     pub asset_pack_digest: String,
     /// Version of MuJoCo.
     pub mujoco: String,
@@ -76,9 +75,7 @@ pub struct Row {
     pub policy_canonical_only: bool,
     /// The renderer's own name; empty if no renderer was opened.
     pub renderer: String,
-    /// Digest of the composed scene.
     pub scene_digest: String,
-    /// Digest of the initial state.
     pub init_state_digest: String,
     /// Digest of the policy's first frames.
     pub first_frame_digest: String,
@@ -260,7 +257,6 @@ pub struct Tally {
 /// Outcomes of variants, paired with their unperturbed tasks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Count {
-    /// Rollouts of variants.
     pub rollouts: usize,
     /// Successful rollouts of variants.
     pub successes: usize,

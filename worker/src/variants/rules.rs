@@ -14,9 +14,7 @@ use super::results::Pin;
 pub enum Rules {
     /// A protocol of LIBERO-Plus, LIBERO-PRO or LIBERO-Para.
     Protocol(Protocol),
-    /// A suite file.
     SuiteFile {
-        /// The file.
         file: Box<SuiteFile>,
         /// Manifest rows of the file's rollouts, by rollout id.
         rows: BTreeMap<RolloutId, ManifestRow>,
@@ -25,9 +23,6 @@ pub enum Rules {
 
 impl Rules {
     /// Returns the rules and the rollouts of a suite file.
-    ///
-    /// # Errors
-    /// If a row names no case, which the rows of a valid file never do.
     pub fn of_file(file: SuiteFile) -> Result<(Self, Vec<Case>), SelectionError> {
         let rows = file.rows();
         let cases: Result<_, _> = rows.iter().map(|row| Case::of_id(row.id)).collect();
@@ -45,9 +40,6 @@ impl Rules {
     }
 
     /// Returns the manifest row of a case under these rules.
-    ///
-    /// # Errors
-    /// If the suite file does not have the case.
     pub fn row(&self, case: &Case) -> Result<ManifestRow, SelectionError> {
         match self {
             Self::Protocol(protocol) => Ok(case.row(protocol)),

@@ -14,11 +14,7 @@ pub(super) struct Script {
     pub(super) text: String,
 }
 
-/// Writes the scripts.
-///
-/// # Errors
-/// If one of the files exists with other content, in which case nothing is written, or if writing
-/// fails.
+/// Writes the scripts. Writes nothing if one of the files exists with other content.
 pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     for Script { path, text } in scripts {
         let existing = std::fs::read(path);

@@ -9,7 +9,6 @@
 pub(super) struct Values(Vec<(&'static str, Vec<String>)>);
 
 impl Values {
-    /// Sets one value.
     pub(super) fn set(&mut self, name: &'static str, value: impl ToString) {
         self.set_all(name, [value.to_string()]);
     }

@@ -31,13 +31,7 @@ const RADIUS_TOLERANCE: f64 = 2e-3;
 /// radii.
 const ROUNDING: f64 = 0.5e-6;
 
-/// Parses a manifest. Empty lines are skipped.
-///
-/// # Errors
-/// If the manifest has no rows or more than [`MAX_ROWS`], or a line is not a row, contradicts
-/// itself or its configuration's other rows, has parameters of a different level, has another
-/// execution model than the first row (rows of the latency axis aside), or repeats an id. The error
-/// lists up to 20 of these faults, each with its line.
+/// Parses a manifest. Empty lines are skipped. The error lists up to 20 faults, each with its line.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();

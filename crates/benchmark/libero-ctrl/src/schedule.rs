@@ -60,7 +60,6 @@ pub struct Query {
     pub under_way: Vec<Action>,
 }
 
-/// A command and its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     pub action: Action,

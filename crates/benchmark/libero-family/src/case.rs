@@ -51,7 +51,6 @@ impl Case {
         Ok(Self { subject: subject.ok_or(SelectionError::Id { id })?, task, trial: id.number() })
     }
 
-    /// Returns the case of a manifest row, and its protocol.
     pub fn of_row(row: &ManifestRow) -> Result<(Self, Protocol), SelectionError> {
         let case = Self::of_id(row.id)?;
         let protocol: Protocol = row.protocol.as_deref().unwrap_or_default().parse()?;

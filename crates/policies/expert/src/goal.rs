@@ -22,9 +22,6 @@ pub(crate) enum Skill {
 
 impl Skill {
     /// Returns the command for this step; `None` if the skill is complete.
-    ///
-    /// # Errors
-    /// If the scene lacks an entity or joint, or the region to open or close is in no drawer.
     pub(crate) fn step(
         &mut self,
         world: &World,
@@ -103,9 +100,6 @@ impl<'a> Takeover<'a> {
 /// held object comes first, so that the object is not dropped, or, if drawers must be opened, right
 /// after their opening; and the first skill resumes at the phase that follows from the state of the
 /// scene. Grasps are taken from `earlier`, the previous plan.
-///
-/// # Errors
-/// As for [`plan`], or if no grasp of the next object is known.
 pub(crate) fn resume(
     world: &World,
     motion: &Motion,
@@ -151,10 +145,6 @@ pub(crate) fn resume(
 /// Plans the skills that achieve `world`'s goal, in order: drawers are opened and stoves turned on
 /// before objects are placed, and drawers and doors are closed afterwards. Predicates that already
 /// hold are skipped.
-///
-/// # Errors
-/// If the expert has no skill for a predicate, or the scene lacks an argument or the joint that
-/// moves it.
 pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
     plan_after(world, None)
 }

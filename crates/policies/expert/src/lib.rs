@@ -79,9 +79,6 @@ impl Expert {
     /// Returns the action for a state. Must be called at every control step, in order, even
     /// while another controller drives the robot ([`Self::interrupt`]), because the policy
     /// tracks its own actions and the motion of the hand.
-    ///
-    /// # Errors
-    /// If the expert does not support the scene or its goal.
     pub fn act(&mut self, state: &Privileged) -> Result<Action, ExpertError> {
         let mut world = World::read(state)?;
         world.shoulder = *self.shoulder.get_or_insert(world.shoulder);

@@ -71,9 +71,6 @@ enum Entry {
 
 impl Place {
     /// Resolves the place to current poses.
-    ///
-    /// # Errors
-    /// If the scene lacks the target.
     pub(crate) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, ExpertError> {
         let target = world.entity(&self.target)?;
         let half_height = target.upright_half_height();
@@ -108,9 +105,6 @@ impl Place {
     }
 
     /// Returns true if the object is in its place, judging by bounding boxes.
-    ///
-    /// # Errors
-    /// If the scene lacks the target.
     pub(crate) fn holds(&self, world: &World, object: &Entity) -> Result<bool, ExpertError> {
         let target = world.entity(&self.target)?;
         let inside = target.local(object.pos).abs() - target.half;
@@ -130,18 +124,12 @@ impl Place {
 
     /// Returns the name of the target; for a region, the name of the object or fixture that carries
     /// the region.
-    ///
-    /// # Errors
-    /// If the scene lacks the target.
     pub(crate) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, ExpertError> {
         let target = world.entity(&self.target)?;
         Ok(if target.is_region() { &target.category } else { &target.name })
     }
 
     /// Requirement of the place on the grasp.
-    ///
-    /// # Errors
-    /// If the scene lacks the target.
     pub(crate) fn grasp_requirement(&self, world: &World) -> Result<GraspRequirement, ExpertError> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {

@@ -119,9 +119,6 @@ impl Transfer {
 
     /// Returns true if the object is in the hand. The fingers of a hand that held the object
     /// before, as `earlier` knows, may shift a little, as when the object touches something.
-    ///
-    /// # Errors
-    /// If the scene lacks the object.
     pub(crate) fn holds(
         &self,
         earlier: Option<&Self>,
@@ -143,9 +140,6 @@ impl Transfer {
     }
 
     /// Returns true if the object is in its place, judging by bounding boxes.
-    ///
-    /// # Errors
-    /// If the scene lacks the object or its place.
     pub(crate) fn is_placed(&self, world: &World) -> Result<bool, ExpertError> {
         self.place.holds(world, world.entity(&self.object)?)
     }
@@ -153,9 +147,6 @@ impl Transfer {
     /// Returns true if nothing is left to be done after another controller has driven the robot.
     /// An object in the hand counts as placed only where it can be released, and not already above
     /// its place; a released object counts as placed where the hand would have released it.
-    ///
-    /// # Errors
-    /// If the scene lacks the object or its place.
     pub(crate) fn is_done(
         &self,
         earlier: Option<&Self>,
@@ -175,9 +166,6 @@ impl Transfer {
 
     /// Resumes at the phase derived from the state of the world. `earlier` is the same skill
     /// before another controller drove the robot.
-    ///
-    /// # Errors
-    /// If the scene lacks an object or region, or no grasp of the object is known.
     pub(crate) fn resume(
         &mut self,
         earlier: Option<&Self>,
@@ -268,9 +256,6 @@ impl Transfer {
 
     /// Returns the command for this step; `None` when the object is released and the hand has
     /// retreated.
-    ///
-    /// # Errors
-    /// If the scene lacks an object or region.
     pub(crate) fn step(
         &mut self,
         world: &World,

@@ -93,9 +93,6 @@ const MAX_ENTITIES: usize = 1_000;
 
 impl World {
     /// Converts and validates a state.
-    ///
-    /// # Errors
-    /// If there are too many entities, or a field holds a number that is out of range.
     pub(crate) fn read(state: &Privileged) -> Result<Self, ExpertError> {
         if state.entities.len() > MAX_ENTITIES {
             return Err(ExpertError::Entities { given: state.entities.len(), most: MAX_ENTITIES });
@@ -133,18 +130,12 @@ impl World {
     }
 
     /// Returns the entity named `name`.
-    ///
-    /// # Errors
-    /// If the scene has no such entity.
     pub(crate) fn entity(&self, name: &str) -> Result<&Entity, ExpertError> {
         let found = self.entities.iter().find(|e| e.name == name);
         found.ok_or_else(|| ExpertError::NoEntity { name: name.to_owned() })
     }
 
     /// Returns the position of a joint, rad or m.
-    ///
-    /// # Errors
-    /// If the scene has no such joint.
     pub(crate) fn joint(&self, name: &str) -> Result<f64, ExpertError> {
         let found = self.joints.iter().find(|(n, _)| n == name);
         found.map(|j| j.1).ok_or_else(|| ExpertError::NoJointNamed { name: name.to_owned() })

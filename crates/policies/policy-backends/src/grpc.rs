@@ -34,9 +34,6 @@ pub struct GrpcAddress {
 
 impl GrpcAddress {
     /// Returns the gRPC endpoint of the address.
-    ///
-    /// # Errors
-    /// If the address is not a valid URI.
     pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));
@@ -98,9 +95,6 @@ pub struct GrpcBackend {
 
 impl GrpcBackend {
     /// Creates a back-end for an address's endpoint, without connecting.
-    ///
-    /// # Errors
-    /// If TLS cannot be set up for the endpoint.
     pub fn new(
         address: GrpcAddress,
         endpoint: Endpoint,

@@ -59,9 +59,6 @@ pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
 }
 
 /// Decodes an array of floating-point numbers.
-///
-/// # Errors
-/// If the value is not an array of floating-point numbers.
 pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let shape = lookup(value, "shape").and_then(as_shape);
     let dtype = lookup(value, "dtype").and_then(as_text);

@@ -13,9 +13,6 @@ pub(super) fn camera(name: &str) -> CameraRequest {
 /// Returns a camera's frame, RGB of [`FRAME_SIDE`]² pixels, rotated by 180°: the simulator's row 0
 /// is the bottom of the picture, and LIBERO's checkpoints were trained on frames that are upright
 /// and mirrored.
-///
-/// # Errors
-/// If the observation has no such frame of that size.
 pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<Vec<u8>, String> {
     let mut frames = observation.iter().flat_map(|observation| &observation.images);
     let frame = frames
@@ -33,9 +30,6 @@ pub(super) fn rotated(rgb: &[u8]) -> Vec<u8> {
 }
 
 /// Returns a reading of `N` numbers.
-///
-/// # Errors
-/// If the observation lacks the reading, or it has another length.
 pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,
@@ -43,10 +37,6 @@ pub(super) fn reading<const N: usize>(
     numbers(observation, field)?.try_into().map_err(|_| lacks(field))
 }
 
-/// Returns a reading.
-///
-/// # Errors
-/// If the observation lacks the reading.
 pub(super) fn numbers(
     observation: Option<&Observation>,
     field: StateField,

@@ -50,9 +50,6 @@ pub struct OpenpiBackend {
 
 impl OpenpiBackend {
     /// Creates a back-end without connecting.
-    ///
-    /// # Errors
-    /// If the address is invalid.
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
         // openpi's client sends its key with this scheme.
@@ -279,7 +276,6 @@ fn with_gripper(mut answer: InferResponse, gripper: [i32; 2]) -> InferResponse {
     answer
 }
 
-/// Returns the actions of a chunk that are executed.
 fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, String> {
     let [count, width] = chunk.shape;
     if count == 0 {

@@ -46,9 +46,6 @@ pub struct Writer {
 impl Writer {
     /// Starts the recording of a session. An existing recording of the same session is replaced
     /// when the new one is finished.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn begin(
         folder: &Path,
         described: &DescribeResponse,
@@ -68,17 +65,12 @@ impl Writer {
     }
 
     /// Adds a pair; returns its size in bytes.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn add(&mut self, pair: &Pair) -> io::Result<u64> {
         Ok(self.message(&pair.query)? + self.message(&pair.answer)?)
     }
 
-    /// Completes the recording and returns its path.
-    ///
-    /// # Errors
-    /// If the file cannot be written completely; it then keeps the suffix `.partial`.
+    /// Completes the recording and returns its path. If this fails, the file keeps the suffix
+    /// `.partial`.
     pub fn finish(mut self) -> io::Result<PathBuf> {
         self.file.flush()?;
         self.file.get_ref().sync_all()?;
@@ -112,10 +104,6 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens a recording.
-    ///
-    /// # Errors
-    /// If the file cannot be read, or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reader = Self {
             path: path.to_owned(),
@@ -134,9 +122,6 @@ impl Reader {
     }
 
     /// Reads the next pair; `None` at the end.
-    ///
-    /// # Errors
-    /// If the file is damaged or cannot be read.
     pub fn pair(&mut self) -> Result<Option<Pair>, RecordingError> {
         let Some(query) = self.message()? else {
             return Ok(None);
@@ -181,9 +166,6 @@ impl Reader {
 }
 
 /// Returns the recordings of a folder, sorted by name.
-///
-/// # Errors
-/// If the folder cannot be read, or holds no recording, or more than [`MAX_FILES`] recordings.
 pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let entries = std::fs::read_dir(folder).map_err(|source| io_error(folder, source))?;
     let mut files = vec![];

@@ -48,11 +48,6 @@ struct Step {
 }
 
 impl Replay {
-    /// Opens the recordings of a folder.
-    ///
-    /// # Errors
-    /// If there are no recordings, a recording is damaged, or the recordings are of different
-    /// policies.
     pub fn open(folder: &Path) -> Result<Self, RecordingError> {
         let mut described: Option<(PathBuf, DescribeResponse)> = None;
         let mut recorded = vec![];

@@ -79,9 +79,6 @@ struct Link {
 
 impl VlaEvalBackend {
     /// Creates a back-end without connecting.
-    ///
-    /// # Errors
-    /// If the address is invalid.
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
         // The protocol has no tokens, but a proxy in front of the server may require one.
@@ -154,11 +151,7 @@ impl Link {
         self.connection.send(message).await
     }
 
-    /// Sends one query, and decodes the answer.
-    ///
-    /// # Errors
-    /// If the connection is lost, or the answer is too long. The inner error is a fault of the
-    /// answer.
+    /// Sends one query, and decodes the answer. The inner error is a fault of the answer.
     async fn send_query(
         &mut self,
         observation: Value,

@@ -96,9 +96,6 @@ pub enum CommandError {
 
 impl Compare {
     /// Compares two servers, and passes the output to `print`. Returns true if they answer alike.
-    ///
-    /// # Errors
-    /// See [`CommandError`].
     pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;
@@ -130,9 +127,6 @@ impl Compare {
 
 impl Doctor {
     /// Diagnoses a server, and passes the output to `print`. Returns true if no check failed.
-    ///
-    /// # Errors
-    /// See [`CommandError`].
     pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;

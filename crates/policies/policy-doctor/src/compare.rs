@@ -67,9 +67,6 @@ impl AnswerPair {
 }
 
 /// Compares the answers of two servers to the same situations.
-///
-/// # Errors
-/// If a server does not answer with actions, or needs an input that the situations lack.
 pub async fn compare(
     a: Server,
     b: Server,

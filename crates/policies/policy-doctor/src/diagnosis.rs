@@ -97,10 +97,6 @@ pub struct Measures {
 
 /// Checks a server point by point, in situations and in sessions that were recorded in both looks, and reports each finding as soon as it is made. Returns true if
 /// no point failed.
-///
-/// # Errors
-/// If the server needs an input that the situations lack, or does not answer a query about an
-/// unchanged situation, so that nothing can be checked.
 pub async fn examine(
     server: &Server,
     situations: &[Situation],
@@ -120,10 +116,6 @@ pub async fn examine(
     Ok(is_sound)
 }
 
-/// Checks one point.
-///
-/// # Errors
-/// If the server does not answer, or not with valid actions.
 async fn verdict_on(
     point: Point,
     diagnosed: &mut DiagnosedServer<'_>,

@@ -51,9 +51,6 @@ struct Query {
 }
 
 /// Reads the sessions that two folders have in common.
-///
-/// # Errors
-/// If the folders are of one look, or a recording cannot be read.
 pub fn sessions(folders: &[RecordedLook]) -> Result<Vec<Session>, ExaminationError> {
     let of = |look| folders.iter().find(|recorded| recorded.look == look);
     let [Some(older), Some(newer)] = Look::ALL.map(of) else {
@@ -109,9 +106,6 @@ fn first_action(pair: &Pair) -> Option<Action> {
 
 /// Queries the server in every situation of the sessions, and says which look's answers are nearer
 /// to the recorded actions.
-///
-/// # Errors
-/// If the server does not answer, or a situation lacks an input that it requests.
 pub async fn examine(server: &Server, sessions: &[Session]) -> Result<Verdict, ExaminationError> {
     let mut errors = Vec::new();
     for session in sessions {

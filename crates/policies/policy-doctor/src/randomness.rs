@@ -27,9 +27,6 @@ pub(crate) struct Randomness {
 impl Randomness {
     /// Repeats a server's queries with the same seed and with another seed; `answers` are the
     /// answers to the first queries, with [`SEED`].
-    ///
-    /// # Errors
-    /// If the server does not answer with actions.
     pub(crate) async fn measure(
         servers: &ServerPair,
         side: Side,

@@ -8,9 +8,6 @@ use crate::situation::Situation;
 
 /// Takes up to `count` situations from the recordings of a folder, from as many sessions as
 /// possible, and evenly spaced within each session.
-///
-/// # Errors
-/// If the folder or a recording cannot be used, or no query was recorded.
 pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, RecordingError> {
     let files = recording::files(folder)?;
     let mut situations = vec![];

@@ -52,9 +52,6 @@ impl SearchSetup<'_> {
     /// Searches for an explanation of the difference between the answers `a` and `b` to the
     /// unchanged situations. A change that explains nine tenths of a difference is accepted; the
     /// remaining tenth is then searched separately.
-    ///
-    /// # Errors
-    /// If a server does not answer with actions.
     pub(crate) async fn search(
         &self,
         a: &Answers,

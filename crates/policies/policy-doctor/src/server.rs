@@ -46,10 +46,6 @@ pub(crate) struct TimedAnswer {
 
 impl Server {
     /// Connects to the server of a route and reads its description.
-    ///
-    /// # Errors
-    /// If the back-end cannot be created, the server cannot be reached, or its description is
-    /// invalid.
     pub async fn connect(
         spec: &BackendSpec,
         access: &Access,
@@ -68,10 +64,6 @@ impl Server {
         ExaminationError::MissingInput { url: self.url.clone(), missing }
     }
 
-    /// Starts an episode.
-    ///
-    /// # Errors
-    /// If the server refuses the episode or does not answer.
     pub(crate) async fn episode(
         &self,
         suite: &str,
@@ -92,9 +84,6 @@ impl Server {
     }
 
     /// Returns the actions of an answer after checking it.
-    ///
-    /// # Errors
-    /// If the answer is not a valid chunk of actions.
     pub(crate) fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
         let actions = policy_protocol::actions(response, self.described.horizon)?;
         Ok(actions.iter().map(|action| action.map(f64::from)).collect())
@@ -103,9 +92,6 @@ impl Server {
 
 impl Episode<'_> {
     /// Sends the next query.
-    ///
-    /// # Errors
-    /// If the server refuses the query, or does not answer within [`ANSWER_TIMEOUT`].
     pub(crate) async fn query(
         &mut self,
         observation: Observation,
@@ -124,9 +110,6 @@ impl Episode<'_> {
     }
 
     /// Sends the next query, and returns the checked actions of its answer.
-    ///
-    /// # Errors
-    /// If [`Episode::query`] fails, or the answer is not a valid chunk of actions.
     pub(crate) async fn actions(
         &mut self,
         observation: Observation,

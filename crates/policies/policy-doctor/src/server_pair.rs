@@ -37,9 +37,6 @@ pub(crate) struct ServerPair {
 
 impl ServerPair {
     /// Prepares the observations of both servers.
-    ///
-    /// # Errors
-    /// If a server needs an input that the situations lack.
     pub(crate) fn new(
         a: Server,
         b: Server,
@@ -95,9 +92,6 @@ impl ServerPair {
 
     /// Queries a server in the first `count` situations, changed by `variants`, once per seed of
     /// `seeds(situation)`.
-    ///
-    /// # Errors
-    /// If the server does not answer with actions.
     pub(crate) async fn query(
         &self,
         side: Side,

@@ -44,7 +44,6 @@ pub(crate) enum Turn {
 /// Rule that selects one of the two quaternions of an orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SignRule {
-    /// The negated quaternion.
     Negated,
     /// The quaternion with w ≥ 0.
     PositiveW,

@@ -36,10 +36,6 @@ pub const LARGEST_NUMBER: f32 = 1e3;
 pub type WireAction = [f32; ACTION_WIDTH];
 
 /// Returns the actions of a response if a robot can execute them.
-///
-/// # Errors
-/// If the answer is not n × 7 finite numbers with 0 < n ≤ `horizon`, all of them
-/// within ±[`LARGEST_NUMBER`].
 pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], ActionFault> {
     if response.action_width as usize != ACTION_WIDTH {
         return Err(ActionFault::Width { width: response.action_width });
@@ -68,11 +64,6 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
 }
 
 /// Validates a policy's description of itself.
-///
-/// # Errors
-/// If the protocol version differs, the name is empty, a text or the settings cannot be stored in a
-/// result, the horizon or the number of executed actions is out of range, a camera or reading does
-/// not exist or is requested twice, or there are too many or too large frames.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse { protocol_version, horizon, execute, .. } = *described;
     if protocol_version != PROTOCOL_VERSION {
@@ -148,19 +139,16 @@ fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
 /// the policy.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ActionFault {
-    /// The actions do not have [`ACTION_WIDTH`] numbers.
     #[error("its actions are {width} numbers wide, not {ACTION_WIDTH}")]
     Width { width: u32 },
     #[error("it answered no action")]
     Empty,
-    /// The count of numbers is not a multiple of [`ACTION_WIDTH`].
     #[error("it answered {numbers} numbers, which is not a multiple of {ACTION_WIDTH}")]
     Ragged { numbers: usize },
     #[error("it answered {count} actions, but its description declares at most {horizon}")]
     TooMany { count: usize, horizon: u32 },
     #[error("component {component} of action {action} is {value}")]
     NotFinite { action: usize, component: usize, value: f32 },
-    /// A number exceeds [`LARGEST_NUMBER`].
     #[error(
         "component {component} of action {action} is {value:e}, and actions lie within -1..1: \
          check the un-normalisation"
@@ -176,7 +164,6 @@ pub enum DescriptionFault {
          {PROTOCOL_VERSION}; upgrade the older side"
     )]
     Version { given: u32 },
-    /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
     #[error("its {field} has {bytes} bytes, and results hold at most {}", proto::MAX_TEXT_BYTES)]
@@ -185,10 +172,8 @@ pub enum DescriptionFault {
         /// Length of the text, bytes.
         bytes: usize,
     },
-    /// The horizon is 0 or exceeds [`MAX_HORIZON`].
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon { horizon: u32 },
-    /// The number of executed actions is 0 or exceeds the horizon.
     #[error("it declares {execute} executed actions per query, but a horizon of {horizon}")]
     Execute { execute: u32, horizon: u32 },
     #[error("it requests robot reading {field}, which this protocol version does not have")]
@@ -201,7 +186,6 @@ pub enum DescriptionFault {
     RepeatedCamera { camera: String, width: u32, height: u32 },
     #[error("it requests frames of camera {name:?}, but a scene has {}", CAMERAS.join(" and "))]
     Camera { name: String },
-    /// The side of a frame is 0 or exceeds [`MAX_FRAME_SIDE`].
     #[error(
         "it requests frames of {width}×{height} pixels from camera {camera:?}, but sides are 1 to \
          {MAX_FRAME_SIDE}"

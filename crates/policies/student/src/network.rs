@@ -46,11 +46,6 @@ impl Network {
     /// Loads a weights file: safetensors of the format `rollout-student/2`, or of
     /// `rollout-student/1`, in which points are located on a grid of 16 x 16 and the head is
     /// narrower.
-    ///
-    /// # Errors
-    ///
-    /// If the file is incomplete or of another format, its tensors do not match this network,
-    /// a number is not finite, or a standard deviation is not positive.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Self, WeightsError> {
         let mut tensors = Tensors::open(bytes)?;
         let file = &mut tensors;
@@ -116,23 +111,15 @@ impl Network {
         Self { products: Products::Plain, ..self }
     }
 
-    /// Returns a chunk of actions for each query. Queries do not affect each other. Runs on
-    /// the calling thread and uses a few megabytes, plus a few kilobytes per query.
-    ///
-    /// # Errors
-    ///
-    /// If the size of a picture is not [`PICTURE_BYTES`](crate::PICTURE_BYTES), or if a
-    /// reading or an output is not finite. In these cases, no query is answered.
+    /// Returns a chunk of actions for each query. Queries do not affect each other. Runs on the
+    /// calling thread and uses a few megabytes, plus a few kilobytes per query. If this fails, no
+    /// query is answered.
     pub fn act(&self, queries: &[Query<'_>]) -> Result<Vec<Chunk>, QueryError> {
         let outputs = self.outputs(queries)?;
         Ok(outputs.iter().map(Output::chunk).collect())
     }
 
     /// Returns the raw outputs of the network, from which [`Self::act`] computes actions.
-    ///
-    /// # Errors
-    ///
-    /// As for [`Self::act`].
     pub fn outputs(&self, queries: &[Query<'_>]) -> Result<Vec<Output>, QueryError> {
         for (index, query) in queries.iter().enumerate() {
             query.check(index)?;

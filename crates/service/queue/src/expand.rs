@@ -68,10 +68,6 @@ impl NewJob {
         self.rollout_id.parse::<RolloutId>().is_ok_and(|id| id.is_placebo())
     }
 
-    /// Creates the job of a manifest row.
-    ///
-    /// # Errors
-    /// If the row cannot be written as JSON.
     pub(crate) fn new(
         row: &ManifestRow,
         replicate: u32,
@@ -103,9 +99,6 @@ pub enum ExpandError {
 
 impl NewCampaign {
     /// Reads a specification and expands it.
-    ///
-    /// # Errors
-    /// If the specification is invalid; the message names the fault and its remedy.
     pub fn from_json(spec: &str) -> Result<NewCampaign, ExpandError> {
         NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
     }
@@ -113,9 +106,6 @@ impl NewCampaign {
     /// Expands a specification into its rows, once per replicate: in the order of the module's
     /// documentation, or in a random order if the campaign may stop early. All rows of a replicate
     /// come before those of the next.
-    ///
-    /// # Errors
-    /// If the specification is invalid; the message names the fault and its remedy.
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
         let mut rows = libero_family::expand(spec)?;
@@ -184,9 +174,6 @@ fn order_randomly(rows: &mut [ManifestRow], stop: &Stop) -> usize {
 }
 
 /// Applies a change to a stored specification. Returns the changed specification and its digest.
-///
-/// # Errors
-/// If the changed specification is invalid.
 pub(crate) fn altered(
     spec: &str,
     change: impl FnOnce(&mut CampaignSpec),

@@ -93,11 +93,6 @@ pub enum NameError {
 }
 
 impl CampaignName {
-    /// Checks a name.
-    ///
-    /// # Errors
-    /// If the name is empty, too long, starts with a dot or holds another character than letters,
-    /// digits, `-`, `_` and `.`.
     pub fn parse(name: &str) -> Result<CampaignName, NameError> {
         let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         let fits = (1..=MAX_CAMPAIGN_NAME_BYTES).contains(&name.len());
@@ -114,10 +109,6 @@ impl CampaignName {
 }
 
 impl WorkerId {
-    /// Checks an id.
-    ///
-    /// # Errors
-    /// If the id is empty, too long, or holds a space or a character that is not visible ASCII.
     pub fn parse(id: &str) -> Result<WorkerId, NameError> {
         let fits = (1..=MAX_WORKER_ID_BYTES).contains(&id.len());
         if fits && id.chars().all(|c| c.is_ascii_graphic()) {

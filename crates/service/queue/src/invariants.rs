@@ -275,9 +275,6 @@ pub const INVARIANTS: [Invariant; 20] = [
 
 /// Checks every invariant of the database in a data folder, or of a database file. Read-only, in
 /// one consistent view; a coordinator may be running on the database.
-///
-/// # Errors
-/// If the database does not exist, cannot be read, or has another schema version.
 pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
     let file = match path.is_dir() {
         true => path.join(DATABASE_FILE),

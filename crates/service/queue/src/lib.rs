@@ -5,9 +5,6 @@
 //! write the outcome, with one transaction for all requests that arrive together. `store` holds the
 //! SQL statements. [`View`] reads for the web page, the command line and reports. [`Queue`] is the
 //! entry point.
-//!
-//! A function that returns a [`StoreError`] fails if the database fails; such functions have no
-//! section `# Errors`.
 
 #![forbid(unsafe_code)]
 

@@ -64,9 +64,6 @@ async fn checkpoint_log(shared: Arc<Shared>) {
 impl Queue {
     /// Starts on an open store. Every lease is restarted with its full duration, since no heartbeat
     /// could arrive while the coordinator was down.
-    ///
-    /// # Errors
-    /// If the database cannot be written.
     pub async fn start(
         store: Store,
         clock: Arc<dyn Clock>,
@@ -77,9 +74,6 @@ impl Queue {
     }
 
     /// Starts like [`start`](Self::start), with remote storage for videos if it is given.
-    ///
-    /// # Errors
-    /// If the database cannot be written.
     pub async fn start_with(
         store: Store,
         clock: Arc<dyn Clock>,
@@ -131,9 +125,6 @@ impl Queue {
     }
 
     /// Begins a view of the committed database.
-    ///
-    /// # Errors
-    /// If the database cannot be read.
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
@@ -142,18 +133,11 @@ impl Queue {
     }
 
     /// Returns a watch for commits.
-    ///
-    /// # Errors
-    /// If the database cannot be read.
     pub async fn changes(&self) -> Result<Changes, StoreError> {
         Changes::begin(&self.shared.store).await
     }
 
     /// Leases a job, waiting up to `wait` for one, at most `MAX_CLAIM_WAIT`.
-    ///
-    /// # Errors
-    /// If the worker is unknown or stopped, the coordinator is shutting down, or the database
-    /// fails.
     pub async fn claim(
         &self,
         request: &ClaimRequest,
@@ -185,9 +169,6 @@ impl Queue {
 
     /// Renews and acknowledges leases, and stores progress in control steps.
     /// Returns the attempts whose leases this worker no longer holds.
-    ///
-    /// # Errors
-    /// If the worker is unknown or the database fails.
     pub async fn heartbeat(
         &self,
         worker: &WorkerId,
@@ -207,9 +188,6 @@ impl Queue {
     }
 
     /// Stores a result and ends its lease, or answers with the reason for refusing it.
-    ///
-    /// # Errors
-    /// If the attempt is unknown or the database fails.
     pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
         let (pending, answer) = Pending::new(Box::new(report.clone()));
         let reply = self.submit(Operation::Commit(pending), answer).await?;
@@ -220,9 +198,6 @@ impl Queue {
     }
 
     /// Ends a lease without a result.
-    ///
-    /// # Errors
-    /// If the attempt is unknown or the database fails.
     pub async fn release(
         &self,
         attempt: AttemptId,
@@ -235,9 +210,6 @@ impl Queue {
     /// Ends a lease like [`release`](Self::release). `answered` is the number of queries that the
     /// policy answered before it became unreachable; `None` if it was never reached, or the attempt
     /// failed for another reason.
-    ///
-    /// # Errors
-    /// If the attempt is unknown or the database fails.
     pub async fn release_after(
         &self,
         attempt: AttemptId,
@@ -291,10 +263,6 @@ impl Queue {
         self.tasks.lock().await.next_ended().await
     }
 
-    /// Closes the database.
-    ///
-    /// # Errors
-    /// If the write-ahead log cannot be moved into the database.
     pub async fn close(&self) -> Result<(), StoreError> {
         self.shared.store.close().await
     }

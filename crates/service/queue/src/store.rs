@@ -91,7 +91,6 @@ pub enum OpenError {
         path.display()
     )]
     OlderCheckout { path: PathBuf },
-    /// The database was not written by a coordinator, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate { path: PathBuf, known: i64, source: MigrateError },
     #[error(
@@ -200,10 +199,8 @@ pub(crate) fn json(values: impl serde::Serialize) -> String {
 }
 
 impl Store {
-    /// Opens the database of a data folder, creating or migrating it as needed.
-    ///
-    /// # Errors
-    /// See [`OpenError`]. A database that another program wrote is left untouched.
+    /// Opens the database of a data folder, creating or migrating it as needed. A database that
+    /// another program wrote is left untouched.
     pub async fn open(folder: &Path) -> Result<Store, OpenError> {
         let in_folder = |source| OpenError::Folder { folder: folder.to_owned(), source };
         let path = folder.join(DATABASE_FILE);
@@ -269,11 +266,8 @@ impl Store {
     }
 
     /// Waits until the preceding writing transaction has ended, and begins the one that carries out
-    /// `steps`.
-    ///
-    /// # Errors
-    /// If the transaction cannot begin, or the database's file is no longer in the data folder:
-    /// data written to the open file would be lost when this process ends.
+    /// `steps`. Fails if the database's file is no longer in the data folder: data written to the
+    /// open file would be lost when this process ends.
     pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         if !self.is_in_place() {
             let folder = self.folder.clone();
@@ -318,11 +312,8 @@ impl Store {
         sqlx::query("VACUUM").execute(&self.writer).await.doing("compact the database").map(drop)
     }
 
-    /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder.
-    ///
-    /// # Errors
-    /// If the log cannot be checkpointed (nothing is lost, since the next start reads it) or the
-    /// folder cannot be unlocked.
+    /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder. If
+    /// the log cannot be checkpointed, nothing is lost, since the next start reads it.
     pub async fn close(&self) -> Result<(), StoreError> {
         // A slow reader must not keep the coordinator from shutting down.
         let _ = tokio::time::timeout(READERS_GRACE, self.readers.close()).await;

@@ -54,7 +54,6 @@ pub struct Provenance {
     pub fingerprint: String,
     /// Realisation, as [`libero_ctrl::Realisation`] names it.
     pub realisation: String,
-    /// Name that the policy reports.
     pub policy_name: String,
     /// Checkpoint of the policy, as its publisher names it.
     pub policy_checkpoint: String,

@@ -146,9 +146,6 @@ impl Access {
 
     /// Returns a connection that is opened at the first call. The token is sent only over TLS or to
     /// this machine.
-    ///
-    /// # Errors
-    /// If the endpoint's host is not a name or address that a certificate can contain.
     pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
         let channel = match self.sends_token_unencrypted(endpoint.uri()) {
@@ -172,11 +169,8 @@ impl Access {
     }
 
     /// Checks a new connection to `uri`, for protocols other than gRPC, before the token is sent
-    /// over it.
-    ///
-    /// # Errors
-    /// If the token would be sent unencrypted to another user of this machine, or to a user that
-    /// the kernel does not report.
+    /// over it. Fails if the token would be sent unencrypted to another user of this machine, or to
+    /// a user that the kernel does not report.
     pub async fn check_connection(
         &self,
         uri: &Uri,
@@ -189,10 +183,6 @@ impl Access {
     }
 
     /// Opens a TLS connection to `host` for protocols other than gRPC.
-    ///
-    /// # Errors
-    /// If the host's name is invalid, the server's certificate is not trusted, or the handshake
-    /// fails or takes too long.
     pub async fn encrypt(
         &self,
         stream: TcpStream,

@@ -17,9 +17,6 @@ impl EndpointError {
 }
 
 /// Parses a gRPC server's URL.
-///
-/// # Errors
-/// If the URL is malformed, or has another scheme, a user, no host, a path, or a query.
 pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     // A user and a password are refused and not quoted, since addresses are shown and logged.
     let (user, shown) = url.rsplit_once('@').map_or((None, url), |(user, host)| (Some(user), host));

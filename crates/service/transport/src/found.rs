@@ -208,15 +208,11 @@ impl ProbeResult {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {}", self.finding(), Remedy(self))]
 pub struct ConnectError {
-    /// Kind of server that was expected.
     pub expected: ServerKind,
-    /// Host name of the server.
     pub host: String,
-    /// Finding at the address.
     pub found: ProbeResult,
     /// True if the client has a certificate authority.
     pub has_authority: bool,
-    /// Names of the settings for the remedy.
     pub settings: Settings,
 }
 

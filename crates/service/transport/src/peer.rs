@@ -124,9 +124,6 @@ impl Peer {
     }
 
     /// Returns true if a gRPC server has the call of a path.
-    ///
-    /// # Errors
-    /// If no gRPC server answers; the error is the finding.
     async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, ProbeResult> {
         let mut request = Request::post(path)
             .body(Body::new(EMPTY_MESSAGE.to_owned()))

@@ -26,7 +26,6 @@ const SETTINGS_FRAME: u8 = 4;
 /// Longest quotation from a server, characters.
 const QUOTED_CHARS: usize = 60;
 
-/// Address to probe.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ProbeTarget<'a> {
     /// Host name or address, without brackets.
@@ -56,10 +55,6 @@ enum Reply {
 }
 
 /// Connects like the client and identifies the protocol.
-///
-/// # Errors
-/// If the connection fails, the server does not use HTTP, or only one of server and client uses
-/// TLS; the error is the finding.
 pub(crate) async fn identify(
     target: ProbeTarget<'_>,
     tls: &TlsConnector,

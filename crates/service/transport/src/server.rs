@@ -184,18 +184,12 @@ impl Security {
     }
 
     /// Builds a gRPC server behind the gate.
-    ///
-    /// # Errors
-    /// If the certificate or the key is invalid.
     pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
         self.guarded(self.gate(resource, None))
     }
 
     /// Builds a server of gRPC calls and pages. Browsers without a session are redirected to the
     /// path `log_in`.
-    ///
-    /// # Errors
-    /// If the certificate or the key is invalid.
     pub fn server_with_pages(
         &self,
         resource: fn(&str) -> Resource,

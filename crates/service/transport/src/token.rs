@@ -34,7 +34,6 @@ pub enum Role {
 }
 
 impl Role {
-    /// All roles.
     pub const ALL: [Role; 3] = [Role::Worker, Role::Operator, Role::Viewer];
 
     /// Name in a token file.
@@ -66,10 +65,8 @@ impl FromStr for Role {
 pub struct Token(String);
 
 impl Token {
-    /// Checks a token: visible ASCII without spaces, of a sensible length.
-    ///
-    /// # Errors
-    /// A description of the problem, which never contains the token itself.
+    /// Checks a token: visible ASCII without spaces, of a sensible length. The error never contains
+    /// the token itself.
     pub fn parse(text: &str) -> Result<Token, &'static str> {
         if text.len() < MIN_TOKEN_BYTES {
             return Err("the token is too short to be a secret: take 32 random hex digits");
@@ -121,7 +118,6 @@ pub enum TokenError {
         /// Argument of `chmod` that restricts the permissions.
         chmod: &'static str,
     },
-    /// The file is larger than [`MAX_TOKEN_FILE_BYTES`].
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge { path: PathBuf },
     #[error(
@@ -140,7 +136,6 @@ pub enum TokenError {
         /// The file, or the environment variable.
         place: String,
     },
-    /// The file or variable holds more than [`MAX_TOKENS`] tokens.
     #[error("read {place}: it holds more than {MAX_TOKENS} tokens")]
     TooMany {
         /// The file, or the environment variable.
@@ -207,7 +202,6 @@ impl Tokens {
         self.tokens.get(index).map(|(role, _)| *role)
     }
 
-    /// Returns true if there is a token of this role.
     pub fn has(&self, role: Role) -> bool {
         self.tokens.iter().any(|(held, _)| *held == role)
     }

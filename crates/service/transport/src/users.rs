@@ -73,9 +73,6 @@ pub enum Untrusted {
 
 /// Checks that a token may be sent unencrypted over an open connection to a local server: the
 /// server's user must be this program's own, root, or a system user.
-///
-/// # Errors
-/// If the server belongs to another user, or the kernel does not report its user.
 pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted> {
     let ends = || Ok::<_, io::Error>((connection.peer_addr()?, connection.local_addr()?));
     let (peer, local) = ends().map_err(|_| Untrusted::UnknownUser)?;

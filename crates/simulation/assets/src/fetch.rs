@@ -26,19 +26,16 @@ const INCOMING: &str = ".incoming";
 /// File inside the pack that a running fetch locks.
 const LOCK: &str = ".lock";
 
-/// Parameters of a fetch.
 pub struct Fetch<'a> {
     /// Source of the files.
     pub origin: &'a Origin,
     /// Folder of the pack, created if necessary.
     pub into: &'a VerifiedFolder,
-    /// Sleeps for a duration.
     pub pause: &'a mut dyn FnMut(Duration),
     /// Receives progress reports; returns whether to continue.
     pub progress: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
 }
 
-/// Outcome of a fetch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Fetched {
     /// Files that were already present and match the table.
@@ -128,7 +125,6 @@ impl Fetch<'_> {
         }
     }
 
-    /// Receives all files of a parcel.
     fn receive(
         &mut self,
         parcel: &Parcel<'_>,

@@ -39,7 +39,6 @@ pub(crate) enum RequestError {
 /// Timeouts of a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Deadlines {
-    /// Timeout of connecting.
     pub connect: Duration,
     /// Timeout until the answer's headers arrive, and of each read of its body.
     pub read: Duration,
@@ -88,7 +87,6 @@ impl Address {
         self.url.as_str()
     }
 
-    /// Appends a path to the URL.
     pub(crate) fn below(&self, path: &str) -> Self {
         let mut url = self.url.clone();
         let base = url.path().trim_end_matches('/');

@@ -22,10 +22,8 @@ pub enum Report {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
     pub files: usize,
-    /// Files to fetch.
     pub of_files: usize,
     pub bytes: u64,
-    /// Bytes to fetch.
     pub of_bytes: u64,
 }
 

@@ -31,7 +31,6 @@ pub struct Problem {
 /// An instance and its category: `akita_black_bowl_1 - akita_black_bowl`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Declaration {
-    /// Instance name.
     pub name: String,
     pub category: String,
 }

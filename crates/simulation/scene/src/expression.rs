@@ -6,7 +6,6 @@
 pub struct BddlError {
     /// Line, counted from 1.
     pub line: usize,
-    /// Description of the error.
     pub problem: String,
 }
 

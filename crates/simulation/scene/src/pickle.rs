@@ -104,7 +104,6 @@ impl Array {
     }
 }
 
-/// Returns the sizes in a tuple.
 fn sizes(tuple: &Value) -> Result<Vec<usize>, String> {
     let Value::Tuple(items) = tuple else {
         return Err("a shape is not a tuple".to_owned());

@@ -211,9 +211,6 @@ impl Environment {
     }
 
     /// Returns true if a predicate holds, which need not be in the goal.
-    ///
-    /// # Errors
-    /// If there is no such predicate, or the scene has no such object.
     pub fn holds(&self, predicate: Predicate) -> Result<bool, SimError> {
         let predicate = Goal::resolve(&[predicate], self.scene(), &self.model)?;
         Ok(predicate.holds(&self.model, &self.data))

@@ -20,14 +20,27 @@ pub struct Goal {
 
 enum Check {
     /// An object on another object or a fixture.
-    OnObject { upper: ObjectRef, lower: ObjectRef },
+    OnObject {
+        upper: ObjectRef,
+        lower: ObjectRef,
+    },
     /// An object on a region. The object must touch `parent`, the instance that has the region;
     /// `None` for a zone on the workspace.
-    OnSite { object: ObjectRef, site: Site, parent: Option<usize> },
-    /// An object in a region.
-    InSite { object: ObjectRef, site: Site },
+    OnSite {
+        object: ObjectRef,
+        site: Site,
+        parent: Option<usize>,
+    },
+    InSite {
+        object: ObjectRef,
+        site: Site,
+    },
     /// Joints beyond a threshold: one of them or all of them.
-    Joints { addresses: Vec<usize>, condition: JointCondition, quantifier: Quantifier },
+    Joints {
+        addresses: Vec<usize>,
+        condition: JointCondition,
+        quantifier: Quantifier,
+    },
 }
 
 #[derive(Clone, Copy)]

@@ -57,7 +57,6 @@ impl Simulator {
         mujoco::version()
     }
 
-    /// Returns the look of all scenes.
     pub fn look(&self) -> Look {
         self.config.pack.look()
     }

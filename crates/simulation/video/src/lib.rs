@@ -33,10 +33,7 @@ pub enum VideoError {
         given: usize,
     },
     #[error("encode a video: OpenH264 fails with code {code}")]
-    Encode {
-        /// OpenH264's return value.
-        code: i64,
-    },
+    Encode { code: i64 },
     #[error("write a video as MP4")]
     Mux(#[from] MuxerError),
 }
@@ -56,7 +53,6 @@ pub struct VideoEncoder {
 }
 
 impl VideoEncoder {
-    /// Starts a video.
     pub fn new() -> Result<Self, VideoError> {
         let config = EncoderConfig::new()
             .skip_frames(false)

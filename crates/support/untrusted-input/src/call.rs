@@ -13,9 +13,6 @@ const FRAME_HEAD_BYTES: usize = 5;
 
 /// Calls the method at `path` and returns the messages of its answer.
 ///
-/// # Errors
-/// The status, if the service refuses the call.
-///
 /// # Panics
 /// If the answer is not valid gRPC.
 pub(crate) async fn call(

@@ -51,11 +51,7 @@ impl BuiltinPolicy for expert::Expert {
     }
 }
 
-/// Converts the privileged state.
-///
-/// # Errors
-/// If a field has the wrong width, or the kind of an entity is not specified; the text names the
-/// field or the entity.
+/// Converts the privileged state. The error names the field or the entity.
 fn read(state: &wire::PrivilegedState) -> Result<Privileged, String> {
     let joint = |joint: &wire::JointReading| (joint.name.clone(), joint.position);
     let predicate = |goal: &wire::GoalPredicate| Predicate {

@@ -66,10 +66,6 @@ pub enum WeightsFileError {
     InvalidWeights { path: PathBuf, source: WeightsError },
 }
 
-/// Reads a student with the weights of a file.
-///
-/// # Errors
-/// If the file cannot be read, or does not hold weights of this network.
 pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     let bytes = std::fs::read(path)
         .map_err(|source| WeightsFileError::Unreadable { path: path.to_owned(), source })?;

@@ -42,9 +42,6 @@ pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
 }
 
 /// Decodes the actions of an answer; its other entries are ignored.
-///
-/// # Errors
-/// If the answer holds no actions.
 pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     let answer = numpy::read(bytes).ok_or(AnswerError::NoMessage)?;
     let actions = lookup(&answer, "actions").ok_or(AnswerError::NoActions)?;

@@ -37,11 +37,8 @@ pub(super) struct Terms {
     pub(super) described: DescribeResponse,
 }
 
-/// Derives the terms from a server's HELLO.
-///
-/// # Errors
-/// If the server cannot be run. The text includes the remedy, and follows the words "the policy
-/// server cannot be run here:".
+/// Derives the terms from a server's HELLO. The error includes the remedy, and follows the words
+/// "the policy server cannot be run here:".
 pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Terms, String> {
     let version = lookup(hello, "protocol_version");
     if version != Some(&VERSION.into()) {

@@ -36,9 +36,6 @@ impl fmt::Display for ImageFormat {
 }
 
 /// Encodes an RGB frame of `side`² pixels, row 0 at the top, as a message's value.
-///
-/// # Errors
-/// If the image encoder fails.
 pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, String> {
     let shape = [side as usize, side as usize, 3];
     let mut data = vec![];

@@ -39,10 +39,6 @@ pub struct Latency {
 }
 
 /// Measures the latency of a policy server.
-///
-/// # Errors
-/// If the URL or the credentials cannot be used, or the server cannot be reached, does not describe
-/// itself or fails to answer.
 pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
@@ -94,9 +90,6 @@ impl Latency {
     }
 
     /// Returns the distribution of delays for a campaign.
-    ///
-    /// # Errors
-    /// If a delay is longer than a campaign accepts, or there are too many distinct delays.
     pub fn delays(&self) -> Result<Delays, LatencyFileError> {
         Delays::measured(self.delay_steps.clone())
     }

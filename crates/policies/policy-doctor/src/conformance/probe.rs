@@ -54,9 +54,6 @@ pub(super) struct Probe {
 
 impl Probe {
     /// Connects and reads the policy's description.
-    ///
-    /// # Errors
-    /// If the URL is invalid, the server cannot be reached, or it does not describe itself.
     pub(super) async fn connect(target: &Target) -> Result<Self, ConformanceError> {
         let endpoint = parse_endpoint(&target.url)
             .map_err(|_| ConformanceError::Url { url: target.shown.clone() })?
@@ -99,9 +96,6 @@ impl Probe {
 
     /// Checks that the health service reports SERVING for the policy service; any other state is a
     /// failed verdict.
-    ///
-    /// # Errors
-    /// If the call fails with a status that no verdict describes.
     pub(super) async fn health(&self) -> Result<Verdict, Status> {
         let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
         let answer = HealthClient::new(self.connection.clone()).check(request).await?.into_inner();
@@ -111,10 +105,6 @@ impl Probe {
         })
     }
 
-    /// Plays one episode.
-    ///
-    /// # Errors
-    /// If the server answers with an error instead of actions.
     pub(super) async fn episode(
         &self,
         name: &str,
@@ -139,9 +129,6 @@ impl Probe {
     }
 
     /// Plays one episode with every query sent twice; returns the first and the second answers.
-    ///
-    /// # Errors
-    /// If the server answers with an error instead of actions.
     pub(super) async fn retries(
         &self,
         seed: u64,
@@ -157,9 +144,6 @@ impl Probe {
 
     /// Plays two episodes in alternation, with `seed` and `other_seed`; returns the answers of the
     /// episode with `seed`.
-    ///
-    /// # Errors
-    /// If the server answers with an error instead of actions.
     pub(super) async fn interleaved(
         &self,
         seed: u64,
@@ -177,9 +161,6 @@ impl Probe {
 
     /// Plays half an episode with `other_seed`, then restarts the session with `seed`; returns
     /// the answers after the restart.
-    ///
-    /// # Errors
-    /// If the server answers with an error instead of actions.
     pub(super) async fn restarted(
         &self,
         seed: u64,
@@ -194,9 +175,6 @@ impl Probe {
 
     /// Plays concurrent episodes in batches of the policy's largest size; returns the answers of
     /// the first episode, whose seed is `seed`.
-    ///
-    /// # Errors
-    /// If the server answers with an error instead of actions.
     pub(super) async fn batched(&self, seed: u64) -> Result<Vec<InferResponse>, Status> {
         let size = self.described.max_batch.min(MAX_BATCH_QUERIES as u32);
         let names: Vec<_> = (0..size).map(|at| format!("in a batch {at}")).collect();
@@ -226,9 +204,6 @@ impl Probe {
     }
 
     /// Plays `concurrency` episodes at once; returns the total time and every query's latency.
-    ///
-    /// # Errors
-    /// If the server answers with an error instead of actions.
     pub(super) async fn concurrent_episodes(
         &self,
         concurrency: u32,

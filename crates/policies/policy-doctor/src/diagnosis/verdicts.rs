@@ -155,10 +155,8 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
     ))
 }
 
-/// Checks that the policy declares that it reads instructions.
-///
-/// # Errors
-/// If the policy does not declare this; the text says what the policy declares instead.
+/// Checks that the policy declares that it reads instructions. The error says what the policy
+/// declares instead.
 pub(super) fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> {
     match described.language() {
         Language::FreeForm | Language::CanonicalOnly => Ok(()),

@@ -21,7 +21,6 @@ pub struct Alteration {
     pub endpoint: Option<String>,
     /// New name of the policy at its endpoint; allowed only while the campaign has no results.
     pub policy: Option<String>,
-    /// The campaign's new name.
     pub name: Option<CampaignName>,
 }
 
@@ -34,11 +33,6 @@ impl Queue {
     /// with the altered specification finds this one. Creation with the original specification is
     /// refused after a change of policy or endpoint; after a change of name, it creates another
     /// campaign under the old name.
-    ///
-    /// # Errors
-    /// If there is no such campaign, the policy or endpoint of an ended campaign would change, the
-    /// new name is taken, the policy's name would change although the campaign has results, the
-    /// endpoint is not a URL, or the database fails.
     pub async fn alter_campaign(
         &self,
         name: &CampaignName,

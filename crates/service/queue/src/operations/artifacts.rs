@@ -51,9 +51,6 @@ pub struct Upload<'a> {
 
 impl Queue {
     /// Starts receiving the video of an attempt whose outcome is committed.
-    ///
-    /// # Errors
-    /// If there is no such outcome, the file cannot be created, or the database fails.
     pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
         let shared = &*self.shared;
         let mut view = shared.store.read().await?;
@@ -72,9 +69,6 @@ impl Queue {
 
 impl Upload<'_> {
     /// Appends data to the file.
-    ///
-    /// # Errors
-    /// If the file grows too large or cannot be written.
     pub async fn write(&mut self, data: &[u8]) -> Result<(), ArtifactError> {
         self.size_bytes += data.len() as u64;
         if self.size_bytes > MAX_ARTIFACT_BYTES {
@@ -86,9 +80,6 @@ impl Upload<'_> {
     }
 
     /// Moves the complete file into place. Returns its path below the data folder.
-    ///
-    /// # Errors
-    /// If the outcome was deleted in the meantime, or the disk or the database fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
         // Writes run in the background; only a flush reports a failure of the last one.
         self.file.flush().await.map_err(write_error(&self.partial))?;
@@ -115,9 +106,6 @@ pub(crate) fn campaign_folder(folder: &str) -> String {
 }
 
 /// Removes partial files of uploads, imports and exports that an earlier run left behind.
-///
-/// # Errors
-/// If a folder cannot be read or a file cannot be removed.
 pub fn remove_partial_files(data: &Path) -> io::Result<()> {
     for entry in std::fs::read_dir(data)? {
         let entry = entry?;

@@ -24,9 +24,6 @@ impl Backup {
 
 impl Queue {
     /// Copies the current database while it is in use.
-    ///
-    /// # Errors
-    /// If another backup is being made, the disk is full, or the database fails.
     pub async fn backup(&self) -> Result<Backup, QueueError> {
         let guard = self.backups.clone().try_lock_owned();
         let guard = guard.map_err(|_| QueueError::BackupInHand)?;

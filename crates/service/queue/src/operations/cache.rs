@@ -95,7 +95,6 @@ impl Cache {
         Ok(self.live.clone().unwrap_or_default())
     }
 
-    /// Returns a campaign with its policy.
     pub(super) async fn campaign(
         &mut self,
         tx: &mut SqliteConnection,

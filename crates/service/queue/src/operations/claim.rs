@@ -23,7 +23,6 @@ pub use super::choose::ClaimRequest;
 /// Longest time that a claim waits for a job.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 
-/// Answer to a claim.
 #[derive(Clone, Debug, Default)]
 pub struct Claimed {
     /// The leased job; `None` if no lease was granted.
@@ -282,7 +281,6 @@ impl Context<'_> {
         self.lease_jobs(campaign, grants).await
     }
 
-    /// Leases the chosen jobs.
     async fn lease_jobs(
         &mut self,
         campaign: &Campaign,

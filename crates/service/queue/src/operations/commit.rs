@@ -28,7 +28,6 @@ pub struct CommitReport {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitVerdict {
-    /// Stored.
     Accepted,
     /// The same outcome of the job is already stored.
     Duplicate,

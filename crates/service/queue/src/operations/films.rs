@@ -25,9 +25,6 @@ impl Queue {
     /// Returns a rollout to film with this asset pack and simulator, of `only` if given, and the
     /// number of such rollouts without a video, including those being filmed; `None` if none is
     /// left to assign.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn next_film(
         &self,
         pin: &Pin,

@@ -35,9 +35,6 @@ pub enum FilmRemoval {
 
 impl Queue {
     /// Returns the complete videos in the data folder.
-    ///
-    /// # Errors
-    /// If the folder or the database cannot be read.
     pub async fn local_films(&self) -> Result<Vec<LocalFilm>, StoreError> {
         let found = list_files(self.store().folder()).map_err(sqlx::Error::Io);
         let found = found.doing("list the videos in the data folder")?;
@@ -52,9 +49,6 @@ impl Queue {
     }
 
     /// Removes a video from the data folder, if its file is still the one that was listed.
-    ///
-    /// # Errors
-    /// If the file's metadata cannot be read, or the file cannot be removed.
     pub async fn remove_local_film(&self, film: &LocalFilm) -> io::Result<FilmRemoval> {
         let _guard = self.shared.files.lock().await;
         match identity(&film.file) {

@@ -68,7 +68,6 @@ pub enum PortableError {
     Open(#[from] OpenError),
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The database holds no campaign, or several.
     #[error("find the campaign of the database: it holds {count} campaigns, not one")]
     NotOne { count: usize },
     #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
@@ -156,9 +155,6 @@ impl Portable {
     }
 
     /// Closes the database, leaving a single file.
-    ///
-    /// # Errors
-    /// If the database cannot be written.
     pub async fn close(self) -> Result<(), StoreError> {
         self.store.close().await
     }
@@ -168,9 +164,6 @@ impl Queue {
     /// Copies the current state of a campaign into an empty folder, which becomes a data folder.
     /// Leases end in the copy without a charge: their jobs wait again. Videos are not copied.
     /// Returns the copy, and the folder of the videos below this coordinator's data folder.
-    ///
-    /// # Errors
-    /// If there is no such campaign, or a database fails.
     pub async fn copy_campaign(
         &self,
         name: &CampaignName,
@@ -193,9 +186,6 @@ impl Queue {
 
     /// Returns the digest of the outcomes of the source campaign that a specification names; `None`
     /// if the specification is not of a derived campaign.
-    ///
-    /// # Errors
-    /// If this coordinator lacks the source campaign, or the database fails.
     pub async fn source_outcomes(&self, spec: &str) -> Result<Option<SourceOutcomes>, QueueError> {
         let Some(source) = source_of(spec)? else {
             return Ok(None);
@@ -210,11 +200,7 @@ impl Queue {
 
     /// Imports the campaign of a data folder and moves its videos into this coordinator's data
     /// folder. The campaign continues in its former state. Returns its name and the numbers of its
-    /// jobs by state.
-    ///
-    /// # Errors
-    /// If the name is taken, the campaign's source is missing or has other outcomes or step
-    /// budgets, or the database or disk fails. The campaign is then not added.
+    /// jobs by state. If this fails, the campaign is not added.
     pub async fn adopt(
         &self,
         from: &Portable,

@@ -12,9 +12,6 @@ impl Queue {
     /// Registers a worker. The worker inherits the number of consecutive failures of the previous
     /// worker on its machine; without a machine's name it starts at zero. Returns the reason why
     /// waiting jobs cannot go to the worker; empty if there is none.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn register(&self, worker: &WorkerInfo) -> Result<String, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         let in_a_row = match &worker.machine {
@@ -36,9 +33,6 @@ impl Queue {
 
     /// Records a worker's clean shutdown: the worker counts as gone from now until it registers
     /// again.
-    ///
-    /// # Errors
-    /// If the worker is unknown or the database fails.
     pub async fn sign_off(&self, worker: &WorkerId) -> Result<(), QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         if !workers::sign_off(&mut context.tx, worker, context.now).await? {

@@ -24,10 +24,6 @@ pub enum Retry {
 impl Queue {
     /// Takes the chosen jobs out of quarantine: all of them, or none if one cannot be. Returns
     /// their number.
-    ///
-    /// # Errors
-    /// If the campaign or a job is unknown, the campaign has ended, a job is not in quarantine, or
-    /// the database fails.
     pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
         let campaign = context.campaign_named(name).await?;

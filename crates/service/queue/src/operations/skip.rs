@@ -18,10 +18,6 @@ const SKIPPED: &str = "an operator skipped this rollout";
 impl Queue {
     /// Quarantines all of the named rollouts, or none. They must be waiting or leased. No failure
     /// is charged, and `retry_jobs` releases them again. Returns their number.
-    ///
-    /// # Errors
-    /// If the campaign or a job is unknown, the campaign has ended, a job is committed or in
-    /// quarantine, or the database fails.
     pub async fn skip_jobs(
         &self,
         name: &CampaignName,

@@ -20,10 +20,7 @@ const MAX_EXPIRED_PER_SWEEP: u32 = 1_024;
 
 impl Queue {
     /// Ends expired leases and wakes claims that wait for the end of a back-off or pause. Called
-    /// every [`Timing::sweep`](crate::Timing::sweep).
-    ///
-    /// # Errors
-    /// If the database fails; the next sweep tries again.
+    /// every [`Timing::sweep`](crate::Timing::sweep). After an error, the next sweep tries again.
     pub async fn sweep(&self) -> Result<(), QueueError> {
         let shared = &*self.shared;
         let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));

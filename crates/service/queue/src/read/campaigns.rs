@@ -32,7 +32,6 @@ pub struct Counts {
     pub succeeded: u64,
 }
 
-/// Status of one campaign.
 #[derive(Clone, Debug)]
 pub struct CampaignStatus {
     pub campaign: Campaign,
@@ -90,10 +89,6 @@ impl Counts {
 }
 
 impl View {
-    /// Finds a campaign by its name.
-    ///
-    /// # Errors
-    /// If there is no such campaign or the database fails.
     pub async fn campaign(&mut self, name: &CampaignName) -> Result<Campaign, QueueError> {
         match campaigns::by_name(self.tx(), name).await? {
             Some(campaign) => Ok(campaign),
@@ -125,7 +120,6 @@ impl View {
         Ok(list)
     }
 
-    /// Returns the status of one campaign.
     pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
         let live = self.able_workers().await?;
         self.status_among(campaign, &live).await

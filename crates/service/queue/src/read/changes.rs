@@ -24,9 +24,6 @@ impl Changes {
     }
 
     /// Returns a number that changes with every commit of another connection.
-    ///
-    /// # Errors
-    /// If the database cannot be read.
     pub async fn version(&mut self) -> Result<i64, StoreError> {
         sqlx::query_scalar("PRAGMA data_version")
             .fetch_one(&mut *self.0)

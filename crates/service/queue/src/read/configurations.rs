@@ -54,7 +54,6 @@ pub struct ResultLine {
     /// Actions clipped into [-1, 1].
     pub clipped_actions: u32,
     pub policy_queries: u32,
-    /// Predicates of the goal.
     pub goal_predicates: u32,
     /// Predicates of the goal that held at the end.
     pub goal_at_end: u32,
@@ -137,7 +136,6 @@ impl View {
         .doing("read a configuration's neighbours")
     }
 
-    /// Returns the committed results of some jobs.
     pub async fn results(&mut self, jobs: &[JobId]) -> Result<Vec<ResultLine>, StoreError> {
         sqlx::query_as(concat!(
             "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,

@@ -9,7 +9,6 @@ use crate::store::{Doing, StoreError, json};
 /// One rollout of a configuration, with the fields that an explanation of the configuration needs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
-    /// The job and its outcome.
     #[sqlx(flatten)]
     pub job: OutcomeRow,
     /// True if the rollout has a video.

@@ -138,10 +138,6 @@ impl View {
         .doing("list jobs")
     }
 
-    /// Returns one job of a campaign.
-    ///
-    /// # Errors
-    /// If there is no such job or the database fails.
     pub async fn job(&mut self, campaign: &Campaign, job: &JobName) -> Result<JobLine, QueueError> {
         let line =
             sqlx::query_as(concat!(job_lines!(), " AND j.rollout_id = ?2 AND j.replicate = ?3"))
@@ -158,9 +154,6 @@ impl View {
     }
 
     /// Returns one job of a campaign with its manifest row, failed attempts and result.
-    ///
-    /// # Errors
-    /// If there is no such job or the database fails.
     pub async fn job_details(
         &mut self,
         campaign: &Campaign,

@@ -40,7 +40,6 @@ pub struct ExportedRow {
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
-    /// Predicates of the goal.
     pub goal_predicates: u32,
     /// Predicates of the goal that held at the end.
     pub goal_at_end: u32,
@@ -53,7 +52,6 @@ pub struct ExportedRow {
 /// A job for reports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
-    /// The job and its outcome.
     #[sqlx(flatten)]
     pub job: OutcomeRow,
     /// Realisation, as [`libero_ctrl::Realisation`] names it, once the job is committed.

@@ -42,7 +42,6 @@ pub struct WorkerLine {
     pub filming: u32,
 }
 
-/// A policy at one endpoint.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct PolicyLine {
     id: PolicyId,

@@ -44,9 +44,6 @@ pub struct EndedIsFinal;
 
 impl CampaignState {
     /// Returns the state after a change, which may be the same state.
-    ///
-    /// # Errors
-    /// If the campaign is stopped, or is cancelled and the change is not another `Cancel`.
     pub fn after(self, change: Change, now: UnixMillis) -> Result<Self, EndedIsFinal> {
         match (self, change) {
             (CampaignState::Running { .. }, Change::Resume)

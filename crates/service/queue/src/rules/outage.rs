@@ -14,7 +14,6 @@ use crate::clock::UnixMillis;
 /// Attempts in a row with invalid answers after which a policy is paused.
 pub const MAX_MISBEHAVED_IN_A_ROW: u32 = 5;
 
-/// Health of one policy at one endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct PolicyHealth {
     /// Pauses since a rollout was last committed while the policy was available; at least 1 while a

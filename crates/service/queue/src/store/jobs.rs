@@ -49,7 +49,6 @@ pub(crate) struct NamedAttempt {
     pub(crate) cut_off: Option<CutOff>,
 }
 
-/// A leased job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct LeasedRow {
     #[sqlx(json)]

@@ -7,16 +7,13 @@ use sqlx::SqliteConnection;
 use super::{Doing, StoreError};
 use crate::ids::CampaignId;
 
-/// A job and its outcome.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct OutcomeRow {
-    /// Id of the rollout.
     pub rollout_id: String,
     /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Initial state of the rollout.
     pub init_id: u16,
-    /// True if the job is in quarantine.
     pub is_quarantined: bool,
     /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
@@ -33,9 +30,6 @@ impl OutcomeRow {
     }
 
     /// Returns the record for statistics.
-    ///
-    /// # Errors
-    /// If the rollout's id cannot be parsed.
     pub fn record(&self) -> Result<Record, UnknownName> {
         Ok(Record {
             id: self.rollout_id.parse()?,

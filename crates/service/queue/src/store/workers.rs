@@ -14,7 +14,6 @@ use crate::rules::lease::Strike;
 /// Most slots or cores of a worker; bounded so that sums over workers do not overflow.
 pub const MAX_SLOTS: u32 = 1 << 16;
 
-/// A worker, as it registers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkerInfo {
     pub id: WorkerId,

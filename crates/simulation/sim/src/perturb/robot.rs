@@ -47,7 +47,6 @@ pub struct IkSolution {
     pub residual_deg: f64,
     /// Joints at their limits.
     pub clamped_joints: u32,
-    /// Iterations taken.
     pub iterations: u32,
 }
 

@@ -55,7 +55,6 @@ pub(crate) struct PreparedBytes {
 }
 
 impl Prepared {
-    /// Prepares a model.
     pub(crate) fn from_model(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
         let largest_levels: Vec<Bytes> =
@@ -96,7 +95,6 @@ impl Prepared {
         )
     }
 
-    /// Serialises the meshes.
     pub(crate) fn meshes(&self) -> impl Iterator<Item = Vec<u8>> {
         self.model.meshes.iter().map(|mesh| mesh.to_bytes())
     }
