@@ -1,4 +1,4 @@
-//! Checks before a run which of the chosen variants have all their files.
+//! Checks which of the chosen variants have all their files.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -14,49 +14,48 @@ use scene::{AssetPack, Sources, TaskFiles};
 use super::case::files;
 use super::error::VariantsError;
 use super::own::{self, States};
-use super::rules::Rules;
 
-/// Chosen rollouts, grouped by their missing files.
-pub struct Audit {
-    /// Rollouts with all their files.
-    pub runnable: Vec<Case>,
-    /// Rollouts with missing files, by reason.
-    pub lacking: Lacking,
-}
+/// Chosen rollouts, each with its row and the reason why it cannot run, if any.
+pub struct Audit(Vec<(Case, ManifestRow, Option<Lack>)>);
 
 impl Audit {
-    /// Checks which cases have all their files.
+    /// Checks which rollouts have all their files.
     ///
     /// # Errors
-    /// If a rollout does not exist under the rules, or an existing file cannot be read.
+    /// If an existing file cannot be read.
     pub fn new(
-        cases: Vec<Case>,
-        rules: &Rules,
+        rollouts: Vec<(Case, ManifestRow)>,
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, VariantsError> {
-        let mut audit = Self { runnable: Vec::new(), lacking: Lacking::default() };
+        let mut audited = Vec::with_capacity(rollouts.len());
         // All trials of a task need the same files.
         let mut last: Option<(Case, Checked)> = None;
-        for case in cases {
+        for (case, row) in rollouts {
             let known = last.take().filter(|(known, _)| have_the_same_files(known, &case));
             let checked = match known {
                 Some((_, checked)) => checked,
-                None => Checked::new(&rules.row(&case)?, pack, sources)?,
+                None => Checked::new(&row, pack, sources)?,
             };
-            let lack = checked.lack(case.trial);
+            audited.push((case, row, checked.lack(case.trial)));
             last = Some((case, checked));
-            match lack {
-                None => audit.runnable.push(case),
-                Some(lack) => audit.lacking.add(lack, case),
-            }
         }
-        Ok(audit)
+        Ok(Self(audited))
     }
 
-    /// Returns the number of rollouts.
-    pub fn count(&self) -> usize {
-        self.runnable.len() + self.lacking.count()
+    /// Returns the rollouts that have all their files.
+    pub fn runnable(&self) -> impl Iterator<Item = Case> {
+        self.0.iter().filter(|(.., lack)| lack.is_none()).map(|(case, ..)| *case)
+    }
+
+    fn lacking(&self) -> Lacking {
+        let mut lacking = Lacking::default();
+        for (case, _, lack) in &self.0 {
+            if let Some(lack) = lack {
+                lacking.add(lack.clone(), *case);
+            }
+        }
+        lacking
     }
 
     /// Checks that no rollout lacks files.
@@ -64,12 +63,13 @@ impl Audit {
     /// # Errors
     /// If a rollout lacks files.
     pub fn require_all(&self) -> Result<(), VariantsError> {
-        match self.lacking.count() {
+        let lacking = self.lacking();
+        match lacking.count() {
             0 => Ok(()),
-            lacking => Err(VariantsError::Selection(SelectionError::Lacking {
-                lacking,
-                chosen: self.count(),
-                report: self.lacking.to_string(),
+            count => Err(VariantsError::Selection(SelectionError::Lacking {
+                lacking: count,
+                chosen: self.0.len(),
+                report: lacking.to_string(),
             })),
         }
     }
@@ -77,60 +77,41 @@ impl Audit {
     /// Formats a table of the rollouts by [`Case::group`], followed by the missing files.
     pub fn report(&self) -> String {
         let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
-        let mut count = |cases: &[Case], runnable: usize| {
-            for group in cases.iter().filter_map(Case::group) {
-                let counts = counts.entry(group).or_default();
-                counts[0] += 1;
-                counts[1] += runnable;
-            }
-        };
-        count(&self.runnable, 1);
-        for (_, cases) in &self.lacking.0 {
-            count(cases, 0);
+        for (case, _, lack) in &self.0 {
+            let counts = counts.entry(case.group().unwrap_or_default()).or_default();
+            counts[0] += 1;
+            counts[1] += usize::from(lack.is_none());
         }
         let mut text = format!("{:<32}{:>9}{:>9}\n", "", "rollouts", "can run");
-        let mut line = |name: &str, [all, runnable]: [usize; 2]| {
+        let total = ("all".to_owned(), [self.0.len(), self.runnable().count()]);
+        for (name, [all, runnable]) in counts.into_iter().chain([total]) {
             let _ = writeln!(text, "{name:<32}{all:>9}{runnable:>9}");
-        };
-        for (group, counts) in counts {
-            line(&group, counts);
         }
-        line("all", [self.count(), self.runnable.len()]);
-        if self.lacking.count() > 0 {
-            let _ = write!(text, "Missing:\n{}\n", self.lacking);
+        let lacking = self.lacking();
+        if lacking.count() > 0 {
+            let _ = write!(text, "Missing:\n{lacking}\n");
         }
         text
     }
 
     /// Formats a line per rollout, separated by tabs: suite, name, group, difficulty, files needed
     /// beyond LIBERO's assets, and whether the rollout can run.
-    ///
-    /// # Errors
-    /// If one of the rollouts does not exist under the rules.
-    pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
+    pub fn list(&self) -> String {
         let mut text = String::new();
-        let runnable = [(None, &self.runnable)];
-        let lacking = self.lacking.0.iter().map(|(lack, cases)| (Some(lack), cases));
-        for (lack, cases) in runnable.into_iter().chain(lacking) {
-            for case in cases {
-                let row = rules.row(case)?;
-                let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());
-                let state = match lack {
-                    None => "runs".to_owned(),
-                    Some(lack) => format!("lacks {lack}"),
-                };
-                let _ = writeln!(
-                    text,
-                    "{}\t{}\t{}\t{}\t{}\t{state}",
-                    row.id.suite_name(),
-                    case.name(),
-                    case.group().unwrap_or_default(),
-                    difficulty.as_deref().unwrap_or("-"),
-                    needs(case, &row),
-                );
-            }
+        for (case, row, lack) in &self.0 {
+            let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());
+            let state = lack.as_ref().map_or("runs".to_owned(), |lack| format!("lacks {lack}"));
+            let _ = writeln!(
+                text,
+                "{}\t{}\t{}\t{}\t{}\t{state}",
+                row.id.suite_name(),
+                case.name(),
+                case.group().unwrap_or_default(),
+                difficulty.as_deref().unwrap_or("-"),
+                needs(case, row),
+            );
         }
-        Ok(text)
+        text
     }
 }
 

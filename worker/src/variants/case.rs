@@ -1,7 +1,10 @@
 //! A case as the simulator runs it: its files, its initial conditions, and its manifest row with
-//! the prompt. `worker variants` and the slots of a campaign both prepare their cases here.
+//! the prompt. `worker rollout` and the slots of a campaign both prepare their cases here.
 
-use libero_ctrl::{ManifestRow, OwnTask};
+use std::fs;
+use std::path::Path;
+
+use libero_ctrl::{ManifestRow, OwnTask, RolloutId, SuiteFile};
 use libero_family::corruption::Corruption;
 use libero_family::plus::{View, start_posture};
 use libero_family::protocol::{Beginning, Benchmark, Protocol};
@@ -68,6 +71,36 @@ fn files_and_sentence(
             Ok((files, sentence))
         }
     }
+}
+
+/// Returns the row of a rollout of LIBERO-Plus, LIBERO-PRO or LIBERO-Para under a protocol, by
+/// default the benchmark's official one.
+///
+/// # Errors
+/// If no benchmark has the rollout, or the protocol is another benchmark's.
+pub fn row(
+    id: RolloutId,
+    benchmark: Benchmark,
+    protocol: Option<Protocol>,
+) -> Result<ManifestRow, SelectionError> {
+    let case = Case::of_id(id)?;
+    let protocol = protocol.unwrap_or(Protocol::official(benchmark));
+    protocol.check(benchmark)?;
+    Ok(case.row(&protocol))
+}
+
+/// Returns the rows of a suite file, with `trials` in place of its own number of trials if given.
+///
+/// # Errors
+/// If the file cannot be read or is invalid.
+pub fn rows_of_file(path: &Path, trials: Option<u16>) -> Result<Vec<ManifestRow>, VariantsError> {
+    let path = || path.to_owned();
+    let text = fs::read_to_string(path());
+    let text = text.map_err(|source| VariantsError::File { path: path(), source })?;
+    let file = SuiteFile::from_json(&text);
+    let mut file = file.map_err(|source| VariantsError::SuiteFile { path: path(), source })?;
+    file.trials = trials.unwrap_or(file.trials);
+    Ok(file.rows())
 }
 
 /// Returns the files of a row's task.

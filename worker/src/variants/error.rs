@@ -8,9 +8,7 @@ use libero_family::SelectionError;
 use scene::SceneError;
 use sim::SimError;
 
-use crate::single::SingleError;
-
-/// Reason why variants were not run.
+/// Reason why variants cannot be listed or started.
 #[derive(Debug, thiserror::Error)]
 pub enum VariantsError {
     /// The choice of variants is invalid, or files of some are missing.
@@ -19,9 +17,6 @@ pub enum VariantsError {
     /// A task file is missing or wrong.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// A rollout has no result.
-    #[error(transparent)]
-    Single(#[from] SingleError),
     /// A rollout cannot be brought to its start.
     #[error("start {id}")]
     Start {
@@ -40,32 +35,7 @@ pub enum VariantsError {
         #[source]
         source: SuiteFileError,
     },
-    /// Earlier results cannot be pooled with the new ones.
-    #[error(
-        "add to {}: its results are of {what} `{found}`, and this run is of `{expected}`; numbers \
-         of the two measure different things, so give another --output", path.display()
-    )]
-    Pinned {
-        /// Path of the results.
-        path: PathBuf,
-        /// Property that differs.
-        what: &'static str,
-        /// Value in the results.
-        found: String,
-        /// Value of this run.
-        expected: String,
-    },
-    /// A line of earlier results is malformed.
-    #[error("read line {line} of {}: {problem}; remove the line", path.display())]
-    Malformed {
-        /// Path of the results.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: usize,
-        /// Description of the fault.
-        problem: String,
-    },
-    /// A file cannot be read or written.
+    /// A file cannot be read.
     #[error("use {}: check its path and permissions", path.display())]
     File {
         /// Path of the file.

@@ -51,11 +51,11 @@ struct Start {
 }
 
 /// Returns the first case of each dimension or suite.
-fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
+fn one_of_each_group(cases: impl Iterator<Item = Case>) -> Vec<Case> {
     let mut chosen: Vec<Case> = Vec::new();
     for case in cases {
         if chosen.iter().all(|earlier| earlier.group() != case.group()) {
-            chosen.push(*case);
+            chosen.push(case);
         }
     }
     chosen
@@ -74,10 +74,10 @@ pub fn compare(
     report: &mut dyn FnMut(&Starts) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let cases = match choice.variants.is_empty() {
-        true => one_of_each_group(&audit.runnable),
+        true => one_of_each_group(audit.runnable()),
         false => {
             audit.require_all()?;
-            audit.runnable.clone()
+            audit.runnable().collect()
         }
     };
     let pack = simulator.pack.clone();
