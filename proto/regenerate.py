@@ -11,6 +11,7 @@ the versions in these packages' environments are chosen by other packages.
 
 import argparse
 import pathlib
+import re
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -37,21 +38,15 @@ class Generated:
     def files(self) -> list[str]:
         """Returns the names of the generated files, below `sources`."""
         stem = f"{self.package}/{pathlib.Path(self.source).stem}_pb2"
-        return [f"{stem}.py", f"{stem}_grpc.py"] + [f"{stem}.pyi"] * self.has_stubs
+        return [f"{stem}.py"] + [f"{stem}.pyi"] * self.has_stubs
 
 
 PACKAGES = (
     Generated(
-        "rollout/policy/v1/policy.proto",
-        "policies/src",
-        "rollout_policies/proto",
-        has_stubs=False,
+        "rollout/policy/v1/policy.proto", "policies/src", "rollout_policies/proto", has_stubs=False
     ),
     Generated(
-        "rollout/coordinator/v1/coordinator.proto",
-        "python",
-        "rollout_client/proto",
-        has_stubs=True,
+        "rollout/coordinator/v1/coordinator.proto", "python", "rollout_client/proto", has_stubs=True
     ),
 )
 
@@ -62,17 +57,15 @@ def generate(wanted: Generated, folder: pathlib.Path) -> None:
 
     source = HERE / wanted.source
     # The virtual path makes the generated imports name the package.
-    arguments = [
-        "protoc",
-        f"-I{wanted.package}={source.parent}",
-        f"--python_out={folder}",
-        f"--grpc_python_out={folder}",
-    ]
+    arguments = ["protoc", f"-I{wanted.package}={source.parent}", f"--python_out={folder}"]
     if wanted.has_stubs:
         arguments.append(f"--pyi_out={folder}")
     status = protoc.main([*arguments, f"{wanted.package}/{source.name}"])
     if status != 0:
         sys.exit(f"failed to generate from {source}: protoc exited with {status}")
+    code = folder / wanted.files()[0]
+    # Positions in the serialized descriptor, which only copying descriptors in pure Python reads.
+    code.write_text(re.sub(r"  _globals\[.*_serialized_(start|end)=\d+\n", "", code.read_text()))
 
 
 def stale(wanted: Generated, folder: pathlib.Path) -> list[str]:

@@ -1,7 +1,6 @@
 """Augmentation: changes of pictures and instructions that must not change the student's actions.
 
-Random numbers are drawn, and pictures are changed, on the batch's device, usually the GPU.
-"""
+Random numbers are drawn, and pictures are changed, on the batch's device, usually the GPU."""
 
 from __future__ import annotations
 
@@ -67,8 +66,7 @@ def apply_changes(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tens
 
     Returns:
         Two tensors [n, 3, 128, 128], channels last in memory. Where a shift
-        uncovers an edge, the picture's own edge is repeated.
-    """
+        uncovers an edge, the picture's own edge is repeated."""
     n, device = len(pictures), pictures.device
     positions = torch.arange(PICTURE, device=device)
     sources = (positions + change.shift[:, :, :, None]).clamp(0, PICTURE - 1)
@@ -107,8 +105,7 @@ class Wordings:
             task: int64 [n], the index of each sample's task.
 
         Returns:
-            The features' rows, int64 [n, w], and a mask [n, w]: 1 where there is a feature.
-        """
+            The features' rows, int64 [n, w], and a mask [n, w]: 1 where there is a feature."""
         n, device = len(task), task.device
         number = torch.randint(self._per_task, (n,), device=device)
         canonical = torch.rand(n, device=device) < CANONICAL_SHARE

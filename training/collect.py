@@ -158,9 +158,8 @@ class NewestStudent:
 class Group:
     """Environments that step together, and the episodes that run in them.
 
-    The groups, two by default, share the processor's cores: while one group's
-    environments step, the frames of another are shrunk and stored.
-    """
+    The groups, two by default, share the processor's cores: while one group's environments step,
+    the frames of another are shrunk and stored."""
 
     def __init__(
         self,

@@ -1,7 +1,6 @@
 """Drivers of an episode: the expert, the disturbed expert, or student and expert in turns.
 
-Each class serves n environments at once, and draws from a random generator.
-"""
+Each class serves n environments at once, and draws from a random generator."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ NOISE = (0.05, 0.4)
 QUIET_SHARE = 0.25
 """Share of a disturbed episode's intervals that are without noise."""
 NOISE_STEPS = (10, 60)
-"""Least and most steps of an interval, in which the standard deviation of the noise is
-constant."""
+"""Least and most steps of an interval, in which the standard deviation of the noise is constant."""
 PUSH_CHANCE = 1 / 120
 """Probability that a push begins in a step of a disturbed episode."""
 PUSH_STEPS = (3, 10)
@@ -130,8 +128,7 @@ class AlternatingDrivers:
     """Student and expert as drivers of n environments, in turns. In some episodes, the student
     drives alone.
 
-    The driver changes only between calls of ``next``.
-    """
+    The driver changes only between calls of ``next``."""
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -157,8 +154,7 @@ class AlternatingDrivers:
         """Returns a mask [n] of the environments that need an answer of the student for their next
         steps.
 
-        Call ``needs_answer`` once before each call of ``next``.
-        """
+        Call ``needs_answer`` once before each call of ``next``."""
         rng, n = self._rng, len(self._student)
         turn_begins = self._turn_left <= 0
         alone = self.driver == Driver.STUDENT

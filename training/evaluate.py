@@ -82,16 +82,13 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
 
 def report(
-    arguments: argparse.Namespace,
-    results: Mapping[str, Sequence[tuple[int, bool]]],
-    seconds: float,
+    arguments: argparse.Namespace, results: Mapping[str, Sequence[tuple[int, bool]]], seconds: float
 ) -> None:
     """Prints the numbers of successes by suite and task, and writes the results to ``--table``, if
     that file is given.
 
     Args:
-        results: for each task, the number of the initial state and the success of each episode.
-    """
+        results: for each task, the number of the initial state and the success of each episode."""
     if arguments.states == "released":
         # The environments of a task may together run more initial states than requested.
         results = {

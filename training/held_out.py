@@ -1,7 +1,6 @@
 """Writes digests of the evaluation's wordings, so that training can exclude these wordings.
 
-python -m training.held_out
-"""
+python -m training.held_out"""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 instruction.
 
 The network keeps no state between queries. Its parameters have the names of the tensors in a
-weights file.
-"""
+weights file."""
 
 from __future__ import annotations
 
@@ -81,9 +80,8 @@ class Block(nn.Module):
 class Encoder(nn.Module):
     """Encoder of one camera: converts pictures [n, 3, 128, 128] to features [n, 320].
 
-    The 320 features are the columns, rows and peaks of 64 learned points, and
-    the means of 128 channels.
-    """
+    The 320 features are the columns, rows and peaks of 64 learned points, and the means of 128
+    channels."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -141,8 +139,7 @@ class Network(nn.Module):
             agentview, wrist: [n, 3, 128, 128], from -1 to 1.
             state: [n, 14], unscaled: metres, and elements of a rotation matrix.
             rows: [n, w] int64: the instruction's features, padded.
-            present: [n, w]: 1 where there is a feature, 0 where there is padding.
-        """
+            present: [n, w]: 1 where there is a feature, 0 where there is padding."""
         text = (self.words(rows) * present[:, :, None]).sum(dim=1)
         text = functional.relu(self.text2(functional.relu(self.text1(text))))
         robot = functional.relu(self.state1((state - self.state_mean) / self.state_std))

@@ -30,8 +30,7 @@ def shrink(pictures: Tensor) -> Tensor:
         pictures: uint8 [..., 2h, 2w, channels].
 
     Returns:
-        uint8 [..., h, w, channels]: (a + b + c + d + 2) / 4 of each 2 × 2 block.
-    """
+        uint8 [..., h, w, channels]: (a + b + c + d + 2) / 4 of each 2 × 2 block."""
     height, width, channels = pictures.shape[-3:]
     blocks = pictures.view(*pictures.shape[:-3], height // 2, 2, width // 2, 2, channels)
     rows = blocks[..., 0, :, :, :].short() + blocks[..., 1, :, :, :]

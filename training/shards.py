@@ -10,8 +10,7 @@ A shard has F frames and E episodes. Its arrays are
       task           int16   [E]      index in ``wordings.TASK_NAMES``
       outcome        uint8   [E]      an ``Outcome``
       driver         uint8   [E]      a ``Driver``
-      perturbation   str     [E]      configuration, or "" for an unperturbed episode
-"""
+      perturbation   str     [E]      configuration, or "" for an unperturbed episode"""
 
 from __future__ import annotations
 
@@ -95,9 +94,8 @@ def worth_learning(shard: Shard) -> NDArray[np.bool_]:
 def stalled(shard: Shard) -> NDArray[np.bool_]:
     """Returns a mask [F] of the frames in which the robot has stalled (see ``STALL_M``).
 
-    In these frames the expert makes no progress, or the student does not follow the expert. A
-    few such frames are instructive; hundreds would dominate the training.
-    """
+    In these frames the expert makes no progress, or the student does not follow the expert. A few
+    such frames are instructive; hundreds would dominate the training."""
     first = shard.repeat_per_frame(np.cumsum(shard.episode_frames) - shard.episode_frames)
     number = np.arange(len(shard.state)) - first
     values = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
@@ -184,8 +182,7 @@ class Writer:
         """Writes the remaining episodes and ends the thread.
 
         Raises:
-            OSError: if a shard could not be written.
-        """
+            OSError: if a shard could not be written."""
         if self._gathered:
             self._queue(self._gathered)
             self._gathered = []

@@ -23,8 +23,7 @@ def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str, look: str
     """Writes a weights file in half precision; the state's scale is in single precision. ``look``
     is the look of the pictures that the student learned from.
 
-    The file is replaced atomically, so that a running collection reads complete weights.
-    """
+    The file is replaced atomically, so that a running collection reads complete weights."""
     rounded = {
         key: (value.float() if key in IN_SINGLE_PRECISION else value.half()).cpu().contiguous()
         for key, value in tensors.items()

@@ -111,8 +111,7 @@ class Trainer:
         """Makes one optimizer step and returns the loss.
 
         Args:
-            fraction: the spent share of the training time, from which the learning rate follows.
-        """
+            fraction: the spent share of the training time, from which the learning rate follows."""
         rate = self._arguments.learning_rate * _schedule(self.step, fraction)
         for group in self._optimizer.param_groups:
             group["lr"] = rate

@@ -1,8 +1,7 @@
 """Many wordings of each of the forty tasks, drawn from ``grammar``.
 
 Wordings exclude the sentences of the evaluation's language axis: ``data/held_out.txt`` has digests
-of these sentences, and a sentence with the same words as one of them is drawn again.
-"""
+of these sentences, and a sentence with the same words as one of them is drawn again."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ def draw(task: str, count: int, seed: int) -> list[str]:
     """Returns ``count`` different wordings of a task; the first is the benchmark's instruction.
 
     Raises:
-        ValueError: if the grammar gives fewer wordings.
-    """
+        ValueError: if the grammar gives fewer wordings."""
     rng = random.Random(f"{seed} {task}")
     held_out = held_out_digests()
     by_digest = {digest(canonical(task)): canonical(task)}

@@ -1,9 +1,8 @@
 """The rooms: floor, walls, table, lights and cameras of each LIBERO arena, and their textures.
 
 LIBERO's arena code picks a floor and a wall texture by file name, so those files must exist: in
-this pack they are a few plain pixels each. Positions of walls, lights and cameras are LIBERO's, because
-light and view are part of what the benchmark perturbs.
-"""
+this pack they are a few plain pixels each. Positions of walls, lights and cameras are LIBERO's,
+because light and view are part of what the benchmark perturbs."""
 
 import struct
 import xml.etree.ElementTree as ET

@@ -1,8 +1,7 @@
 """The fixtures, which stay in place, and their moving parts: drawers, knob, oven door.
 
-Joints, region sites and their positions are LIBERO's, because goals are measured against them.
-The shapes around them are this pack's own.
-"""
+Joints, region sites and their positions are LIBERO's, because goals are measured against them. The
+shapes around them are this pack's own."""
 
 from colours import *
 from mjcf import Extent, Joint, Part, Site, density_for, document, number

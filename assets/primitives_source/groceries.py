@@ -1,9 +1,8 @@
 """The groceries: cans, cartons, bottles and packets.
 
-Every entry gives the object's extent for the placement sampler and its mass. These
-facts and the overall dimensions are taken from LIBERO (the pack's README says how); the
-shapes are this pack's own. Labels and stripes are drawn but do not collide.
-"""
+Every entry gives the object's extent for the placement sampler and its mass. These facts and the
+overall dimensions are taken from LIBERO (the pack's README says how); the shapes are this pack's
+own. Labels and stripes are drawn but do not collide."""
 
 from colours import *
 from mjcf import Extent, Part, density_for, document

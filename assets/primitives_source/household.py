@@ -2,8 +2,7 @@
 
 Every entry gives the folder and the mass; the extent for the placement sampler is the same for all.
 These facts and the overall dimensions are LIBERO's (the pack's README says how); the shapes are
-this pack's own.
-"""
+this pack's own."""
 
 from colours import *
 from mjcf import Extent, Part, Site, density_for, document

@@ -3,8 +3,7 @@
 In this structure, an unnamed body holds the body `object` and three sites that tell the placement
 sampler the object's extent. Geoms of group 0 collide and are hidden; geoms of group 1 are drawn.
 Each geom has a default class, whose attributes the loader writes into the geom. The objects
-themselves are defined in `fixtures.py`, `groceries.py` and `household.py`.
-"""
+themselves are defined in `fixtures.py`, `groceries.py` and `household.py`."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field

@@ -1,9 +1,8 @@
 """The shapes that the pack is made of: boxes, cylinders, capsules, and assemblies of them.
 
-Lengths are metres, angles degrees, quaternions (w, x, y, z); z is up unless a shape has been turned.
-A shape collides and has mass, or it is visible; most shapes are both.
-`mjcf.py` converts shapes to MJCF.
-"""
+Lengths are metres, angles degrees, quaternions (w, x, y, z); z is up unless a shape has been
+turned. A shape collides and has mass, or it is visible; most shapes are both. `mjcf.py` converts
+shapes to MJCF."""
 
 import math
 from dataclasses import dataclass, replace

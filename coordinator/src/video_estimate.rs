@@ -8,7 +8,7 @@ use crate::words::duration_text;
 /// steps (two tasks, the real assets and the built-in ones).
 const VIDEO_BYTES_PER_STEP: f64 = 2_300.0;
 /// Time to simulate, draw and encode a control step of a video on one core, s: the longest in
-/// docs/PERFORMANCE.md, "What a film costs", which is that of sensor corruption.
+/// docs/dev/PERFORMANCE.md, "What a film costs", which is that of sensor corruption.
 const FILMING_SECS_PER_STEP: f64 = 0.045;
 /// Size of a stored action, bytes: seven 32-bit numbers.
 const ACTION_BYTES_PER_STEP: f64 = 28.0;

@@ -40,8 +40,8 @@ const SMALL_INDICES: [&str; 5] =
 const REQUIRED_INDICES: [&str; 5] =
     ["job_queued", "job_leased", "job_failing", "job_siblings", "worker_seen"];
 
-/// Evidence that a loop of the table in docs/ARCHITECTURE.md does not walk all jobs of a campaign,
-/// or the reason why it may.
+/// Evidence that a loop of the table in docs/dev/ARCHITECTURE.md does not walk all jobs of a
+/// campaign, or the reason why it may.
 enum Walks {
     /// Part of a statement that must be captured.
     Captured(&'static str),
@@ -76,7 +76,7 @@ const LOOPS: [(&str, Walks); 11] = [
 
 /// Returns the first column of the table of loops.
 fn documented_loops() -> Vec<&'static str> {
-    let page = include_str!("../../docs/ARCHITECTURE.md");
+    let page = include_str!("../../docs/dev/ARCHITECTURE.md");
     let table = page.split_once("| loop | when | rows | walks |").expect("the table").1;
     let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
     rows.map(|row| row.split('|').nth(1).expect("a column").trim()).collect()

@@ -27,9 +27,9 @@ import time
 from pathlib import Path
 
 from loops import SUITES
-from measure import HERE, running
 from random_policy import BATCHES, SIZES
 
+HERE = Path(__file__).parent
 TICKS = os.sysconf("SC_CLK_TCK")
 ARMS = ("rollout", "lerobot-async", "lerobot-sync", "openpi")
 COLUMNS = ("arm", "policy", "executed", "rollouts/h", "control steps/s", "GPU busy", "in forward")
@@ -90,6 +90,20 @@ def sample(card: Card, meters: list[Path], with_memory: bool) -> dict:
 
 
 @contextlib.contextmanager
+def running(command: list[str]):
+    """Runs a server whose first line is `listening on ADDRESS`; yields the address."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        line = process.stdout.readline().split()
+        if line[:2] != ["listening", "on"]:
+            raise SystemExit(f"error: {command[0]} printed {line} instead of its address")
+        yield line[2]
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+@contextlib.contextmanager
 def arm(name: str, size: str, arguments: argparse.Namespace, folder: Path):
     """Starts the processes of an arm. Yields the one whose end ends the arm, and the actions that
     are executed of an answer."""
@@ -130,7 +144,9 @@ def arm(name: str, size: str, arguments: argparse.Namespace, folder: Path):
             for _ in range(2):
                 process.terminate()
                 time.sleep(0.5)
-            process.wait(60)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10)
+            process.kill()
 
 
 def measure(name: str, size: str, arguments: argparse.Namespace, card: Card) -> dict:
@@ -230,7 +246,7 @@ def summary(result: dict, arguments: argparse.Namespace) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bin", type=Path, help="folder of coordinator, worker, policy-gateway")
+    parser.add_argument("--bin", type=Path, help="folder of the programs; only prints without")
     parser.add_argument("--output", type=Path, required=True, help="folder of the results")
     parser.add_argument("--sizes", default="smolvla,pi05", help="sizes of the policy")
     parser.add_argument("--arms", default=",".join(ARMS))
@@ -256,6 +272,8 @@ def main() -> None:
     for size in arguments.sizes.split(","):
         for name in arguments.arms.split(","):
             path = arguments.output / f"{name}-{size}.json"
+            if arguments.bin is None and not path.exists():
+                continue
             began = time.monotonic()
             try:
                 if not path.exists():

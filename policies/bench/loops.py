@@ -86,7 +86,7 @@ def run_lerobot(suite: str, clock: Clock, policy: Chunks, arguments: argparse.Na
 
     count = arguments.envs
     began = time.monotonic()
-    config = LiberoEnv(task=suite, task_ids=[0])
+    config = LiberoEnv(task=suite, task_ids=[0], observation_height=256, observation_width=256)
     envs = make_env(config, n_envs=count, use_async_envs=not arguments.sync)
     calls = []
 

@@ -12,8 +12,7 @@ matching, attending to the keys and values of the prefix. Weights are bfloat16 o
   the third frame empty but computed, the time of a flow step in every norm of the expert.
 
 Needs PyTorch, NumPy and this package. On a GPU every served batch size is captured as a CUDA graph,
-because launching its kernels one by one takes longer than running them.
-"""
+because launching its kernels one by one takes longer than running them."""
 
 from __future__ import annotations
 
@@ -242,8 +241,7 @@ class RandomPolicy(Policy):
     """The network behind the interface that authors of policies implement.
 
     `batches` are the batch sizes that are captured; others are padded to the next. `side` is the
-    side of the frames that it gets.
-    """
+    side of the frames that it gets."""
 
     def __init__(
         self,

@@ -1,7 +1,6 @@
 """Context managers that run a server, or a gateway with a client, as separate processes.
 
-The gateway is the program that the environment variable POLICY_GATEWAY names.
-"""
+The gateway is the program that the environment variable POLICY_GATEWAY names."""
 
 import contextlib
 import os

@@ -1,11 +1,10 @@
 """Small policies of lerobot with RANDOM weights, saved as checkpoints.
 
-Their architecture is the real one, reduced in width and depth; their tokeniser
-knows a few words; their statistics are synthetic. Their answers are meaningless,
-but lerobot's unchanged code computes them.
+Their architecture is the real one, reduced in width and depth; their tokeniser knows a few words;
+their statistics are synthetic. Their answers are meaningless, but lerobot's unchanged code computes
+them.
 
-    python policies/tests/random_lerobot.py smolvla FOLDER
-"""
+    python policies/tests/random_lerobot.py smolvla FOLDER"""
 
 from __future__ import annotations
 
@@ -190,8 +189,7 @@ def pi05(folder: Path) -> None:
     )
     # The tokeniser's name is fixed in lerobot's code, too.
     with_saved_tokeniser = mock.patch(
-        "lerobot.policies.pi05.processor_pi05.TokenizerProcessorStep",
-        _with_tokeniser(str(words)),
+        "lerobot.policies.pi05.processor_pi05.TokenizerProcessorStep", _with_tokeniser(str(words))
     )
     with small_pi05(), with_saved_tokeniser:
         save(config, folder)

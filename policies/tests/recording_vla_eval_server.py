@@ -1,6 +1,5 @@
-"""A model server of the real vla-eval, around a policy whose answers depend on the instruction.
-It records the messages that it receives in a file, one JSON object per message.
-"""
+"""A model server of the real vla-eval, around a policy whose answers depend on the instruction. It
+records the messages that it receives in a file, one JSON object per message."""
 
 import argparse
 import functools

@@ -1,10 +1,8 @@
-"""A server with the interface of openpi's WebsocketPolicyServer around a
-simulated policy. It sends a metadata message first, then answers one msgpack
-message after another; if the policy raises, it sends the traceback as text and
-closes. Messages are packed by the real openpi-client.
+"""A server with the interface of openpi's WebsocketPolicyServer around a simulated policy. It sends
+a metadata message first, then answers one msgpack message after another; if the policy raises, it
+sends the traceback as text and closes. Messages are packed by the real openpi-client.
 
-The policy's inputs are recorded in a file, one JSON object per query, for a test to examine.
-"""
+The policy's inputs are recorded in a file, one JSON object per query, for a test to examine."""
 
 import argparse
 import asyncio

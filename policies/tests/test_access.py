@@ -6,17 +6,10 @@ import sys
 
 import grpc
 import pytest
-from conftest import (
-    Client,
-    Noisy,
-    assert_gateway_check_passes,
-    gateway_program,
-    running,
-)
+from conftest import Client, Noisy, Stub, assert_gateway_check_passes, gateway_program, running
 
 from rollout_policies import AccessError, UnguardedAddress, serve, start
 from rollout_policies.access import Tokens, is_loopback, require_guarded
-from rollout_policies.proto import policy_pb2_grpc as pb_grpc
 
 COLOUR_SERVO = [sys.executable, "-m", "rollout_policies.examples.colour_servo"]
 TOKENS = {role: f"{role}-0123456789abcdef" for role in ("worker", "operator", "viewer")}
@@ -64,7 +57,7 @@ class TlsClient(Client):
             token_credentials = grpc.access_token_call_credentials(token)
             credentials = grpc.composite_channel_credentials(credentials, token_credentials)
         self.channel = grpc.secure_channel(address, credentials)
-        self.stub = pb_grpc.PolicyStub(self.channel)
+        self.stub = Stub(self.channel)
 
 
 @pytest.mark.parametrize("role", ["worker", "operator"])

@@ -1,9 +1,7 @@
 """The adapters up to the call of the upstream network, whose arguments are recorded.
 
-The recording stand-ins answer as a test specifies. Everything around them, from
-the observation to the arguments and from the answer to the actions, is
-production code.
-"""
+The recording stand-ins answer as a test specifies. Everything around them, from the observation to
+the arguments and from the answer to the actions, is production code."""
 
 import os
 import subprocess

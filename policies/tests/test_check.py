@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 from conftest import Noisy, gateway_program
 
-from rollout_policies import (
-    Camera,
-    Description,
-    DoesNotConform,
-    State,
-    check,
-    fake_observation,
-)
+from rollout_policies import Camera, Description, DoesNotConform, State, check, fake_observation
 from rollout_policies.fake import TASKS
 from rollout_policies.processing.robot import axis_angle
 

@@ -17,8 +17,7 @@ from rollout_policies import command as command_module
 class Flags(Policy):
     """Answers zeros.
 
-    In 100 % of the cases.
-    """
+    In 100 % of the cases."""
 
     def __init__(
         self,
@@ -64,12 +63,7 @@ def test_parameters_become_flags_of_their_types(run_command):
     policy, options = run_command(Flags, "--checkpoint", "org/weights")
     assert policy.given == ("org/weights", 10, None, True, False, Path("table"), 0.5, None)
     assert policy.description.execute == 8
-    assert options == {
-        "listen": "127.0.0.1:0",
-        "tls": None,
-        "token_file": None,
-        "insecure": False,
-    }
+    assert options == {"listen": "127.0.0.1:0", "tls": None, "token_file": None, "insecure": False}
     policy, options = run_command(
         Flags,
         *("--checkpoint=w --steps 3 --scale 2 --no-fast --quiet --table /t --noise 1").split(),

@@ -1,7 +1,6 @@
 """Servers made with this package pass the gateway's conformance check.
 
-Runs the program that the environment variable POLICY_GATEWAY names.
-"""
+Runs the program that the environment variable POLICY_GATEWAY names."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,6 @@
 """A compiled network with CUDA graphs, which only its creating thread can use.
 
-Runs where PyTorch finds a GPU, and is skipped elsewhere.
-"""
+Runs where PyTorch finds a GPU, and is skipped elsewhere."""
 
 import sys
 from concurrent.futures import ThreadPoolExecutor

@@ -3,8 +3,7 @@
 Skipped where lerobot is not installed (it brings PyTorch):
 
     pip install -e './policies[dev]' 'lerobot[smolvla,pi,vla-jepa]==0.6.1'
-    POLICY_GATEWAY=PROGRAM python -m pytest policies/tests/test_lerobot.py
-"""
+    POLICY_GATEWAY=PROGRAM python -m pytest policies/tests/test_lerobot.py"""
 
 import contextlib
 import json
@@ -23,10 +22,7 @@ from safetensors.torch import load_file, save_file  # noqa: E402
 
 from rollout_policies import UnderWay  # noqa: E402
 from rollout_policies.adapters import Options, load  # noqa: E402
-from rollout_policies.adapters.upstream import (  # noqa: E402
-    UnusableCheckpoint,
-    UnusableOption,
-)
+from rollout_policies.adapters.upstream import UnusableCheckpoint, UnusableOption  # noqa: E402
 
 #: The adapter of each random policy. MINERVA's adapter serves lerobot's ACT, too: both networks
 #: hold the action queues of a single episode, and the adapter exchanges the queues at each query.

@@ -1,8 +1,7 @@
-"""A server with openpi's interface behind the gateway receives the inputs that openpi's
-own LIBERO client would send.
+"""A server with openpi's interface behind the gateway receives the inputs that openpi's own LIBERO
+client would send.
 
-Runs the program that the environment variable POLICY_GATEWAY names.
-"""
+Runs the program that the environment variable POLICY_GATEWAY names."""
 
 import contextlib
 import hashlib

@@ -1,8 +1,7 @@
-"""Loading of OpenVLA-OFT and UniVLA, with PyTorch and small replacements for
-upstream's classes. Skipped where PyTorch or transformers is not installed.
+"""Loading of OpenVLA-OFT and UniVLA, with PyTorch and small replacements for upstream's classes.
+Skipped where PyTorch or transformers is not installed.
 
-The replacements load as transformers does: tensors that do not fit stay unchanged.
-"""
+The replacements load as transformers does: tensors that do not fit stay unchanged."""
 
 import json
 import sys

@@ -1,8 +1,7 @@
 """Frames, readings and actions against the results of the upstream definitions.
 
-Numbers that a framework defines were printed by the framework for the frame of
-`pattern`: TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64.
-"""
+Numbers that a framework defines were printed by the framework for the frame of `pattern`:
+TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64."""
 
 import hashlib
 import math

@@ -1,7 +1,6 @@
 """The gateway's commands `compare` and `doctor` find faults of servers made with this package.
 
-Runs the program that the environment variable POLICY_GATEWAY names.
-"""
+Runs the program that the environment variable POLICY_GATEWAY names."""
 
 import json
 import os

@@ -1,8 +1,7 @@
-"""A model server of the real vla-eval behind the gateway receives the messages that
-vla-eval's own LIBERO benchmark sends, and its answers are executed in the same way.
+"""A model server of the real vla-eval behind the gateway receives the messages that vla-eval's own
+LIBERO benchmark sends, and its answers are executed in the same way.
 
-Runs the program that the environment variable POLICY_GATEWAY names.
-"""
+Runs the program that the environment variable POLICY_GATEWAY names."""
 
 import json
 import subprocess

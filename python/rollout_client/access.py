@@ -53,8 +53,7 @@ class Access:
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:
-        """Metadata of every call. The token is only sent over TLS or to this
-        machine."""
+        """Metadata of every call. The token is only sent over TLS or to this machine."""
         if self.token is None or not (self.is_encrypted or _is_this_machine(self.host)):
             return ()
         return (("authorization", f"Bearer {self.token}"),)

@@ -1,8 +1,7 @@
 """An archive of a campaign (`coordinator campaign archive`), read without a coordinator.
 
 The archive may come from an untrusted source. Before anything is written, its list of members must
-state the total size, and the disk must have room for it. Only tables of the database are read.
-"""
+state the total size, and the disk must have room for it. Only tables of the database are read."""
 
 from __future__ import annotations
 
@@ -98,8 +97,7 @@ class Rollout:
 
 class Archive:
     """A campaign in one file. Use it in a `with` statement, which removes the unpacked files at its
-    end. The size and SHA-256 of every member are verified first. Raises ArchiveError.
-    """
+    end. The size and SHA-256 of every member are verified first. Raises ArchiveError."""
 
     def __init__(self, file: str | os.PathLike[str]) -> None:
         self._file = Path(file)

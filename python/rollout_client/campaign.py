@@ -53,8 +53,7 @@ class Campaign:
     def follow(self, every: float = 2.0) -> Iterator[Status]:
         """Yields the status every `every` seconds until the campaign cannot change by itself.
 
-        Ctrl-C (a notebook's interrupt) ends the iteration and leaves the campaign running.
-        """
+        Ctrl-C (a notebook's interrupt) ends the iteration and leaves the campaign running."""
         try:
             while True:
                 status = self.status()
@@ -76,7 +75,7 @@ class Campaign:
         `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
         and `goal_at_most` the largest number that held at one time."""
         request = wire.ExportRequest(campaign=self._name)
-        lines = self._connection.collect(self._connection.operator.Export, request)
+        lines = self._connection.collect("Export", request)
         rows = ({"execution": "wait", **json.loads(line.json)} for line in lines)
         return frames.frame(rows, frames.RESULTS)
 
@@ -92,9 +91,8 @@ class Campaign:
         """Returns a row per job, in the order of creation: in each replicate, all conditions of a
         configuration follow one another, except those that were added to the campaign later.
 
-        state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
-        task: `libero_object/0`, or a suite. condition and level: as in rollout ids.
-        """
+        state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`. task:
+        `libero_object/0`, or a suite. condition and level: as in rollout ids."""
         request = wire.ListJobsRequest(
             campaign=self._name,
             state=state or "",
@@ -106,7 +104,7 @@ class Campaign:
         )
         rows: list[dict[str, Any]] = []
         while True:
-            page = self._connection.call(self._connection.operator.ListJobs, request).jobs
+            page = self._connection.call("ListJobs", request).jobs
             rows += map(_job, page)
             if len(page) < PAGE:
                 return frames.frame(rows, frames.JOBS)
@@ -138,7 +136,7 @@ class Campaign:
 
     def _change(self, change: wire.ChangeCampaignRequest.Change) -> Status:
         request = wire.ChangeCampaignRequest(campaign=self._name, change=change)
-        self._connection.call(self._connection.operator.ChangeCampaign, request)
+        self._connection.call("ChangeCampaign", request)
         return self.status()
 
 

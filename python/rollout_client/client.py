@@ -29,8 +29,7 @@ Spec = Mapping[str, Any] | str | os.PathLike[str]
 class Client:
     """The campaigns of a coordinator.
 
-    It connects at the first call. All methods raise CoordinatorError.
-    """
+    It connects at the first call. All methods raise CoordinatorError."""
 
     def __init__(
         self,
@@ -46,8 +45,7 @@ class Client:
         by default ROLLOUT_TOKEN_FILE, or such lines in ROLLOUT_TOKENS. ca: the certificate
         authority, PEM; by default ROLLOUT_CA. retry_secs: time to keep trying if the coordinator
         does not answer. program: the program `coordinator`, for reports; by default the first on
-        PATH.
-        """
+        PATH."""
         settings = access.read(url, token_file, ca)
         self._connection = Connection(settings, retry_secs)
         self._program = Program(program, settings)
@@ -67,9 +65,7 @@ class Client:
 
     def campaigns(self) -> pd.DataFrame:
         """Returns a row per campaign, oldest first, with the fields of Status."""
-        answer = self._connection.call(
-            self._connection.operator.ListCampaigns, wire.ListCampaignsRequest()
-        )
+        answer = self._connection.call("ListCampaigns", wire.ListCampaignsRequest())
         statuses = map(Status.of, answer.campaigns)
         return frames.frame(map(asdict, statuses), CAMPAIGNS)
 
@@ -80,14 +76,13 @@ class Client:
         return campaign
 
     def create(self, spec: Spec, *, priority: int = 0) -> Campaign:
-        """Creates a campaign. Creating it again with the same specification returns the
-        same campaign; another specification under its name is refused.
+        """Creates a campaign. Creating it again with the same specification returns the same
+        campaign; another specification under its name is refused.
 
-        priority: from -100 to 100; rollouts of higher priority are leased earlier.
-        """
+        priority: from -100 to 100; rollouts of higher priority are leased earlier."""
         text = _text(spec)
         request = wire.CreateCampaignRequest(spec=text, priority=priority)
-        self._connection.call(self._connection.operator.CreateCampaign, request)
+        self._connection.call("CreateCampaign", request)
         return Campaign(json.loads(text)["name"], self._connection, self._program)
 
     def forecast(self, spec: Spec, *, policy_rate: float | None = None) -> Forecast:
@@ -95,8 +90,7 @@ class Client:
         connected workers would take, and the bottleneck. Creates nothing.
 
         policy_rate: maximal queries per second of all replicas of the policy's server together, as
-        `policy-gateway check` measures them.
-        """
+        `policy-gateway check` measures them."""
         text = _text(spec)
         rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
         suites = Counter(json.loads(row)["suite"] for row in rows)
@@ -110,15 +104,13 @@ class Client:
             ],
             policy_rate=policy_rate,
         )
-        answer = self._connection.call(self._connection.operator.Forecast, request)
+        answer = self._connection.call("Forecast", request)
         return Forecast.of(rollouts, answer)
 
     def workers(self) -> pd.DataFrame:
         """Returns a row per worker, including workers that have ended, latest calls first; at most
         1,000 rows."""
-        answer = self._connection.call(
-            self._connection.operator.ListWorkers, wire.ListWorkersRequest()
-        )
+        answer = self._connection.call("ListWorkers", wire.ListWorkersRequest())
         return frames.frame(map(_worker, answer.workers), frames.WORKERS)
 
     def report(self, *sources: str | os.PathLike[str]) -> Report:

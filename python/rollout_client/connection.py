@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import grpc
 
-from . import probe
 from .access import Access
-from .channel import channel
 from .errors import (
     AccessDeniedError,
     CoordinatorError,
@@ -21,7 +19,6 @@ from .errors import (
     UnreachableError,
 )
 from .proto import coordinator_pb2 as wire
-from .proto.coordinator_pb2_grpc import OperatorServiceStub
 
 #: First and longest pause between two tries, s. Each pause is twice as long as the previous one.
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
@@ -37,6 +34,12 @@ CONNECTION_CODES = (
     grpc.StatusCode.UNKNOWN,
 )
 
+#: Start of gRPC's message about an answer from a web server.
+WEB_ANSWER = "Received http2 header with status: "
+INSTALL = "name the coordinator's address, and install its release of rollout-libero"
+#: The operator's calls.
+SERVICE = wire.DESCRIPTOR.services_by_name["OperatorService"]
+
 log = logging.getLogger("rollout_client")
 
 T = TypeVar("T")
@@ -48,9 +51,7 @@ class Connection:
     def __init__(self, access: Access, retry_secs: float) -> None:
         self.access = access
         self.retry_secs = retry_secs
-        self._channel = channel(access)
-        #: Stub whose methods are arguments of `call` and `collect`.
-        self.operator: Any = OperatorServiceStub(self._channel)  # type: ignore[no-untyped-call]
+        self._channel = _channel(access)
 
     def close(self) -> None:
         """Closes the connection. Later calls fail."""
@@ -59,19 +60,29 @@ class Connection:
     def campaign(self, name: str) -> wire.GetCampaignResponse:
         """Returns a campaign's status and specification."""
         request = wire.GetCampaignRequest(campaign=name)
-        answer: wire.GetCampaignResponse = self.call(self.operator.GetCampaign, request)
+        answer: wire.GetCampaignResponse = self.call("GetCampaign", request)
         return answer
 
-    def call(self, method: Callable[..., T], request: object) -> T:
-        """Calls until the coordinator answers, the time for retries is over, or a retry could not
-        help. All operator calls may be repeated safely. Raises CoordinatorError."""
+    def call(self, name: str, request: object) -> Any:
+        """Calls a method until the coordinator answers, the time for retries is over, or a retry
+        could not help. All operator calls may be repeated safely. Raises CoordinatorError."""
+        method = self._method(self._channel.unary_unary, name)
         return self._with_retries(
             lambda: method(request, timeout=ANSWER_TIMEOUT, metadata=self.access.metadata)
         )
 
-    def collect(self, method: Callable[..., Iterable[T]], request: object) -> list[T]:
+    def collect(self, name: str, request: object) -> list[Any]:
         """Like `call`, for a method whose answer is a stream."""
+        method = self._method(self._channel.unary_stream, name)
         return self._with_retries(lambda: list(method(request, metadata=self.access.metadata)))
+
+    def _method(self, kind: Callable[..., Any], name: str) -> Callable[..., Any]:
+        answer = getattr(wire, SERVICE.methods_by_name[name].output_type.name)
+        return kind(  # type: ignore[no-any-return]
+            f"/{SERVICE.full_name}/{name}",
+            request_serializer=lambda request: request.SerializeToString(),
+            response_deserializer=answer.FromString,
+        )
 
     def _with_retries(self, send: Callable[[], T]) -> T:
         deadline = time.monotonic() + self.retry_secs
@@ -81,9 +92,13 @@ class Connection:
             try:
                 return send()
             except grpc.RpcError as error:
-                finding = self._diagnose(error)
-                failure = _refusal(error) if finding is None else self._unreachable(finding)
-                is_temporary = _is_outage(error) if finding is None else not finding.is_final
+                lost = self._lost(error)
+                failure = lost or _refusal(error)
+                is_temporary = (
+                    error.code() is grpc.StatusCode.UNAVAILABLE
+                    if lost is None
+                    else lost.remedy is not INSTALL
+                )
             if not is_temporary or time.monotonic() + pause > deadline:
                 raise failure
             if not has_warned:
@@ -92,25 +107,22 @@ class Connection:
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
 
-    def _diagnose(self, error: grpc.RpcError) -> probe.Finding | None:
-        """Identifies the server at the URL; None if the coordinator itself answered."""
-        code, details = error.code(), error.details() or ""
-        is_from_web_server = details.startswith(probe.WEB_ANSWER)
+    def _lost(self, error: grpc.RpcError) -> UnreachableError | None:
+        """Returns the error of a call that did not reach a coordinator; None if one answered."""
+        code, details = error.code(), error.details() or error.code().name
+        is_from_web_server = details.startswith(WEB_ANSWER)
         # Only a server's answers have trailing metadata; this client's own errors have none.
         has_answered = bool(error.trailing_metadata()) and not is_from_web_server
-        is_unimplemented = code is grpc.StatusCode.UNIMPLEMENTED
-        may_be_lost = is_from_web_server or code in CONNECTION_CODES
-        if not may_be_lost or has_answered and not is_unimplemented:
+        if code is grpc.StatusCode.UNIMPLEMENTED:
+            found = "the server there is not a coordinator, or has another release"
+            return UnreachableError(self.access.url, found, INSTALL)
+        if has_answered or not is_from_web_server and code not in CONNECTION_CODES:
             return None
-        finding = probe.identify_server(self.access)
-        return probe.OLDER if finding is probe.BROKEN and is_unimplemented else finding
-
-    def _unreachable(self, finding: probe.Finding) -> UnreachableError:
-        return UnreachableError(self.access.url, finding.words, finding.remedy)
-
-
-def _is_outage(error: grpc.RpcError) -> bool:
-    return error.code() is grpc.StatusCode.UNAVAILABLE
+        remedy = (
+            "start it with `coordinator serve`, or find out what is there with"
+            f" `coordinator campaign list --connect {self.access.url}`"
+        )
+        return UnreachableError(self.access.url, details, remedy)
 
 
 def _refusal(error: grpc.RpcError) -> CoordinatorError:
@@ -123,3 +135,24 @@ def _refusal(error: grpc.RpcError) -> CoordinatorError:
     if code is grpc.StatusCode.NOT_FOUND:
         return NoSuchCampaignError(message)
     return RefusedError(message)
+
+
+def _channel(access: Access) -> grpc.Channel:
+    """Returns a channel that connects at the first call, with the command line's options."""
+    options = [
+        # As on the command line, messages may be large enough for the lists of large campaigns,
+        # and no proxy is used.
+        ("grpc.max_receive_message_length", 32 << 20),
+        ("grpc.max_send_message_length", 32 << 20),
+        ("grpc.enable_http_proxy", 0),
+        ("grpc.initial_reconnect_backoff_ms", 250),
+        ("grpc.max_reconnect_backoff_ms", 4_000),
+        # Despite its name, the shortest timeout of an attempt to connect, not a back-off.
+        ("grpc.min_reconnect_backoff_ms", 5_000),
+        # Each channel has its own connection, which failures of another channel do not affect.
+        ("grpc.use_local_subchannel_pool", 1),
+    ]
+    if not access.is_encrypted:
+        return grpc.insecure_channel(access.target, options=options)
+    credentials = grpc.ssl_channel_credentials(root_certificates=access.authority)
+    return grpc.secure_channel(access.target, credentials, options=options)

@@ -25,8 +25,7 @@ class Program:
         """Runs the program with these arguments, and with `text` as its input. Returns its output.
 
         Raises ProgramError if the program is missing, and RefusedError, with
-        the program's message, if it fails.
-        """
+        the program's message, if it fails."""
         command = [self._path(), *map(str, arguments)]
         try:
             done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)

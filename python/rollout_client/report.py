@@ -108,8 +108,7 @@ class Report:
     """Results of campaigns and result files so far.
 
     Rates are fractions. The column `policy` holds the report's label of a policy: its name,
-    followed by that of the campaign or file if several of these have a policy of that name.
-    """
+    followed by that of the campaign or file if several of these have a policy of that name."""
 
     #: The whole report, as `coordinator report --json` prints it.
     json: Mapping[str, Any] = field(repr=False)
@@ -155,9 +154,8 @@ class Comparison:
     warnings: tuple[str, ...]
     #: Warnings about one policy, each after its label.
     notes: tuple[str, ...]
-    #: A row per level and condition (`clean` at L0, each axis, `combination`).
-    #: `difference_worst` and `difference_best` bound the difference for all possible outcomes of
-    #: quarantined rollouts.
+    #: A row per level and condition (`clean` at L0, each axis, `combination`). `difference_worst`
+    #: and `difference_best` bound the difference for all possible outcomes of quarantined rollouts.
     cells: pd.DataFrame = field(repr=False)
     #: Rollouts that are not compared, because they differed between the two policies, by reason.
     unpaired: Mapping[str, tuple[str, ...]]

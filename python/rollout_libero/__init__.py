@@ -1,7 +1,6 @@
 """LIBERO without OpenGL: many environments in one process, faithful to the original.
 
-``Environment`` and ``VectorEnvironment`` are gymnasium's interfaces to LIBERO's tasks.
-"""
+``Environment`` and ``VectorEnvironment`` are gymnasium's interfaces to LIBERO's tasks."""
 
 from rollout_libero._library import native as _native
 from rollout_libero.environment import Environment

@@ -1,6 +1,5 @@
-"""``python -m rollout_libero fetch`` fetches the files of scenes; ``python -m
-rollout_libero doctor`` reports the package ``libero`` that programs import.
-"""
+"""``python -m rollout_libero fetch`` fetches the files of scenes; ``python -m rollout_libero
+doctor`` reports the package ``libero`` that programs import."""
 
 from __future__ import annotations
 

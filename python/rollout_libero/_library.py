@@ -2,8 +2,7 @@
 
 The ``mujoco`` package exports its library's symbols to the whole process. If that library has
 another version and was imported first, the extension would call it, and its physics differs from
-the benchmark's. The extension therefore resolves symbols in its own libraries first.
-"""
+the benchmark's. The extension therefore resolves symbols in its own libraries first."""
 
 from __future__ import annotations
 

@@ -38,9 +38,8 @@ class Start(NamedTuple):
 class Starts:
     """Chooses the start of each rollout of one environment.
 
-    Environments of one task that take turns share the sequence: each begins at
-    its ``rank`` among them and advances by their number, ``stride``.
-    """
+    Environments of one task that take turns share the sequence: each begins at its ``rank`` among
+    them and advances by their number, ``stride``."""
 
     def __init__(
         self,
@@ -97,8 +96,7 @@ class Starts:
         Raises:
             ValueError: if the task has no such configuration, its actuation axis distorts actions
                 that are poses, or its execution model does not fit; the previous perturbation stays
-                in effect.
-        """
+                in effect."""
         row = None if perturbation is None else _row(self._task, perturbation)
         self._check_execution(self._execution_of(row))
         if row is not None:
@@ -112,18 +110,13 @@ class Starts:
         self._perturbed = row
 
     def plan(
-        self,
-        generator: np.random.Generator,
-        options: Mapping[str, Any],
-        *,
-        turn: int | None = None,
+        self, generator: np.random.Generator, options: Mapping[str, Any], *, turn: int | None = None
     ) -> Start:
         """Returns the next start, at the given turn, or else at the environment's turn. Changes
         nothing: pass the start to ``use`` after the rollout has begun.
 
         Raises:
-            ValueError: if the option ``init_state`` is not a state of the task.
-        """
+            ValueError: if the option ``init_state`` is not a state of the task."""
         generator = copy.deepcopy(generator)
         turn = self._turn if turn is None else turn
         init_state = options.get("init_state")

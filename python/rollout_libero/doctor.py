@@ -2,8 +2,7 @@
 
 Several distributions install a package of this name into the same folder, and frameworks put
 checkouts of LIBERO before that folder on the path. Python silently imports the first package that
-it finds.
-"""
+it finds."""
 
 from __future__ import annotations
 

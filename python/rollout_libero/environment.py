@@ -72,8 +72,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Raises:
         ValueError: for an unknown task or camera, or an invalid value.
-        FileNotFoundError: if files are missing; the message has the remedy.
-    """
+        FileNotFoundError: if files are missing; the message has the remedy."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
 
@@ -142,12 +141,10 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Begins a rollout, up to the policy's first action.
 
         A seed selects the rollout's start. With ``init_states="cycle"`` it selects initial state
-        ``seed % 50``, as each task has 50; with numbers, the number at index
-        ``seed % len(numbers)``; later resets without a seed continue from there in turn.
-        ``"random"`` and ``"sampled"`` draw from a generator with this seed.
-        ``options={"init_state": 7}`` takes precedence, and a configuration's own initial state
-        does not depend on the seed.
-        """
+        ``seed % 50``, as each task has 50; with numbers, the number at index ``seed %
+        len(numbers)``; later resets without a seed continue from there in turn. ``"random"`` and
+        ``"sampled"`` draw from a generator with this seed. ``options={"init_state": 7}`` takes
+        precedence, and a configuration's own initial state does not depend on the seed."""
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         start = self.starts.plan(generator, options or {}, turn=seed)
         no_actions = np.empty((1, 0, ACTION_WIDTH))
@@ -186,9 +183,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         arrays have the executed steps as their first axis; with ``"none"`` it has no frames.
         ``info["steps"]`` counts the steps since the reset.
 
-        A call that raises ``ValueError`` for its arguments has changed nothing.
-        After ``SimulationError`` the rollout is over: call ``reset``.
-        """
+        A call that raises ``ValueError`` for its arguments has changed nothing. After
+        ``SimulationError`` the rollout is over: call ``reset``."""
         rollout = self._rollout
         if not rollout.is_begun or rollout.is_over:
             raise gymnasium.error.ResetNeeded(
@@ -255,8 +251,7 @@ def is_absolute(control: str) -> bool:
     """Returns true if actions are poses.
 
     Raises:
-        ValueError: if there is no such control.
-    """
+        ValueError: if there is no such control."""
     if control not in ("relative", "absolute"):
         raise ValueError(f"failed to choose control {control!r}: it is 'relative' or 'absolute'")
     return control == "absolute"

@@ -1,9 +1,8 @@
-"""Locations of a scene's files: the *sources* (robot models of robosuite 1.4.0, BDDL
-files and initial states of hf-libero 0.1.4), and the asset pack (objects and arenas).
+"""Locations of a scene's files: the *sources* (robot models of robosuite 1.4.0, BDDL files and
+initial states of hf-libero 0.1.4), and the asset pack (objects and arenas).
 
-Both are fetched from the Python package index at first use, checked, and kept
-below the user's cache folder, which the ``worker`` program uses as well.
-"""
+Both are fetched from the Python package index at first use, checked, and kept below the user's
+cache folder, which the ``worker`` program uses as well."""
 
 from __future__ import annotations
 
@@ -97,8 +96,7 @@ def sources() -> Path:
     """Returns the folder of the sources, which are fetched if they are missing.
 
     Raises:
-        FileNotFoundError: if they cannot be fetched.
-    """
+        FileNotFoundError: if they cannot be fetched."""
     for wheel in _WHEELS:
         unpacked(wheel)
     return sources_folder()
@@ -109,8 +107,7 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
     `complete` is called with the folder of the unpacked files, before it gets its final name.
 
     Raises:
-        FileNotFoundError: if it cannot be fetched.
-    """
+        FileNotFoundError: if it cannot be fetched."""
     folder = sources_folder()
     try:
         if not _is_unpacked(wheel, folder):
@@ -131,8 +128,7 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
     """Returns the asset pack: the given pack, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
 
     Raises:
-        MissingAssetsError: if the given folder is not an asset pack.
-    """
+        MissingAssetsError: if the given folder is not an asset pack."""
     pack = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
     if pack in (LIBERO, PRIMITIVES):
         return str(pack)
@@ -163,8 +159,8 @@ def fetch_assets(
     index: str | None = None,
     wheels: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Fetches the missing files of LIBERO's assets that tasks need, and
-    verifies each file's SHA-256. Shows the progress on standard error.
+    """Fetches the missing files of LIBERO's assets that tasks need, and verifies each file's
+    SHA-256. Shows the progress on standard error.
 
     Args:
         tasks: names such as ``"libero_goal/3"``; by default all forty tasks.
@@ -180,8 +176,7 @@ def fetch_assets(
 
     Raises:
         FileNotFoundError: if they cannot be fetched or written.
-        ValueError: if there is no such task.
-    """
+        ValueError: if there is no such task."""
     chosen = all_tasks() if tasks is None else map(_task, tasks)
     folder, _, _ = native.fetch_assets(
         sources(),

@@ -57,8 +57,7 @@ def is_mirrored(orientation: str) -> bool:
     """Returns true if columns run from right to left.
 
     Raises:
-        ValueError: if there is no such orientation.
-    """
+        ValueError: if there is no such orientation."""
     if orientation not in ("policy", "upright"):
         raise ValueError(
             f"failed to choose orientation {orientation!r}: it is 'policy' or 'upright'"

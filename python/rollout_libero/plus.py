@@ -13,8 +13,7 @@ def check_assets(bddl_file: str | PathLike[str], assets: str | PathLike[str] | N
     """Checks that an asset pack suffices for the variant that the path of a BDDL file names.
 
     Raises:
-        FileNotFoundError: if it does not; the message names the missing files.
-    """
+        FileNotFoundError: if it does not; the message names the missing files."""
     name = Path(bddl_file).stem
     variant = native.PlusVariant.find(name)
     lack = variant and variant.lack(files.assets(assets), files.sources())

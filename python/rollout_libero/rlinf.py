@@ -1,14 +1,13 @@
 """RLinf's LIBERO environments in one process: ``export RLINF_EXT_MODULE=rollout_libero.rlinf``.
 
-RLinf imports the module that this variable names in each of its workers and calls
-``register``. RLinf's ``LiberoEnv`` still chooses tasks and initial states, computes rewards and
-metrics, truncates and resets; only the simulation is replaced. RLinf itself starts a process for
-each environment, which renders and sends every observation. With this module, threads of the worker
+RLinf imports the module that this variable names in each of its workers and calls ``register``.
+RLinf's ``LiberoEnv`` still chooses tasks and initial states, computes rewards and metrics,
+truncates and resets; only the simulation is replaced. RLinf itself starts a process for each
+environment, which renders and sends every observation. With this module, threads of the worker
 simulate, and render only the last observation of each chunk, which is the policy's input.
 
 If a run saves videos or collects data, every step is rendered, which is slow: set
-``video_cfg.save_video`` and ``data_collection.enabled`` to ``False`` for training.
-"""
+``video_cfg.save_video`` and ``data_collection.enabled`` to ``False`` for training."""
 
 from __future__ import annotations
 

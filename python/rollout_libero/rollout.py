@@ -39,8 +39,7 @@ class Rollout:
         spent its budget of steps. Returns True if the budget is spent without success.
 
         A failed simulation ends the rollout. A call that was refused, or that found the environment
-        busy or closed, does not.
-        """
+        busy or closed, does not."""
         self.steps += steps
         truncated = error is None and not success and self.steps >= self.max_steps
         failed = error is not None and not isinstance(error, (*UNTOUCHED, ValueError))

@@ -27,15 +27,12 @@ MAX_NAMES = 5
 """Number of files of a pack that a warning names."""
 
 
-def scene_of_task(
-    task: Task, assets: str | PathLike[str] | None, look: str | None
-) -> native.Scene:
+def scene_of_task(task: Task, assets: str | PathLike[str] | None, look: str | None) -> native.Scene:
     """Returns the compiled scene of a task, with its initial states.
 
     Raises:
         FileNotFoundError: if files are missing.
-        ValueError: if there is no such look.
-    """
+        ValueError: if there is no such look."""
     init = files.sources() / "libero" / "init_files" / task.suite / f"{task.file}.pruned_init"
     return scene(str(files.bddl_file(task)), assets, look, init_file=str(init))
 
@@ -52,8 +49,7 @@ def scene(
 
     Raises:
         FileNotFoundError: if files are missing.
-        ValueError: if there is no such look.
-    """
+        ValueError: if there is no such look."""
     sources, pack, look = str(files.sources()), files.assets(assets), files.look(look)
     key = (_version(bddl_file), pack, look, init_file and _version(init_file))
     # Compiling takes a second; two threads that need the same scene wait for one compilation.

@@ -27,8 +27,7 @@ class Task(NamedTuple):
         """Returns the task of this name.
 
         Raises:
-            ValueError: if there is no such task; the message lists the tasks.
-        """
+            ValueError: if there is no such task; the message lists the tasks."""
         suite, index, file, instruction, max_steps = native.task(name)
         return cls(f"{suite}/{index}", file, suite, instruction, max_steps)
 
@@ -37,7 +36,6 @@ def tasks(suite: str | None = None) -> list[Task]:
     """Returns the tasks of a suite, or all forty.
 
     Raises:
-        ValueError: if there is no such suite.
-    """
+        ValueError: if there is no such suite."""
     suites = SUITES if suite is None else (suite,)
     return [Task.of(f"{suite}/{index}") for suite in suites for index in range(TASKS_PER_SUITE)]

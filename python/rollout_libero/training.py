@@ -3,8 +3,7 @@
 ``TrainingEnvironment`` can do more than ``VectorEnvironment``, which has gymnasium's interface: it
 runs the task of any BDDL file, and another task at each reset; starts from a given state, as the
 original's ``set_init_state`` does; executes chunks of actions past success; and accepts calls for
-some rows only.
-"""
+some rows only."""
 
 from __future__ import annotations
 
@@ -48,9 +47,8 @@ class Stepped(NamedTuple):
 
 @dataclass(frozen=True)
 class Start:
-    """The start of a row's rollout, equal to a script's start of an
-    ``OffScreenRenderEnv``: its construction, ``seed(seed)``, ``reset()``,
-    ``set_init_state(state)``, and settling steps."""
+    """The start of a row's rollout, equal to a script's start of an ``OffScreenRenderEnv``: its
+    construction, ``seed(seed)``, ``reset()``, ``set_init_state(state)``, and settling steps."""
 
     task: str
     """A BDDL file, or the name of one of the forty tasks, ``libero_goal/3``."""
@@ -80,8 +78,7 @@ class TrainingEnvironment:
     Rows with equal starts in one call, that is, with the same task, state, seed and number of
     loads, are simulated only once until they have settled. If a row fails, the other rows finish;
     the exception, ``SimulationError``, has the failed rows as ``environments`` and the results of
-    the call as ``result``.
-    """
+    the call as ``result``."""
 
     def __init__(
         self,
@@ -128,8 +125,7 @@ class TrainingEnvironment:
             FileNotFoundError: if files are missing.
             ValueError: if there is no such task or row, or a state is of another task.
 
-        After an error, other rows may have begun their rollouts, or lost their earlier ones.
-        """
+        After an error, other rows may have begun their rollouts, or lost their earlier ones."""
         rows = self._rows(rows)
         if len(starts) != len(rows):
             raise ValueError(
@@ -167,18 +163,14 @@ class TrainingEnvironment:
         return _finished(observation, rows, [errors[leader] for leader in leader_of])
 
     def step_chunk(
-        self,
-        actions: ArrayLike,
-        rows: Sequence[int] | None = None,
-        render: Render = "last",
+        self, actions: ArrayLike, rows: Sequence[int] | None = None, render: Render = "last"
     ) -> Stepped:
-        """Executes control steps of the rows, by default of all, with actions [rows, steps, 7].
-        All actions are executed, even past success.
+        """Executes control steps of the rows, by default of all, with actions [rows, steps, 7]. All
+        actions are executed, even past success.
 
         Raises:
             ValueError: for actions of another shape, and for rows without a rollout; no row has
-                moved then.
-        """
+                moved then."""
         rows = self._rows(rows)
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 3 or actions.shape[0] != len(rows) or not actions.shape[1]:
@@ -199,8 +191,7 @@ class TrainingEnvironment:
         ``render="none"``.
 
         Raises:
-            ValueError: if a row has no rollout.
-        """
+            ValueError: if a row has no rollout."""
         rows = self._rows(rows)
         simulations = [self._simulation(row) for row in rows]
         no_actions = np.empty((len(rows), 0, ACTION_WIDTH))

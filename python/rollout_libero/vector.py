@@ -43,8 +43,8 @@ class VectorSnapshot(NamedTuple):
 class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     """Environments that step together, on threads of this process.
 
-    Environments of one task share its compiled scene. Frames, readings, rewards
-    and ends are stacked, one row per environment.
+    Environments of one task share its compiled scene. Frames, readings, rewards and ends are
+    stacked, one row per environment.
 
     A refused call (``ValueError``, ``ResetNeeded``) changes nothing. If an environment fails in a
     call (``SimulationError``), the other environments finish their steps first; the exception's
@@ -72,8 +72,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             same call, with the last observation in ``info["final_obs"]``; with ``DISABLED``, call
             ``reset`` with ``options={"reset_mask": …}``.
 
-    The other arguments are those of ``Environment``.
-    """
+    The other arguments are those of ``Environment``."""
 
     def __init__(
         self,
@@ -165,8 +164,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         list act as in ``Environment.reset``, and with a number the *r*-th environment of a task
         begins at turn ``seed + r``. ``options`` may have ``reset_mask``, [environments], True for
         the environments that begin a rollout, and ``init_state``, which takes precedence: a number
-        for all environments, or a number for each.
-        """
+        for all environments, or a number for each."""
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():
@@ -213,11 +211,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return self.step_chunk(actions[:, np.newaxis])
 
     def step_chunk(
-        self,
-        actions: ArrayLike,
-        render: Render = "last",
-        *,
-        expert: ArrayLike | None = None,
+        self, actions: ArrayLike, render: Render = "last", *, expert: ArrayLike | None = None
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Executes control steps, actions [environments, steps, 7], until each rollout ends.
 
@@ -237,8 +231,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         ``info["taken"]`` steps; before an answer takes effect, it executes actions of earlier
         answers or holds still. ``info["delay"]`` counts the steps until the next answer takes
         effect, and with ``rtc`` ``info["under_way"]`` has the actions [n, 7] scheduled for the
-        coming steps.
-        """
+        coming steps."""
         actions = np.asarray(actions, dtype=np.float64)
         missing = [at for at, rollout in enumerate(self._rollouts) if not rollout.is_begun]
         if missing:
@@ -294,8 +287,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         now on, [n, steps, 7], without changing the environments.
 
         Actions after the step that reaches the goal are NaN. The second array, [n], is False where
-        the expert makes no progress: the hand is stuck, or retreats from where it was stuck.
-        """
+        the expert makes no progress: the hand is stuck, or retreats from where it was stuck."""
         return self._batch.foresee(steps)
 
     def _scheduled(
@@ -339,8 +331,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
 
         Raises:
             ValueError: if the task has no such configuration, or it does not fit the control or the
-                execution model; the previous perturbation stays in effect.
-        """
+                execution model; the previous perturbation stays in effect."""
         self.starts[index].perturb(perturbation)
 
     def snapshot(self) -> VectorSnapshot:
@@ -354,8 +345,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         """Returns to a snapshot.
 
         Raises:
-            ValueError: if the snapshot is of other tasks; no environment has changed then.
-        """
+            ValueError: if the snapshot is of other tasks; no environment has changed then."""
         self._batch.restore(snapshot.simulations)
         self._rollouts = [replace(rollout) for rollout in snapshot.rollouts]
 

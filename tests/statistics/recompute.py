@@ -11,13 +11,12 @@ The file is a list of two kinds of entries. A campaign has a "name", its "report
 - "suites": each suite's name and number.
 
 A comparison of two policies has a "name" and "compared": per row, its "name", "own_directions",
-"difference", "progress" and "pairs": [suite, task, number, A, B, [goal of A, of B],
-[steps of A, of B]], where a goal is [predicates that held, predicates].
+"difference", "progress" and "pairs": [suite, task, number, A, B, [goal of A, of B], [steps of A, of
+B]], where a goal is [predicates that held, predicates].
 
 Prints how many figures agree; fails if any does not, and names at most 20 of those. Shares no code
 with the crate `paired`; the formulas are those of docs/REPORT.md. Variances up to 1e-24 count as
-zero.
-"""
+zero."""
 
 import json
 import sys

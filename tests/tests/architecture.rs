@@ -1,4 +1,4 @@
-//! Allowed dependencies between crates, read from the diagram in docs/ARCHITECTURE.md.
+//! Allowed dependencies between crates, read from the diagram in docs/dev/ARCHITECTURE.md.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -92,9 +92,9 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
     named.collect()
 }
 
-/// Crates of each line of the diagram in docs/ARCHITECTURE.md, from the top.
+/// Crates of each line of the diagram in docs/dev/ARCHITECTURE.md, from the top.
 fn layers() -> Vec<Vec<String>> {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/dev/ARCHITECTURE.md");
     let page = std::fs::read_to_string(path).unwrap();
     let rule = "A crate uses only crates on the lines below its own.";
     let (before, _) = page.split_once(rule).expect("the page states the rule");
@@ -219,7 +219,7 @@ fn is_long_name(name: &str) -> bool {
 
 #[test]
 fn the_architecture_page_names_only_files_tests_and_invariants_that_exist() {
-    let page = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
+    let page = std::fs::read_to_string(root().join("docs/dev/ARCHITECTURE.md")).unwrap();
     let code = rust_sources();
     let exists = |name: &str| {
         if name.contains('/') {
@@ -258,7 +258,8 @@ fn pages_name_only_files_and_tests_that_exist() {
         None => words.contains(name) || FOREIGN.contains(&name),
     };
     let mut missing = Vec::new();
-    for entry in std::fs::read_dir(root().join("docs")).unwrap() {
+    let folders = ["docs", "docs/dev"].map(|folder| std::fs::read_dir(root().join(folder)));
+    for entry in folders.into_iter().flat_map(Result::unwrap) {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "md") {
             let page = std::fs::read_to_string(&path).unwrap();

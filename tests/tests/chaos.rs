@@ -4,7 +4,7 @@
 //! under their workers: network failures and restarted machines cost no rollout an attempt.
 //!
 //! `ROLLOUT_CHAOS_SEEDS=17` replays one schedule, `ROLLOUT_CHAOS_SEEDS=1000-1999` plays a thousand
-//! (docs/RELIABILITY.md).
+//! (docs/dev/RELIABILITY.md).
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};

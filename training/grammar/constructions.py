@@ -1,8 +1,7 @@
 """Constructions: the actions that tasks ask for, as clauses. The slot ``{x}`` is an object with its
 article, ``{y}`` a second object, ``{a}`` and ``{b}`` two objects of equal standing; ``{to}`` is the
 object's destination, ``{towards}`` the same after a verb of motion, ``{at}`` the object's position,
-``{place}`` the same after "from".
-"""
+``{place}`` the same after "from"."""
 
 from __future__ import annotations
 

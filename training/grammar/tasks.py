@@ -64,8 +64,7 @@ def _carry_from(*, at: Templates, place: Templates = (), **entries: Templates) -
     Args:
         at: the position, as in "the bowl on the stove".
         place: the position after "from", as in "take the bowl from the stove"; by default ``at``.
-        entries: further entries of the grammar.
-    """
+        entries: further entries of the grammar."""
     return {
         **COMMON, **CARRY_FROM, "at": at, "place": place or at, "cabinet": CABINET, "stove": STOVE,
         "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **entries,

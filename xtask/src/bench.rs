@@ -1,5 +1,5 @@
 //! `cargo xtask bench compare`: times a rollout in this simulator and in the original LIBERO, in
-//! turn. `tests/src/bin/bench_rollout.rs` and docs/PERFORMANCE.md describe the measurement.
+//! turn. `tests/src/bin/bench_rollout.rs` and docs/dev/PERFORMANCE.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

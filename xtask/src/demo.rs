@@ -22,8 +22,8 @@ pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway
 const CAMPAIGN: &str = "demo";
 /// Name of the demo's policy.
 const POLICY: &str = "student";
-/// Tasks whose first configurations have an emergent failure and a compensated success, in the
-/// fewest control steps that `examples/student` has for such a pair.
+/// Tasks of two suites whose first configurations have an emergent failure and a compensated
+/// success, each in the fewest control steps of `examples/student`.
 const TASKS: &str = "libero_object/3,libero_goal/1";
 const CONFIGURATIONS: &str = "0";
 /// Task with an emergent failure, for the demo's own test.

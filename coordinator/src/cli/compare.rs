@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
-use libero_ctrl::{Measure, StopRule};
 use report::{Comparison, Document, FamilyComparison, Subject};
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -13,15 +12,6 @@ use super::command::{CommandError, Connection, print_line, usage};
 pub(super) struct CompareArguments {
     #[command(flatten)]
     sources: Sources,
-    /// Fail unless confidence sequences, which stay valid however often they are looked at, can be
-    /// computed. They require that both campaigns were created with `--stop` and ran in the same
-    /// order. Without this flag, they are reported whenever they can be computed.
-    #[arg(long)]
-    sequential: bool,
-    /// Report the number of configurations after which a rule about the `difference` was met, such
-    /// as `difference excludes 0`; implies --sequential.
-    #[arg(long, value_name = "RULE")]
-    stop: Option<StopRule>,
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
@@ -91,9 +81,6 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
             "compare two policies: {count} given; name two campaigns, or folders with --from"
         )));
     }
-    if let Some(rule) = &arguments.stop {
-        rule.check(&[Measure::Difference]).map_err(usage)?;
-    }
     let mut subjects: Vec<Subject> = Vec::new();
     for source in &sources {
         subjects.push(match source {
@@ -104,12 +91,6 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     if let [a, b] = subjects.as_slice()
         && let Some(comparison) = FamilyComparison::of(a, b).map_err(anyhow::Error::from)?
     {
-        if arguments.sequential || arguments.stop.is_some() {
-            return Err(usage(anyhow!(
-                "compute confidence sequences of the difference: they need campaigns that run in a \
-                 random order, which those of LIBERO's family do not; omit --sequential and --stop"
-            )));
-        }
         let text = match arguments.json {
             true => comparison.json().map_err(anyhow::Error::from)?,
             false => comparison.text(),
@@ -127,11 +108,7 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
         unreachable!("one analysis per subject");
     };
     let setups = [&a.subject.setups, &b.subject.setups];
-    let mut comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
-    if arguments.sequential || arguments.stop.is_some() {
-        let rule = arguments.stop.as_ref();
-        comparison.add_sequential([a, b], rule).map_err(usage)?;
-    }
+    let comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
     let text = match arguments.json {
         true => comparison.json().map_err(anyhow::Error::from)?,
         false => comparison.text(),

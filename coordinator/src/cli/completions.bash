@@ -10,8 +10,7 @@ _coordinator_and_names() {
         --levels) names="LEVELS" ;;
         --tasks | --suites) names="SUITES" ;;
         status | pause | resume | cancel | delete | archive | list | show | retry | skip | report \
-            | compare | explain | thresholds | interactions | why | export | set-priority \
-            | --planning-from)
+            | compare | explain | thresholds | interactions | why | export | set-priority)
             names="$("${COMP_WORDS[0]}" campaign list --json --retry-secs 0 2>/dev/null \
                 | sed -n 's/^      "name": "\(.*\)",$/\1/p')"
             list=""

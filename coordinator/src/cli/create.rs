@@ -25,7 +25,7 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::horizon::{self, Asks};
-use super::planning::{self, Planning};
+use super::planning;
 use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
 use super::{forecast, stopping};
 
@@ -42,7 +42,7 @@ pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"]
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
 const DIRECTIONS: [&str; 2] = ["shared", "own"];
-const STRATA: [&str; 3] = ["suites", "tasks", "whole_tasks"];
+const STRATA: [&str; 2] = ["suites", "tasks"];
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -115,11 +115,6 @@ pub(super) struct CreateArguments {
     #[arg(long, value_name = "N", requires = "dry_run", hide_short_help = true,
         value_parser = decimal(0.001..=1e6, "queries per second"))]
     policy_rate: Option<f64>,
-    /// With --dry-run: source of the outcomes that are assumed for the smallest detectable
-    /// differences: a campaign, or a folder as for `report --from`. If omitted, the student's
-    /// published outcomes.
-    #[arg(long, value_name = "FOLDER|CAMPAIGN", requires = "dry_run", hide_short_help = true)]
-    planning_from: Option<String>,
     /// With --dry-run: print JSON.
     #[arg(long, requires = "dry_run")]
     json: bool,
@@ -215,7 +210,7 @@ struct StopFlags {
     /// fraction, such as 0.08 for 8 points. The rule concerns only the configurations of this
     /// campaign: `I excludes 0` is evidence that a complete run of these configurations would have
     /// unequal numbers of emergent failures and compensated successes. It is no evidence about
-    /// other tasks or directions. `M excludes X for new tasks` concerns tasks that were never run.
+    /// other tasks or directions.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
     /// Seed of the random order in which a campaign with --stop runs its configurations.
@@ -223,7 +218,7 @@ struct StopFlags {
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
     /// Strata of the random order: `suites` or `tasks`, one configuration of each stratum per
-    /// round; for rules about new tasks `whole_tasks`, one whole task of every suite per round.
+    /// round.
     #[arg(long, requires = "stop", value_parser = enum_parser::<Strata>(STRATA),
         hide_short_help = true)]
     stop_strata: Option<Strata>,
@@ -294,8 +289,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let unknown = horizon::check(&spec, suites, &arguments.connection, asks).await?;
     if arguments.dry_run {
         let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
-        let planning_from = arguments.planning_from.as_deref();
-        let planning = Planning::compute(&campaign, planning_from, &arguments.connection).await?;
+        let planning = planning::plan(&campaign);
         let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);
@@ -307,6 +301,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_stop(&spec, &campaign)?;
         print_execution(&spec, unknown.as_deref())?;
         print_line(&forecast::describe(&answer, &campaign.policy))?;
+        print_line(&forecast::describe_paper(&campaign))?;
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
@@ -430,7 +425,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             look: arguments.flags.look,
         },
         stop: arguments.stop.stop.clone().map(|rule| Stop {
-            strata: arguments.stop.stop_strata.unwrap_or_else(|| Strata::default_for(&rule)),
+            strata: arguments.stop.stop_strata.unwrap_or_default(),
             rule,
             seed: arguments.stop.stop_seed,
         }),

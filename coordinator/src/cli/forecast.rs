@@ -5,14 +5,17 @@ use std::collections::BTreeMap;
 
 use coordinator::client::{Client, Service};
 use coordinator::forecast;
+use coordinator::words::duration_text;
+use libero_ctrl::{Condition, RolloutId};
 use proto::coordinator::speed::Bottleneck;
 use proto::coordinator::{self as wire, ForecastRequest, ForecastResponse, SuiteRollouts};
-use queue::expand::NewCampaign;
+use queue::expand::{NewCampaign, NewJob};
 use serde::Serialize;
+use terminal::wrapped;
 
 use super::command::CommandError;
 use super::json;
-use super::planning::Planning;
+use super::planning::Planned;
 
 /// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
 /// forecast, since the other parts of a dry run need no coordinator.
@@ -47,6 +50,32 @@ pub(super) async fn request_for_suites(
     answer.map_err(|error| format!("failed to {error}"))
 }
 
+/// Hours that the rollouts of LIBERO-CTRL v0.1 took in the paper (arXiv 2609.15940): policy, 2,000
+/// nominal rollouts, 8,400 perturbed rollouts.
+const PAPER_HOURS: [(&str, f64, f64); 6] = [
+    ("MINERVA", 2.5, 13.4),
+    ("VLA-JEPA", 5.4, 18.0),
+    ("π0.5", 4.8, 19.6),
+    ("OpenVLA-OFT", 4.5, 21.7),
+    ("UniVLA", 19.9, 159.0),
+    ("SmolVLA", 54.0, 294.0),
+];
+
+/// Returns the hours that each of the paper's policies needed for as many nominal and perturbed
+/// rollouts as the campaign has.
+fn paper_hours(campaign: &NewCampaign) -> impl Iterator<Item = (&'static str, f64)> {
+    let is_nominal = |job: &&NewJob| {
+        job.rollout_id.parse().is_ok_and(|id: RolloutId| id.condition() == Condition::Clean)
+    };
+    let nominal = campaign.jobs.iter().filter(is_nominal).count();
+    let perturbed = campaign.jobs.len() - nominal;
+    PAPER_HOURS.into_iter().map(move |(policy, of_nominal, of_perturbed)| {
+        let hours =
+            of_nominal * nominal as f64 / 2_000.0 + of_perturbed * perturbed as f64 / 8_400.0;
+        (policy, hours)
+    })
+}
+
 /// Describes a forecast, or the error that prevented it, for a terminal.
 pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
     match answer {
@@ -55,11 +84,19 @@ pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) 
     }
 }
 
+/// Describes the paper's hours for a terminal.
+pub(super) fn describe_paper(campaign: &NewCampaign) -> String {
+    let hours: Vec<String> = paper_hours(campaign)
+        .map(|(policy, hours)| format!("{policy} {}", duration_text(3_600.0 * hours)))
+        .collect();
+    wrapped("", 2, &format!("as many rollouts took in the paper: {}", hours.join(", ")))
+}
+
 /// Prints a dry run as JSON: the campaign, its forecast and its planning.
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<ForecastResponse, String>,
-    planning: &Planning,
+    planning: &[Planned],
 ) -> Result<(), CommandError> {
     json::print(&DryRun::new(campaign, answer, planning))
 }
@@ -72,9 +109,10 @@ struct DryRun<'a> {
     rollouts: usize,
     placebo_rollouts: usize,
     execution: &'a str,
-    planning: &'a Planning,
+    planning: &'a [Planned],
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
+    paper_hours: BTreeMap<&'static str, f64>,
 }
 
 json::forms! {
@@ -112,7 +150,7 @@ impl<'a> DryRun<'a> {
     fn new(
         campaign: &'a NewCampaign,
         answer: Result<ForecastResponse, String>,
-        planning: &'a Planning,
+        planning: &'a [Planned],
     ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
             Ok(forecast) => (Some(Forecast::from_message(&forecast)), None),
@@ -127,6 +165,7 @@ impl<'a> DryRun<'a> {
             planning,
             forecast,
             no_forecast,
+            paper_hours: paper_hours(campaign).collect(),
         }
     }
 }

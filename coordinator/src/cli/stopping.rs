@@ -15,17 +15,6 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
             format!("an early end shows that {}", describe_clause(*clause, &configurations_text))
         })
         .collect();
-    if rule.is_about_new_tasks() {
-        lines.push(
-            "the confidence is 95 % at each level, over all looks together, for new tasks of these \
-             suites, with equal weight for each suite, under these directions; whole tasks are run \
-             in rounds, one of every suite, and each round is followed by a look, which evaluates \
-             the rule. With 40 tasks, only a difference of about 15 points or more ends a campaign \
-             early, and its estimate at the last look is likely to be too large"
-                .to_owned(),
-        );
-        return lines;
-    }
     if rule.clauses().iter().any(is_certain_at_the_end) {
         lines.push(
             "a complete run shows with certainty whether emergent failures and compensated \
@@ -53,12 +42,6 @@ fn describe_clause(clause: Clause, configurations: &str) -> String {
             "emergent failures and compensated successes are not equally many among all \
              {configurations}"
         ),
-        Clause::ExcludesForNewTasks(Measure::I, 0.0) => "emergent failures and compensated \
-             successes are not equally frequent in new tasks"
-            .to_owned(),
-        Clause::ExcludesForNewTasks(measure, value) => {
-            format!("{} in new tasks is not {}", describe_measure(measure), points(value))
-        }
         Clause::Excludes(measure, value) => format!(
             "{} over all {configurations} is not {}",
             describe_measure(measure),
@@ -80,7 +63,6 @@ fn describe_measure(measure: Measure) -> &'static str {
         Measure::RC => "the share of compensated successes",
         Measure::RD => "the share of changed outcomes",
         Measure::I => "the net effect I of simultaneity",
-        Measure::Difference => "the difference of the success rates",
     }
 }
 
@@ -108,12 +90,6 @@ mod tests {
         );
         assert!(lines[3].starts_with("a complete run shows with certainty"));
         assert!(lines[4].contains("these 400 configurations only"));
-        let rule = "I excludes 0 for new tasks and R_d excludes 0.05 for new tasks";
-        let lines = explain_rule(&rule.parse().expect("a rule"), 400);
-        assert_eq!(lines.len(), 3);
-        assert!(lines[0].ends_with("are not equally frequent in new tasks"));
-        assert!(lines[1].ends_with("share of changed outcomes in new tasks is not 5 points"));
-        assert!(lines[2].contains("for new tasks of these suites"));
         let lines = explain_rule(&"width(I) < 0.08".parse().expect("a rule"), 1);
         assert!(lines.len() == 2 && lines[0].contains("over all 1 configuration "));
     }

@@ -122,6 +122,7 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
 
 fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
     let (class, word) = match &policy.health.state {
+        PolicyState::Available if policy.health.misbehaved > 0 => ("failed", "failing"),
         PolicyState::Available => ("succeeded", "available"),
         PolicyState::Paused { .. } => ("failed", "paused"),
         PolicyState::Probing { .. } => ("running", "being tried"),

@@ -51,7 +51,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
         // A succeeds on all of ten tasks, B on none. The p value is that of 2 of 1,024 sign flips,
         // multiplied by four conditions.
         "simultaneous 10 100.0 0.0 +100.0 no spread 10 0 0.008",
-        "nominal 10 100.0 100.0 +0.0 no spread 0 0 1.000",
+        "nominal 10 100.0 100.0 0.0 no spread 0 0 1.000",
         "left out: 40 rollouts that only A has, 0 rollouts that only B has",
         "above 0, A succeeds more often",
     ] {

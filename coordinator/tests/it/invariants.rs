@@ -209,7 +209,7 @@ async fn the_program_names_violations_and_fails() {
 
 #[test]
 fn the_architecture_page_documents_every_invariant() {
-    let page = include_str!("../../../docs/ARCHITECTURE.md");
+    let page = include_str!("../../../docs/dev/ARCHITECTURE.md");
     for Invariant { name, .. } in INVARIANTS {
         assert!(page.contains(&format!("`{name}`")), "{name}");
     }

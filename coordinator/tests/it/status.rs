@@ -124,6 +124,7 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let printed = &succeed(coordinator(&nowhere));
     assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
     assert!(printed.contains("no forecast of its duration: failed to reach"), "{printed}");
+    assert!(printed.contains("took in the paper: MINERVA 1m20s, "), "{printed}");
 
     // Workers must count as alive even if this machine is slow.
     let lease = ["--lease-secs", "3600"];

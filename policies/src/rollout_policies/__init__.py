@@ -1,11 +1,10 @@
 """Serve a robot policy to a rollout campaign.
 
-Subclass `Policy`, describe the policy and its inputs in `description`, implement
-`reset` and `infer`, and call `run`, or `serve` with an instance of your own.
-This package implements the protocol: sessions, retries, checks and errors. The policy only
-computes actions. `check` runs `policy-gateway check` on a policy, and
-`fake_observation` generates an observation of the kind that the policy receives.
-"""
+Subclass `Policy`, describe the policy and its inputs in `description`, implement `reset` and
+`infer`, and call `run`, or `serve` with an instance of your own. This package implements the
+protocol: sessions, retries, checks and errors. The policy only computes actions. `check` runs
+`policy-gateway check` on a policy, and `fake_observation` generates an observation of the kind that
+the policy receives."""
 
 from .access import AccessError, UnguardedAddress
 from .actions import UnusableActions

@@ -46,8 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         serve_options = server_options(flags)
         require_servable(**serve_options)
-        # Upstream packages print while they load, but the first line of stdout must be
-        # the address.
+        # Upstream packages print while they load, but the first line of stdout must be the address.
         with contextlib.redirect_stdout(sys.stderr):
             policy = load(flags.policy, options)
         serve(policy, **serve_options)

@@ -183,8 +183,7 @@ def is_loopback(host: str) -> bool:
 def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None:
     """Refuses an address that other machines can reach if TLS or the tokens are missing.
 
-    Raises UnguardedAddress.
-    """
+    Raises UnguardedAddress."""
     if encrypted and tokens:
         return
     if is_loopback(listen.rpartition(":")[0]):

@@ -20,8 +20,7 @@ def read_actions(answer: object, horizon: int) -> np.ndarray:
     """Checks a policy's answer and returns it as float32 [n, 7].
 
     Raises UnusableActions. Numbers beyond -1..1 are accepted: the worker clips
-    them and counts them in the result.
-    """
+    them and counts them in the result."""
     if answer is None:
         raise UnusableActions("its infer returned nothing; end it with `return actions`")
     try:
@@ -69,8 +68,7 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
 def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:
     """Returns the actions that were scheduled when a query was sent; None if it holds none.
 
-    Raises UnusableObservation if their shape is wrong.
-    """
+    Raises UnusableObservation if their shape is wrong."""
     if not message.HasField("under_way"):
         return None
     sent = message.under_way

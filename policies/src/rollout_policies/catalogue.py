@@ -62,8 +62,7 @@ class Entry:
     def checkpoint_for(self, suite: str | None) -> str:
         """Returns the checkpoint's id for a suite such as "libero_goal".
 
-        Raises NoCheckpoint if a suite is needed and is missing or unknown.
-        """
+        Raises NoCheckpoint if a suite is needed and is missing or unknown."""
         if isinstance(self.checkpoint, str):
             return self.checkpoint
         if suite is None or suite not in self.checkpoint:

@@ -21,10 +21,9 @@ def check(policy: Policy, *, suite: str = "libero_object") -> str:
     """Runs `policy-gateway check` on a policy in this process, for its unit tests.
 
     The policy is served on the loopback address, and its methods run in this thread, for episodes
-    of a task of `suite`. The program is the one that the environment variable POLICY_GATEWAY
-    names, else the one on the search path. Returns the program's output. Raises DoesNotConform,
-    and FileNotFoundError without the program.
-    """
+    of a task of `suite`. The program is the one that the environment variable POLICY_GATEWAY names,
+    else the one on the search path. Returns the program's output. Raises DoesNotConform, and
+    FileNotFoundError without the program."""
     server = Server(policy, description_of(policy), "127.0.0.1:0")
     command = [os.environ.get(PROGRAM, "policy-gateway"), "check", f"grpc://{server.address}"]
     try:

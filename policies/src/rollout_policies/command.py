@@ -27,17 +27,15 @@ FLAG_TYPES = (bool, int, float, str, Path)
 def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> None:
     """Creates a policy from the command line and serves it until the process is stopped.
 
-    Every parameter of the class's `__init__` becomes a flag. The flag's type (bool,
-    int, float, str or Path) is that of the parameter's annotation or default; `X | None` is
-    accepted, too. A parameter without a default is required.
-    Further flags are --listen, --tls-cert, --tls-key, --token-file, --insecure
-    and --execute. --help shows the class's docstring. If `arguments` is None,
-    the process's arguments are used.
+    Every parameter of the class's `__init__` becomes a flag. The flag's type (bool, int, float, str
+    or Path) is that of the parameter's annotation or default; `X | None` is accepted, too. A
+    parameter without a default is required. Further flags are --listen, --tls-cert, --tls-key,
+    --token-file, --insecure and --execute. --help shows the class's docstring. If `arguments` is
+    None, the process's arguments are used.
 
-    Exits with 2 for an invalid command line, and with 1 and one line for a
-    class that cannot be served and for other failures. Propagates exceptions of
-    the constructor, the warm-up and the policy's methods.
-    """
+    Exits with 2 for an invalid command line, and with 1 and one line for a class that cannot be
+    served and for other failures. Propagates exceptions of the constructor, the warm-up and the
+    policy's methods."""
     try:
         parser, parameters = _parser(policy_class)
         require_methods(policy_class)

@@ -69,10 +69,9 @@ class Language(enum.Enum):
 class Gripper(enum.Enum):
     """Meaning of the seventh number of a policy's actions.
 
-    The simulator expects -1 to open and 1 to close; this package converts the
-    answers of a policy that declares another convention. Conventions between 0
-    and 1 are thresholded at one half, and become -1 or 1; exactly one half becomes 0.
-    """
+    The simulator expects -1 to open and 1 to close; this package converts the answers of a policy
+    that declares another convention. Conventions between 0 and 1 are thresholded at one half, and
+    become -1 or 1; exactly one half becomes 0."""
 
     #: LIBERO's own convention. Values between -1 and 1 are kept.
     MINUS_ONE_OPENS = "-1 open, 1 closed"
@@ -102,10 +101,9 @@ class Camera:
 class Description:
     """Properties of a policy and the inputs that it needs.
 
-    `horizon` is the largest number of actions in an answer, `execute` the
-    number that the robot runs before the next query (all of them by default).
-    An inconsistent description raises ValueError.
-    """
+    `horizon` is the largest number of actions in an answer, `execute` the number that the robot
+    runs before the next query (all of them by default). An inconsistent description raises
+    ValueError."""
 
     name: str
     horizon: int = 1
@@ -213,8 +211,7 @@ class Description:
         """Returns the description that a server sent. The server's actions follow LIBERO's gripper
         convention.
 
-        Raises ValueError if it is inconsistent.
-        """
+        Raises ValueError if it is inconsistent."""
         return cls(
             name=message.name,
             horizon=message.horizon,

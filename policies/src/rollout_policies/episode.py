@@ -32,9 +32,8 @@ class Episode:
     def rng(self, query_index: int) -> np.random.Generator:
         """Random numbers of one query.
 
-        They depend only on the seed and the query index, so that the order of
-        requests, retries and batch neighbours cannot change a rollout.
-        """
+        They depend only on the seed and the query index, so that the order of requests, retries and
+        batch neighbours cannot change a rollout."""
         key = np.array([self.seed, query_index], dtype=np.uint64)
         return np.random.Generator(np.random.Philox(key=key))
 
@@ -101,8 +100,7 @@ def read_observation(
 ) -> Observation:
     """Checks an observation against the description and unpacks it.
 
-    Raises UnusableObservation, which names the missing or misshapen input.
-    """
+    Raises UnusableObservation, which names the missing or misshapen input."""
     frames = {image.camera: image for image in message.images}
     readings = {reading.field: reading for reading in message.state}
     images = {}

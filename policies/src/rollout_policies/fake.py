@@ -29,22 +29,17 @@ SPREAD = 0.05
 def fake_episode(
     suite: str = "libero_object", seed: int = 0, session: str = "synthetic"
 ) -> Episode:
-    """Returns an episode of a task of this suite, or of `libero_object` if the
-    suite is unknown."""
+    """Returns an episode of a task of this suite, or of `libero_object` if the suite is unknown."""
     return Episode(session, suite, TASKS.get(suite, TASKS["libero_object"]), seed)
 
 
 def fake_observation(
-    description: Description,
-    seed: int = 0,
-    query_index: int = 0,
-    episode: Episode | None = None,
+    description: Description, seed: int = 0, query_index: int = 0, episode: Episode | None = None
 ) -> Observation:
     """Returns an observation as the description requests it, drawn from (seed, query_index).
 
-    Frames show a table with coloured objects; readings are near those of the
-    arm's rest posture. Without `episode`, an episode is generated, too.
-    """
+    Frames show a table with coloured objects; readings are near those of the arm's rest posture.
+    Without `episode`, an episode is generated, too."""
     rng = np.random.default_rng([seed, query_index])
     readings = fake_readings(rng)
     return Observation(
@@ -72,9 +67,8 @@ def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
-    """Returns every kind of reading. The orientations are of one hand, whose fingers
-    point down and which is turned about the vertical; the others are drawn
-    independently near the rest posture."""
+    """Returns every kind of reading. The orientations are of one hand, whose fingers point down and
+    which is turned about the vertical; the others are drawn independently near the rest posture."""
     turn = rng.uniform(-SPREAD, SPREAD)
     # The orientation is a half turn about a horizontal axis at the angle `turn / 2`.
     axis = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0])

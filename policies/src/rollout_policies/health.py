@@ -15,11 +15,9 @@ SERVICE_TAG = 0x0A
 
 
 def handler() -> grpc.GenericRpcHandler:
-    """Answers Check; the streaming Watch is left unimplemented, as the
-    standard allows."""
+    """Answers Check; the streaming Watch is left unimplemented, as the standard allows."""
     return grpc.method_handlers_generic_handler(
-        "grpc.health.v1.Health",
-        {"Check": grpc.unary_unary_rpc_method_handler(_check)},
+        "grpc.health.v1.Health", {"Check": grpc.unary_unary_rpc_method_handler(_check)}
     )
 
 

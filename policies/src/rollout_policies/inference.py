@@ -1,8 +1,7 @@
 """The single thread that calls a policy.
 
 Compiled models belong to the thread that compiled them: CUDA graphs fail in any other thread. So
-one thread answers, in turn, the requests that arrive in many threads.
-"""
+one thread answers, in turn, the requests that arrive in many threads."""
 
 from __future__ import annotations
 

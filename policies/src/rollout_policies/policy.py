@@ -22,12 +22,10 @@ log = logging.getLogger("rollout_policies")
 class Policy(abc.ABC):
     """A policy: a description and two methods.
 
-    Calls are made one at a time and from one thread, whatever the number of
-    open episodes, so a model on one device needs no lock and may be compiled;
-    only `prepare` is called from other threads. `serve` and `run` use the
-    thread that called them, so the constructor runs in it, too. State of one
-    episode belongs in `episode.memory`, never in `self`: episodes interleave.
-    """
+    Calls are made one at a time and from one thread, whatever the number of open episodes, so a
+    model on one device needs no lock and may be compiled; only `prepare` is called from other
+    threads. `serve` and `run` use the thread that called them, so the constructor runs in it, too.
+    State of one episode belongs in `episode.memory`, never in `self`: episodes interleave."""
 
     #: Properties of the policy and the inputs that it needs: a class attribute, or set by
     #: `__init__`.
@@ -41,31 +39,27 @@ class Policy(abc.ABC):
     def infer(self, observation: Observation) -> np.ndarray:
         """Returns actions [n, 7], 0 < n <= horizon; an array [7] counts as one action.
 
-        An action holds end-effector translation (3) and rotation (3), within -1..1,
-        and the gripper, in the description's convention. Random numbers must
-        come from `observation.rng` only. Retries do not call this method: the server
-        repeats its last answer. An exception fails the rollout's attempt, with
-        the exception's message, and is not counted as a failure of the task.
-        """
+        An action holds end-effector translation (3) and rotation (3), within -1..1, and the
+        gripper, in the description's convention. Random numbers must come from `observation.rng`
+        only. Retries do not call this method: the server repeats its last answer. An exception
+        fails the rollout's attempt, with the exception's message, and is not counted as a failure
+        of the task."""
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         """Answers several episodes' observations at once, in their order.
 
-        Only called if the description's max_batch is above 1. If it raises, `infer` is
-        called for each query, so that only the faulty query fails. `infer` is not called if
-        the policy is stateful, because its memories may have advanced already, nor after an
-        error that only a new process can recover from.
-        """
+        Only called if the description's max_batch is above 1. If it raises, `infer` is called for
+        each query, so that only the faulty query fails. `infer` is not called if the policy is
+        stateful, because its memories may have advanced already, nor after an error that only a new
+        process can recover from."""
         return [self.infer(observation) for observation in observations]
 
     def prepare(self, observation: Observation) -> Any:
-        """Does work on an observation that needs neither the model nor
-        `episode.memory`, such as decoding or resizing frames.
+        """Does work on an observation that needs neither the model nor `episode.memory`, such as
+        decoding or resizing frames.
 
-        Called before `infer`, which receives the result as `observation.prepared`.
-        Calls come from several threads concurrently, while the model answers
-        other queries.
-        """
+        Called before `infer`, which receives the result as `observation.prepared`. Calls come from
+        several threads concurrently, while the model answers other queries."""
         return None
 
     def end(self, episode: Episode) -> None:  # noqa: B027 - most policies need nothing here
@@ -74,12 +68,10 @@ class Policy(abc.ABC):
         afterwards, so most policies need nothing here."""
 
     def warm_up(self) -> None:
-        """Does slow initial work, such as compiling, before the server accepts
-        a connection.
+        """Does slow initial work, such as compiling, before the server accepts a connection.
 
-        Unless overridden, answers synthetic observations: one, and a full batch if the
-        policy takes batches. An exception stops the server before it starts.
-        """
+        Unless overridden, answers synthetic observations: one, and a full batch if the policy takes
+        batches. An exception stops the server before it starts."""
         _answer_synthetic(self)
 
 
@@ -156,13 +148,12 @@ def description_of(policy: Policy) -> Description:
 
 
 def _answer_synthetic(policy: Policy) -> None:
-    """Makes a policy answer a synthetic observation and, if it takes batches, a
-    full batch of them. The episodes are ended afterwards.
+    """Makes a policy answer a synthetic observation and, if it takes batches, a full batch of them.
+    The episodes are ended afterwards.
 
     A policy that refuses an episode of every suite is not warmed up, and a warning is logged: it
     may accept only tasks that `fake.TASKS` lacks. Propagates exceptions of the policy's methods;
-    raises UnusableActions.
-    """
+    raises UnusableActions."""
     description = policy.description
     sizes = sorted({1, description.max_batch})
     episodes: list[Episode] = []

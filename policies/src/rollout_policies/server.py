@@ -20,7 +20,6 @@ from .access import TokenGate, Tokens, read_tokens, require_guarded, server_cred
 from .description import MAX_MESSAGE_BYTES, Description
 from .inference import InferenceThread
 from .policy import Policy, description_of
-from .proto import policy_pb2_grpc as pb_grpc
 from .service import PolicyService
 from .sessions import SessionTable
 
@@ -61,8 +60,7 @@ class Server:
                 ("grpc.so_reuseport", 0),
             ],
         )
-        pb_grpc.add_PolicyServicer_to_server(self._service, self._server)
-        self._server.add_generic_rpc_handlers((health.handler(),))
+        self._server.add_generic_rpc_handlers((self._service.handler(), health.handler()))
         try:
             if credentials is None:
                 port = self._server.add_insecure_port(listen)
@@ -102,12 +100,11 @@ class Server:
 
 
 def start(policy: Policy, listen: str = "127.0.0.1:0") -> Server:
-    """Serves a policy in the background, to this machine only; for tests and
-    notebooks. Port 0 selects a free one.
+    """Serves a policy in the background, to this machine only; for tests and notebooks. Port 0
+    selects a free one.
 
-    The policy is called in a thread of the server. A model that must stay in
-    the thread that created it needs `serve`. `warm_up` is not called.
-    """
+    The policy is called in a thread of the server. A model that must stay in the thread that
+    created it needs `serve`. `warm_up` is not called."""
     _require_address(listen)
     require_guarded(listen, encrypted=False, tokens=None)
     server = Server(policy, description_of(policy), listen)
@@ -125,15 +122,13 @@ def serve(
 ) -> None:
     """Serves a policy until SIGTERM or SIGINT, and calls it in this thread.
 
-    Prints the resolved settings to stderr, warms the policy up, and prints the
-    address as one line to stdout. `tls` holds the files of a certificate chain
-    and its key; `token_file` has a line `ROLE TOKEN` for each accepted token
-    (or ROLLOUT_TOKENS has these lines). An address that other machines can
-    reach needs both, or `insecure`.
+    Prints the resolved settings to stderr, warms the policy up, and prints the address as one line
+    to stdout. `tls` holds the files of a certificate chain and its key; `token_file` has a line
+    `ROLE TOKEN` for each accepted token (or ROLLOUT_TOKENS has these lines). An address that other
+    machines can reach needs both, or `insecure`.
 
     Raises UnusableDescription, UnguardedAddress, AccessError, CannotListen, and
-    exceptions of the warm-up.
-    """
+    exceptions of the warm-up."""
     description = description_of(policy)
     credentials, tokens = require_servable(listen, tls, token_file, insecure)
     for line in description.lines():
@@ -164,8 +159,7 @@ def require_servable(
     """Checks the arguments of `serve`, so that their errors show before weights are loaded.
 
     Returns the server's credentials and tokens. Raises UnguardedAddress, AccessError,
-    CannotListen.
-    """
+    CannotListen."""
     _require_address(listen)
     tokens = read_tokens(token_file)
     credentials = None if tls is None else server_credentials(*tls)

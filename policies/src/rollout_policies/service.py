@@ -1,8 +1,7 @@
 """The protocol's calls to a policy: sessions, retries, checks and errors.
 
-A call arrives in a gRPC thread, which reads its message and prepares its
-frames; the policy itself is called in the inference thread.
-"""
+A call arrives in a gRPC thread, which reads its message and prepares its frames; the policy itself
+is called in the inference thread."""
 
 from __future__ import annotations
 
@@ -21,7 +20,6 @@ from .episode import Episode, Observation, UnusableObservation, read_observation
 from .inference import InferenceThread
 from .policy import Policy
 from .proto import policy_pb2 as pb
-from .proto import policy_pb2_grpc as pb_grpc
 from .sessions import Session, SessionTable
 
 #: Number of executed actions after which an episode without an opened gripper is suspicious.
@@ -39,7 +37,7 @@ class QueryError:
     text: str
 
 
-class PolicyService(pb_grpc.PolicyServicer):
+class PolicyService:
     """Service of one policy."""
 
     def __init__(
@@ -55,6 +53,19 @@ class PolicyService(pb_grpc.PolicyServicer):
         self._inference = inference
         self._sessions = sessions
         self._warned_of_gripper = False
+
+    def handler(self) -> grpc.GenericRpcHandler:
+        """Returns a handler of the protocol's calls, which are methods of this class."""
+        service = pb.DESCRIPTOR.services_by_name["Policy"]
+        calls = {
+            call.name: grpc.unary_unary_rpc_method_handler(
+                getattr(self, call.name),
+                request_deserializer=getattr(pb, call.input_type.name).FromString,
+                response_serializer=getattr(pb, call.output_type.name).SerializeToString,
+            )
+            for call in service.methods
+        }
+        return grpc.method_handlers_generic_handler(service.full_name, calls)
 
     # The following methods run in gRPC threads.
 

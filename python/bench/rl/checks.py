@@ -1,9 +1,8 @@
-"""Checks that a comparison of the original LIBERO with rollout-libero is fair: the same motion
-in both simulators. Also reads the name of the original's OpenGL renderer.
+"""Checks that a comparison of the original LIBERO with rollout-libero is fair: the same motion in
+both simulators. Also reads the name of the original's OpenGL renderer.
 
 usage: checks.py record TASK FILE    records the scripted expert's actions in rollout_libero
-       checks.py replay TASK FILE    replays these actions in the installed `libero`; prints JSON
-"""
+       checks.py replay TASK FILE    replays these actions in the installed `libero`; prints JSON"""
 
 from __future__ import annotations
 
@@ -44,12 +43,7 @@ def record_actions(task: str) -> np.ndarray:
     import rollout_libero
 
     envs = rollout_libero.VectorEnvironment(
-        task,
-        1,
-        cameras=[],
-        init_states=[_STATE],
-        settle_steps=SETTLING,
-        autoreset_mode="Disabled",
+        task, 1, cameras=[], init_states=[_STATE], settle_steps=SETTLING, autoreset_mode="Disabled"
     )
     envs.reset(seed=0)
     actions = []
@@ -88,12 +82,7 @@ def replay(task: str, actions: np.ndarray) -> dict[str, Any]:
             success = step
         if contact is None and touches(env):
             contact = step
-    result = {
-        "readings": readings,
-        "success": success,
-        "contact": contact,
-        "renderer": _renderer(),
-    }
+    result = {"readings": readings, "success": success, "contact": contact, "renderer": _renderer()}
     env.close()
     return result
 

@@ -177,8 +177,7 @@ def call(command: list[Any], variables: dict[str, str], limit_secs: float) -> An
     """Runs a program in a new session; returns the JSON of its last line.
 
     Raises:
-        RuntimeError: with the end of the program's messages, if it fails or exceeds the limit.
-    """
+        RuntimeError: with the end of the program's messages, if it fails or exceeds the limit."""
     process = subprocess.Popen(
         [str(word) for word in command],
         env=variables,

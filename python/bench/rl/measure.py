@@ -1,8 +1,7 @@
 """Measures rollouts of one framework with one simulator, and prints a line of JSON.
 
 `compare.py` runs this program for each simulator in turn, with the simulator in `PYTHONPATH`.
-Options: --help.
-"""
+Options: --help."""
 
 from __future__ import annotations
 
@@ -69,10 +68,7 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
                 begun = time.perf_counter()
                 rollouts.reset()
                 resets.append(time.perf_counter() - begun)
-            results[policy.name] = {
-                **_run(rollouts, policy, actions),
-                "reset_s": resets[-1],
-            }
+            results[policy.name] = {**_run(rollouts, policy, actions), "reset_s": resets[-1]}
         memory_each = (pss_mib() - memory) / flags.environments
         card = None if on_card is None else (_card_mib() or 0.0) - on_card
     finally:

@@ -16,8 +16,7 @@ class Policy:
 
     `none` answers at once, and `sleep:MS` after MS milliseconds; `card:MS` multiplies matrices on
     the accelerator for MS milliseconds. With `busy`, another process multiplies matrices without a
-    pause, like a policy that answers another worker's environments.
-    """
+    pause, like a policy that answers another worker's environments."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -43,8 +43,7 @@ class Rollouts(Protocol):
 class RLinf:
     """RLinf's `LiberoEnv`, as one of its workers runs it: rewards and metrics included.
 
-    With `together`, `rollout_libero.rlinf` simulates all environments in this process.
-    """
+    With `together`, `rollout_libero.rlinf` simulates all environments in this process."""
 
     def __init__(self, task: str, count: int, steps: int, *, together: bool) -> None:
         from omegaconf import OmegaConf
@@ -101,8 +100,7 @@ class SimpleVLA:
     The processes send the observation at the end of each chunk through a queue. They run the
     framework's own `env_worker` if `ROLLOUT_FRAMEWORKS` names a folder with a checkout
     `SimpleVLA-RL`, otherwise `_roll_out`, the same loop. With `every_frame`, the frames of every
-    step are read, not only those that are sent.
-    """
+    step are read, not only those that are sent."""
 
     def __init__(self, task: str, count: int, *, every_frame: bool) -> None:
         # Imported before the processes are forked, as the framework does.

@@ -1,8 +1,7 @@
 """Prepares a process, and those that it spawns, to import RLinf's and LIBERO's unmodified files:
 replaces packages that these files import and do not call here, and, if the environment variable
 `ROLLOUT_BENCH_LAST_OF_CHUNK` is set, makes the original LIBERO render only at the end of each
-chunk.
-"""
+chunk."""
 
 from __future__ import annotations
 
@@ -82,8 +81,7 @@ def prepare() -> None:
 def _render_last_of_chunk(settling: int, chunk: int) -> None:
     """Makes the original render only in the last settling step and the last step of each chunk,
     once an initial state was set and each camera has a picture. Observations of the other steps
-    hold the last rendered picture, so that they keep their size.
-    """
+    hold the last rendered picture, so that they keep their size."""
     from robosuite.utils import binding_utils
 
     from libero.libero.envs import env_wrapper

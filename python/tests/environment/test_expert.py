@@ -91,9 +91,7 @@ def test_the_expert_foresees_its_actions_and_changes_nothing(make_vector):
     environments.step_chunk(np.full((2, 10, 7), 0.3), "none", expert=np.zeros((2, 10), bool))
     foreseen, progresses = environments.foresee(60)
     again, _ = environments.foresee(60)
-    *_, infos = environments.step_chunk(
-        np.zeros((2, 60, 7)), "none", expert=np.ones((2, 60), bool)
-    )
+    *_, infos = environments.step_chunk(np.zeros((2, 60, 7)), "none", expert=np.ones((2, 60), bool))
     np.testing.assert_array_equal(foreseen, again)
     np.testing.assert_array_equal(foreseen, infos["expert_action"])
     assert progresses.all()

@@ -1,8 +1,7 @@
 """Configures the original as it was configured when the reference was recorded.
 
 Scripts that run with the original and with the shim import this module. With the shim, the module
-changes nothing.
-"""
+changes nothing."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Plays an episode with a PyPI client of LIBERO: `client_episodes.py CLIENT ACTIONS OUT`.
 
 The script runs with the shim and with the original. `CLIENT_PACKAGES` names a folder of packages,
-which Python searches after its own packages.
-"""
+which Python searches after its own packages."""
 
 from __future__ import annotations
 

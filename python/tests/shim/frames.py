@@ -1,4 +1,4 @@
-"""Permitted differences of frames from the original's, as in docs/FIDELITY.md."""
+"""Permitted differences of frames from the original's, as in docs/dev/FIDELITY.md."""
 
 from __future__ import annotations
 

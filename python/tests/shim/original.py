@@ -1,8 +1,7 @@
 """Runs a script of this folder with the shim, and with the original if it is installed.
 
-`ROLLOUT_ORIGINAL` names the Python of an environment with the original (hf-libero 0.1.4,
-robosuite 1.4.0, MuJoCo 3.3.7) and its assets.
-"""
+`ROLLOUT_ORIGINAL` names the Python of an environment with the original (hf-libero 0.1.4, robosuite
+1.4.0, MuJoCo 3.3.7) and its assets."""
 
 from __future__ import annotations
 

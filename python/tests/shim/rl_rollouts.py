@@ -1,8 +1,7 @@
 """Rolls out with the unmodified files of a reinforcement-learning framework:
 `rl_rollouts.py FRAMEWORK OUT`.
 
-For a framework that is in no package index, `FRAMEWORK_SOURCES` names the folder of a checkout.
-"""
+For a framework that is in no package index, `FRAMEWORK_SOURCES` names the folder of a checkout."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Scenarios run with the original and with the shim: `scenarios.py NAME OUT`.
 
-Each scenario is a list of labelled values, which `test_original.py` compares.
-"""
+Each scenario is a list of labelled values, which `test_original.py` compares."""
 
 from __future__ import annotations
 

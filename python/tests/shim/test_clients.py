@@ -1,12 +1,11 @@
 """Unmodified PyPI clients of LIBERO on the shim. Each client plays an episode in which the robot
 drops an object into a basket, and the task succeeds. If the original is installed, the episode
-succeeds with it, too, at most two steps earlier or later; frames are nearly equal until the
-gripper touches something, and similar afterwards.
+succeeds with it, too, at most two steps earlier or later; frames are nearly equal until the gripper
+touches something, and similar afterwards.
 
 `ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
 clients.txt (`cargo xtask test` creates the environment if it can). If `ROLLOUT_ORIGINAL` has the
-same version of Python, it also imports the clients from that environment.
-"""
+same version of Python, it also imports the clients from that environment."""
 
 from __future__ import annotations
 

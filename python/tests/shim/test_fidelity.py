@@ -19,14 +19,7 @@ from libero.libero.envs import OffScreenRenderEnv
 
 RECORDED = sorted((SHARED / "oracle" / "tasks-real").glob("*/*"))
 CAMERAS = ("agentview", "robot0_eye_in_hand")
-READINGS = (
-    "eef_pos",
-    "eef_quat",
-    "gripper_qpos",
-    "joint_pos_cos",
-    "joint_pos_sin",
-    "joint_vel",
-)
+READINGS = ("eef_pos", "eef_quat", "gripper_qpos", "joint_pos_cos", "joint_pos_sin", "joint_vel")
 #: Seed of the recordings.
 SEED = 20260904
 SETTLING = [0.0] * 6 + [-1.0]
@@ -118,9 +111,7 @@ def test_smooth_steps_give_the_originals_readings_and_frames(
     env.close()
 
 
-def test_grasping_gives_the_originals_success_and_positions_within_rounding(
-    task: Path,
-) -> None:
+def test_grasping_gives_the_originals_success_and_positions_within_rounding(task: Path) -> None:
     recorded = np.load(SHARED / "oracle" / "contact" / f"{task.parent.name}_{task.name[:2]}.npz")
     env = seeded(task)
     env.set_init_state(recorded["state"])
@@ -139,8 +130,8 @@ def test_grasping_gives_the_originals_success_and_positions_within_rounding(
 
 def permitted_error(task: Path, step: int) -> float:
     """Returns the permitted error of positions at a step in contact: a hundred times the original's
-    response to noise of 1e-14 in its torques, as in docs/FIDELITY.md; infinite if the response was
-    not measured."""
+    response to noise of 1e-14 in its torques, as in docs/dev/FIDELITY.md; infinite if the
+    response was not measured."""
     measured = SENSITIVITY.get(f"{task.parent.name}/{int(task.name[:2])}", {}).get("contact")
     if measured is None:
         return np.inf
@@ -149,9 +140,7 @@ def permitted_error(task: Path, step: int) -> float:
     return NEAR if response < CALM else 100 * response
 
 
-def test_an_environments_frames_are_the_originals_turned_by_180_degrees(
-    task: Path,
-) -> None:
+def test_an_environments_frames_are_the_originals_turned_by_180_degrees(task: Path) -> None:
     suite, number = task.parent.name, int(task.name[:2])
     for orientation, turned in (
         (None, lambda raw: raw[::-1, ::-1]),

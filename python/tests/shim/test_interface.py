@@ -63,9 +63,7 @@ def test_a_problem_evaluates_any_predicate(env: Any) -> None:
 # Folders.
 
 
-def test_importing_needs_no_input_configuration_or_heavy_package(
-    tmp_path: Path,
-) -> None:
+def test_importing_needs_no_input_configuration_or_heavy_package(tmp_path: Path) -> None:
     code = (
         "import sys, libero.libero, libero.libero.benchmark, libero.libero.envs\n"
         "print([m for m in ('torch', 'mujoco', 'robosuite', 'OpenGL') if m in sys.modules])"

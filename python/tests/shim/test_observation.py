@@ -208,9 +208,7 @@ def test_observations_are_compared_by_their_pictures(bddl_file: str) -> None:
     env.close()
 
 
-def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
-    bddl_file: str,
-) -> None:
+def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(bddl_file: str) -> None:
     env, eager_env = construct(bddl_file), construct(bddl_file)
     action = actions(1)[0]
     expected = dict(eager_env.step(action)[0])

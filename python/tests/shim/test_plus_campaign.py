@@ -60,10 +60,7 @@ def endpoint(programs: Path) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def rollouts(
-    programs: Path,
-    endpoint: str,
-    real_assets: Path,
-    tmp_path_factory: pytest.TempPathFactory,
+    programs: Path, endpoint: str, real_assets: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     """The folder of the worker's rollouts."""
 

@@ -43,12 +43,7 @@ def task_files(assets: None) -> None:
 
 def parameters(name: str, seed: int = 0) -> dict[str, Any]:
     file = f"{get_libero_path('bddl_files')}/libero_goal/{name}.bddl"
-    return {
-        "bddl_file_name": file,
-        "camera_heights": SIZE,
-        "camera_widths": SIZE,
-        "seed": seed,
-    }
+    return {"bddl_file_name": file, "camera_heights": SIZE, "camera_widths": SIZE, "seed": seed}
 
 
 class Process:

@@ -1,9 +1,8 @@
 """Unmodified files of reinforcement-learning frameworks on the shim.
 
-RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py).
-The other frameworks are in no package index: `ROLLOUT_FRAMEWORKS` names a
-folder with their checkouts, each named after its repository.
-"""
+RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py). The other frameworks
+are in no package index: `ROLLOUT_FRAMEWORKS` names a folder with their checkouts, each named after
+its repository."""
 
 from __future__ import annotations
 
@@ -108,9 +107,7 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
     # Two resets, each with an observation, and with results and a count for each of two chunks.
     assert len(theirs["outputs"]) == 10
     assert_same(ours["outputs"], theirs["outputs"], kind)
-    print(
-        f"{kind}: {theirs['seconds']:.1f} s in processes, {ours['seconds']:.1f} s in one process"
-    )
+    print(f"{kind}: {theirs['seconds']:.1f} s in processes, {ours['seconds']:.1f} s in one process")
 
 
 @pytest.mark.parametrize("installation", ["package", "checkout"])
@@ -188,9 +185,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
         env.close()
     if framework == "verl_vla":
         env = OffScreenRenderEnv(
-            bddl_file_name=suite.get_task_bddl_file_path(5),
-            camera_heights=SIZE,
-            camera_widths=SIZE,
+            bddl_file_name=suite.get_task_bddl_file_path(5), camera_heights=SIZE, camera_widths=SIZE
         )
         env.seed(9)
         env.reset()

@@ -1,6 +1,6 @@
 //! Benchmark of the software renderer against OpenGL: speed and agreement of pixels.
 //! The renderers draw the same scenes alternately in one process, frame by frame. Run by
-//! `cargo xtask bench draw`; docs/PERFORMANCE.md explains the results.
+//! `cargo xtask bench draw`; docs/dev/PERFORMANCE.md explains the results.
 
 #![forbid(unsafe_code)]
 

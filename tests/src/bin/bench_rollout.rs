@@ -1,6 +1,6 @@
 //! Benchmark of a rollout's phases: the worker's own loop runs whole rollouts with
 //! predetermined actions, and every phase is timed. Prints one JSON object. Run by
-//! `cargo xtask bench rollout` and `bench compare`; docs/PERFORMANCE.md defines the
+//! `cargo xtask bench rollout` and `bench compare`; docs/dev/PERFORMANCE.md defines the
 //! phases.
 
 #![forbid(unsafe_code)]

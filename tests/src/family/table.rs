@@ -1,4 +1,4 @@
-//! Table of the comparison, as in docs/FAMILY.md.
+//! Table of the comparison, which docs/FAMILY.md summarises.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -66,7 +66,7 @@ impl RendererRelation {
         }
     }
 
-    /// Returns the limits; docs/FIDELITY.md has the measurements behind them.
+    /// Returns the limits; docs/dev/FIDELITY.md has the measurements behind them.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),

@@ -1,8 +1,7 @@
 """Checks Kubernetes manifests against the API's schemas, and against each other.
 
 `manifests.py FILE… [-- FILE…]…` prints a line of JSON for each group of files: the faults, each
-container's command line, the kinds without a schema and the number of resources.
-"""
+container's command line, the kinds without a schema and the number of resources."""
 
 import json
 import sys

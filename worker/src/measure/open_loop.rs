@@ -18,7 +18,7 @@ const STATE: [StateField; 3] =
     [StateField::EefPos, StateField::EefAxisAngle, StateField::GripperPos];
 
 /// Returns the action of a control step in the smooth motion of the reference data
-/// (docs/FIDELITY.md): a sine per component; the gripper closes after 30 control steps.
+/// (docs/dev/FIDELITY.md): a sine per component; the gripper closes after 30 control steps.
 pub fn smooth_action(step: usize) -> Action {
     const AMPLITUDE: [f64; 6] = [0.6, 0.6, 0.6, 0.35, 0.35, 0.35];
     const PERIOD: [f64; 6] = [20.0, 30.0, 24.0, 40.0, 36.0, 28.0];

@@ -15,7 +15,7 @@ use paired::{Cell, Comparison, Estimate, Interval, Options, report};
 
 // Tests use the functions of the module that this example does not.
 #[allow(dead_code)]
-#[path = "../tests/simulated/mod.rs"]
+#[path = "../tests/it/simulated/mod.rs"]
 mod simulated;
 
 use simulated::two::{MEASURES, Truth, TwoPolicies, row};

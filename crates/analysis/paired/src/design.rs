@@ -1,30 +1,32 @@
-//! Power analysis: the smallest net effect of simultaneity that a design can detect.
+//! Power analysis: the smallest differences that a design can detect.
 
 use std::collections::BTreeMap;
 
-use libero_ctrl::TaskRef;
+use libero_ctrl::{Level, TaskRef};
+use serde::Serialize;
 
+use crate::bootstrap::MIN_TASKS;
 use crate::measures::Configuration;
 
 /// Normal quantile of a two-sided test at 5 %: Φ⁻¹(0.975).
-pub(crate) const Z_TEST: f64 = 1.959963984540054;
+const Z_TEST: f64 = 1.959963984540054;
 /// Normal quantile of a power of 80 %: Φ⁻¹(0.8).
-pub(crate) const Z_POWER: f64 = 0.8416212335729143;
+const Z_POWER: f64 = 0.8416212335729143;
 /// Number of bisection steps, enough for the precision of an `f64`.
 const BISECTIONS: u32 = 60;
 
 /// Parameters that the smallest detectable effect depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PairedDesign {
+pub(crate) struct PairedDesign {
     /// Tasks.
-    pub tasks: u32,
+    pub(crate) tasks: u32,
     /// Configurations of each task, on average.
-    pub configs_per_task: f64,
+    pub(crate) configs_per_task: f64,
     /// Expected or measured share of configurations whose outcome changes.
-    pub r_d: f64,
+    pub(crate) r_d: f64,
     /// Intraclass correlation of simultaneous − conjunction among configurations
     /// of a task, from [`task_correlation`].
-    pub task_correlation: f64,
+    pub(crate) task_correlation: f64,
 }
 
 /// Returns the smallest |I| that a two-sided test at 5 % detects with a power of 80 %.
@@ -37,7 +39,7 @@ pub struct PairedDesign {
 /// Sources: R. J. Connor, Sample size for testing differences in proportions
 /// for the paired-sample design, Biometrics 43 (1987), 207–211; design effect:
 /// L. Kish, Survey Sampling (1965), section 5.4.
-pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
+pub(crate) fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
     let PairedDesign { tasks, configs_per_task, r_d, task_correlation } = *design;
     let n = f64::from(tasks) * configs_per_task;
     let design_effect = 1.0 + (configs_per_task - 1.0) * task_correlation;
@@ -77,7 +79,7 @@ pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
 }
 
 /// Returns the intraclass correlation of `value`, see [`task_correlation`].
-pub(crate) fn correlation(
+fn correlation(
     configurations: &[Configuration],
     value: impl Fn(&Configuration) -> f64,
 ) -> Option<f64> {
@@ -105,10 +107,105 @@ pub(crate) fn correlation(
     (total > 0.0).then(|| ((between - within) / total).max(0.0))
 }
 
+/// The smallest differences that a two-sided test at 5 % detects with a power of 80 %, about new
+/// tasks, if outcomes are like the student's published ones; fractions. `None` if even the largest
+/// possible difference is too small, or if there are too few tasks for intervals.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Detectable {
+    /// Level whose outcomes are assumed: that of the nearest radius.
+    pub assumed_level: Level,
+    /// Difference of the success rates of two policies under simultaneous perturbation, assuming
+    /// that their outcomes are independent. If they are positively correlated, smaller differences
+    /// are detectable.
+    pub difference: Option<f64>,
+    /// Difference of I from 0.
+    pub i: Option<f64>,
+}
+
+/// The student's published outcomes (`examples/student`) at a level: `S_sim`, `R_d`, and the
+/// correlations within tasks of simultaneous success and of simultaneous − conjunction.
+const STUDENT: [(Level, [f64; 4]); 3] = [
+    (Level::L1, [0.7225, 0.2075, 0.3487, 0.0404]),
+    (Level::L2, [0.4175, 0.27, 0.2765, 0.0462]),
+    (Level::L3, [0.0875, 0.155, 0.1527, 0.0512]),
+];
+
+impl Detectable {
+    /// Returns the differences that the given numbers of tasks and configurations detect at a level.
+    pub fn at(level: Level, tasks: usize, configurations: usize) -> Self {
+        let distance = |other: Level| (other.radius() - level.radius()).abs();
+        let nearest = |a: &Level, b: &Level| distance(*a).total_cmp(&distance(*b));
+        let [mut assumed, ..] = STUDENT;
+        for other in STUDENT {
+            if nearest(&other.0, &assumed.0).is_lt() {
+                assumed = other;
+            }
+        }
+        let (assumed_level, [s_sim, r_d, success_correlation, change_correlation]) = assumed;
+        let smallest = |r_d, task_correlation| match tasks < MIN_TASKS {
+            true => None,
+            false => minimum_detectable_effect(&PairedDesign {
+                tasks: tasks as u32,
+                configs_per_task: configurations as f64 / tasks as f64,
+                r_d,
+                task_correlation,
+            }),
+        };
+        Self {
+            assumed_level,
+            difference: smallest(2.0 * s_sim * (1.0 - s_sim), success_correlation),
+            i: smallest(r_d, change_correlation),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::outcomes::{Outcome, Record, Records};
     use libero_ctrl::Axis;
+
+    #[test]
+    fn the_assumed_outcomes_are_the_students_published_ones() {
+        let rows = include_str!("../../../../examples/student/rollouts.jsonl").lines();
+        let records = rows.map(|row| {
+            let row: serde_json::Value = serde_json::from_str(row).expect("JSON");
+            Record {
+                id: row["rollout_id"].as_str().expect("an id").parse().expect("an id"),
+                init_id: row["init_id"].as_u64().expect("a state") as u16,
+                replicate: 0,
+                outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
+            }
+        });
+        let records = Records::new(&records.collect::<Vec<_>>()).expect("each rollout once");
+        for (level, expected) in STUDENT {
+            let matched = records.configurations().iter().filter(|matched| matched.level == level);
+            let configurations: Vec<_> = matched.filter_map(|m| m.configuration()).collect();
+            let share = |is: fn(&Configuration) -> bool| {
+                let count = configurations.iter().filter(|configuration| is(configuration)).count();
+                count as f64 / configurations.len() as f64
+            };
+            let success = correlation(&configurations, |c| f64::from(c.simultaneous));
+            let figures = [
+                share(|configuration| configuration.simultaneous),
+                share(|configuration| configuration.simultaneous != configuration.conjunction()),
+                success.expect("several tasks"),
+                task_correlation(&configurations).expect("several tasks"),
+            ];
+            assert_eq!(figures.map(|figure| (figure * 1e4).round() / 1e4), expected, "{level}");
+        }
+    }
+
+    #[test]
+    fn more_tasks_detect_smaller_differences_and_too_few_none() {
+        let at = |level: &str, tasks| Detectable::at(level.parse().expect("a level"), tasks, 400);
+        assert!(at("L2", 100).difference < at("L2", 40).difference);
+        assert!(at("L2", 100).i < at("L2", 40).i && at("L2", 40).i < Some(0.1));
+        assert_eq!(at("L2", 9).i, None);
+        for (level, nearest) in [("r7", Level::L3), ("r0.1", Level::L1), ("L3", Level::L3)] {
+            assert_eq!(at(level, 40).assumed_level, nearest, "{level}");
+        }
+    }
 
     fn design(tasks: u32, r_d: f64, task_correlation: f64) -> PairedDesign {
         PairedDesign { tasks, configs_per_task: 10.0, r_d, task_correlation }

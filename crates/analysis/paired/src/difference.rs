@@ -6,15 +6,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::bootstrap::{Bootstrap, Interval};
-use crate::inference::equivalence::equivalence_p;
-use crate::inference::estimate::defined;
-use crate::inference::estimate::{Estimate, Scale};
-use crate::inference::multiplicity::{holm, max_t};
+use crate::bootstrap::{Bootstrap, Interval, MIN_TASKS, NoInterval, interval_or_reason};
+use crate::inference::estimate::{Estimate, Scale, defined};
+use crate::inference::hypotheses::{equivalence_p, holm, max_t, mcnemar_exact, sign_flip_p};
 use crate::inference::sample::{Row, Sample};
-use crate::inference::sign_flip::sign_flip_p;
-use crate::interval::{MIN_TASKS, NoInterval, interval_or_reason};
-use crate::mcnemar::mcnemar_exact;
 use crate::outcomes::Outcome;
 
 /// The outcomes of one rollout of both policies.

@@ -8,17 +8,16 @@ use libero_ctrl::{AxisSet, Condition, Level, Suite, TaskRef};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
-use crate::by_task;
-use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
 use crate::findings::findings;
 use crate::gate::{Gate, SuiteGate};
 use crate::inference::Inference;
-use crate::inference::components::Components;
 use crate::measures::{Configuration, Measures};
-use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
-use crate::replication::flips;
-use crate::report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
+use crate::outcomes::{Count, DuplicateRecord, Matched, Outcome, Record, Records};
+use crate::replication::{Components, flips};
+use crate::report::{
+    Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, of_each_task,
+};
 
 /// Reports on one policy's records. `records` should hold every planned rollout, including
 /// those without a result, because the expected conditions are derived from them.
@@ -67,7 +66,7 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
             .collect(),
         nominal,
         cells,
-        by_task: by_task::of_each(records),
+        by_task: of_each_task(records),
         flips: flips(records),
         quarantined: quarantined(records),
         bootstrap: options.bootstrap,

@@ -4,13 +4,13 @@
 use std::collections::BTreeMap;
 
 use libero_ctrl::{Condition, Level};
+use serde::{Deserialize, Serialize};
 
-use crate::count::Count;
-use crate::finding::{Finding, FindingKind};
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
+use crate::inference::hypotheses::holm;
 use crate::inference::loss::Loss;
-use crate::inference::multiplicity::holm;
+use crate::outcomes::Count;
 use crate::replication::Flips;
 use crate::report::{Cell, Report};
 use crate::text::{listed, percent, points};
@@ -347,4 +347,34 @@ fn interval_of_new_tasks(estimate: &Estimate) -> String {
     estimate.new_tasks.map_or_else(String::new, |[low, high]| {
         format!(" ({:.1} to {:.1})", 100.0 * low, 100.0 * high)
     })
+}
+
+/// Subject of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FindingKind {
+    /// Success, nominal and simultaneous.
+    Success,
+    /// Cost of single axes.
+    Cost,
+    /// Change by simultaneity beyond chance.
+    Simultaneity,
+    /// Dependence of success on the direction.
+    Directions,
+}
+
+/// A generated sentence of a report.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Finding {
+    /// Subject of the sentence.
+    pub kind: FindingKind,
+    /// Level of the finding; absent for [`FindingKind::Success`], which covers all levels.
+    pub level: Option<Level>,
+    /// True if the sentence claims an effect.
+    pub claims: bool,
+    /// The corrected p-value behind the sentence, or the smallest of several; absent if no test is
+    /// behind it.
+    pub holm_p: Option<f64>,
+    /// The sentence.
+    pub sentence: String,
 }

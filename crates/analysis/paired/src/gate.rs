@@ -4,8 +4,8 @@
 use libero_ctrl::Suite;
 use serde::{Deserialize, Serialize};
 
-use crate::count::Count;
 use crate::inference::student_t::upper_tail;
+use crate::outcomes::Count;
 
 /// Largest difference that passes, as a fraction: 5 points. Source: section 6
 /// of the protocol.

@@ -2,16 +2,13 @@
 //! losses, predictions under independence, and the excess over the noise floor. The paper's
 //! own measures and intervals are in `measures`.
 
-pub(crate) mod components;
 pub(crate) mod direction;
-pub(crate) mod equivalence;
 pub(crate) mod estimate;
 pub(crate) mod floor;
+pub(crate) mod hypotheses;
 pub(crate) mod loss;
-pub(crate) mod multiplicity;
 pub(crate) mod paired;
 pub(crate) mod sample;
-pub(crate) mod sign_flip;
 pub(crate) mod student_t;
 
 use libero_ctrl::{Directions, Level};

@@ -13,70 +13,50 @@
 
 mod bootstrap;
 mod bounds;
-mod brief;
-mod by_task;
 mod comparison;
-mod comparison_further;
-mod comparison_table;
-mod count;
 mod design;
 mod difference;
 mod evaluate;
-mod finding;
 mod findings;
 mod gate;
 mod inference;
-mod inference_table;
-mod interval;
-mod legend;
-mod mcnemar;
 mod measures;
 mod outcomes;
-mod planning;
 mod progress;
 mod replication;
 mod report;
 mod sequential;
-mod table;
 mod text;
 
-pub use bootstrap::{Bootstrap, Interval, quantile};
+pub use bootstrap::{Bootstrap, Interval, MIN_TASKS, NoInterval, intervals_of_many, quantile};
 pub use bounds::Bounds;
-pub use brief::brief;
-pub use by_task::{SuiteRow, TaskSuccess};
 pub use comparison::{Compared, ComparedCell, Comparison, Obstacle};
-pub use comparison_table::comparison_table;
-pub use count::Count;
-pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
+pub use design::{Detectable, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair, Profile};
 pub use evaluate::{report, report_of};
-pub use finding::{Finding, FindingKind};
-pub use findings::{FINDING_ALPHA, findings};
+pub use findings::{FINDING_ALPHA, Finding, FindingKind, findings};
 pub use gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
 pub use inference::Inference;
-pub use inference::components::Components;
 pub use inference::direction::DirectionTest;
-pub use inference::equivalence::{EQUIVALENCE_MARGIN, equivalence_p};
 pub use inference::estimate::{Estimate, FEWEST_TASKS};
 pub use inference::floor::{Excess, Simultaneity, chance_bounds};
-pub use inference::loss::{Loss, Losses};
-pub use inference::multiplicity::{holm, max_t};
-pub use inference::paired::{Eligible, PairedEstimates, Relative};
-pub use inference::sign_flip::sign_flip_p;
-pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
-pub use legend::legend;
-pub use mcnemar::mcnemar_exact;
-pub use measures::{Configuration, Measures};
-pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
-pub use planning::{Against, Assumed, Detectable, Planned};
-pub use progress::{MeanDifference, Progress, ProgressDifference};
-pub use replication::Flips;
-pub use report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
-pub use sequential::{
-    CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,
-    SEQUENTIAL_ALPHA, SequentialDifference, SequentialMeasures, Unit, compared_looks, drawn_order,
+pub use inference::hypotheses::{
+    EQUIVALENCE_MARGIN, equivalence_p, holm, max_t, mcnemar_exact, sign_flip_p,
 };
-pub use table::{gate_lines, table};
+pub use inference::loss::{Loss, Losses};
+pub use inference::paired::{Eligible, PairedEstimates, Relative};
+pub use measures::{Configuration, Measures};
+pub use outcomes::{Count, DuplicateRecord, Matched, Outcome, Record, Records, Transition};
+pub use progress::{MeanDifference, Progress, ProgressDifference};
+pub use replication::{Components, Flips};
+pub use report::{
+    Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, SuiteRow,
+    TaskSuccess,
+};
+pub use sequential::{
+    CampaignLook, Drawn, Look, Order, RateInterval, SEQUENTIAL_ALPHA, SequentialMeasures, Unit,
+    drawn_order,
+};
 pub use text::push_wrapped;

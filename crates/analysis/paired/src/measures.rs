@@ -5,9 +5,8 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Axis, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::bootstrap::{Bootstrap, Interval};
-use crate::interval::{NoInterval, intervals};
-use crate::mcnemar::mcnemar_exact;
+use crate::bootstrap::{Bootstrap, Interval, NoInterval, intervals};
+use crate::inference::hypotheses::mcnemar_exact;
 
 /// The outcomes of one complete configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]

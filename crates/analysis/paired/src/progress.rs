@@ -8,7 +8,7 @@ use rollout_types::GoalProgress;
 use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::{Estimate, Scale};
-use crate::inference::multiplicity::holm;
+use crate::inference::hypotheses::holm;
 use crate::inference::sample::{Row, Sample};
 
 /// Progress of one rollout that has ended.

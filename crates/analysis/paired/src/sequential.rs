@@ -37,11 +37,7 @@
 //! Strata must be chosen before any outcome is known. With fewer strata, the minimum over their
 //! totals discards less evidence and the rounds are shorter. Strata of suites therefore give
 //! narrower intervals than strata of tasks, unless tasks of a suite differ very much, and keep the
-//! sample balanced over suites. `cargo run --release -p paired --example sequential` compares
-//! strata of tasks, strata of suites and a single stratum.
-//!
-//! # New tasks
-//! A rule may be about new tasks instead, see the file `new_tasks`.
+//! sample balanced over suites.
 //!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Confidence sequences for sampling without
@@ -53,22 +49,10 @@
 //! la notion de collectif (1939).
 
 mod campaign;
-mod compared;
-mod difference;
 mod e_process;
-mod estimates;
-mod look;
 mod measures;
-mod new_tasks;
 mod order;
-mod prefix;
-mod sequence;
-mod simultaneous;
 
 pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
-pub use compared::{ComparedLook, NotInOneOrder, compared_looks};
-pub use difference::SequentialDifference;
-pub use look::{Look, RateInterval};
-pub use measures::SequentialMeasures;
+pub use measures::{Look, RateInterval, SequentialMeasures};
 pub use order::{Drawn, Order, Unit};
-pub use prefix::NotInOrder;

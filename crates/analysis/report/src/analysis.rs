@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{Condition, Level, RolloutId};
-use paired::{Cell, DuplicateRecord, Matched, Options, Outcome, Progress, Record, Records, Report};
+use paired::{Cell, DuplicateRecord, Matched, Options, Progress, Record, Records, Report};
 
 use crate::explanation::Findings;
 use crate::interactions::AxisInteractions;
@@ -111,21 +111,17 @@ impl Analysis {
         self.subject.derived.is_none()
     }
 
+    /// Writes the findings of a derived campaign for a terminal; `None` for any other campaign.
+    pub(crate) fn derived_text(&self) -> Option<String> {
+        let findings = self.findings.as_ref().map(Findings::text);
+        let thresholds = self.thresholds.as_ref().map(ThresholdReport::text);
+        let text = [findings, thresholds].into_iter().flatten().collect();
+        (!self.is_paired()).then_some(text)
+    }
+
     /// Returns the records from which the figures are computed.
     pub(crate) fn counted(&self) -> &[Record] {
         self.counted.as_deref().unwrap_or(&self.subject.records)
-    }
-
-    /// Returns all records, with the outcome [`Outcome::Missing`] for those that no figure uses.
-    pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
-        let counted = self.counted().iter();
-        let counted: BTreeSet<_> = counted.map(|record| (record.replicate, record.id)).collect();
-        let all = self.subject.records.iter();
-        all.map(|record| match counted.contains(&(record.replicate, record.id)) {
-            true => *record,
-            false => Record { outcome: Outcome::Missing, ..*record },
-        })
-        .collect()
     }
 
     /// Returns the progress of a configuration's rollout under a condition; `None` if unknown.

@@ -3,12 +3,12 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::{Directions, RolloutId, StopRule};
-use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record, comparison_table, push_wrapped};
+use libero_ctrl::{Directions, RolloutId};
+use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record, push_wrapped};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
-use crate::sequential_comparison::{NoCommonOrder, SequentialComparison};
+use crate::block;
 use crate::subject::{Origin, Setups, Subject};
 use crate::warnings::{Property, look, mujoco, pack, renderer};
 
@@ -23,10 +23,6 @@ pub struct Comparison {
     pub notes: Vec<String>,
     #[serde(flatten)]
     pub statistics: paired::Comparison,
-    /// Confidence sequences of the difference, valid however often the results are inspected;
-    /// `None` unless both policies ran in the same random order.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub sequential: Option<SequentialComparison>,
     /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Smallest number of tasks that gives a bootstrap interval.
@@ -122,33 +118,7 @@ impl Comparison {
             );
             return Err(unpairable(reasons));
         }
-        let unpaired = unpaired(&statistics);
-        Ok(Self {
-            a,
-            b,
-            warnings,
-            notes,
-            sequential: SequentialComparison::of(analyses, &unpaired, None).ok(),
-            statistics,
-            bootstrap,
-            min_tasks: MIN_TASKS,
-        })
-    }
-
-    /// Adds the confidence sequences of the difference and, for each condition, the number of
-    /// configurations after which `rule` is met.
-    ///
-    /// # Errors
-    /// If the two campaigns did not run in the same drawn order.
-    pub fn add_sequential(
-        &mut self,
-        analyses: [&Analysis; 2],
-        rule: Option<&StopRule>,
-    ) -> Result<(), NoCommonOrder> {
-        let unpaired = unpaired(&self.statistics);
-        let sequential = SequentialComparison::of(analyses, &unpaired, rule)?;
-        self.sequential = Some(sequential);
-        Ok(())
+        Ok(Self { a, b, warnings, notes, statistics, bootstrap, min_tasks: MIN_TASKS })
     }
 
     /// Returns `A − B` with the labels of the two policies.
@@ -163,19 +133,13 @@ impl Comparison {
             push_wrapped(&mut text, &format!("{letter}  "), &side.description());
         }
         text.push('\n');
-        let left_out = self.statistics.left_out();
-        let warnings = self.warnings.iter().chain(&self.notes).chain(&left_out);
-        for warning in warnings {
+        for warning in self.warnings.iter().chain(&self.notes) {
             push_wrapped(&mut text, "! ", warning);
         }
         if !text.ends_with("\n\n") {
             text.push('\n');
         }
-        text.push_str(&comparison_table(&self.statistics, &self.bootstrap));
-        if let Some(sequential) = &self.sequential {
-            text.push('\n');
-            text.push_str(&sequential.text());
-        }
+        text.push_str(&block::text(&self.blocks()));
         text
     }
 
@@ -197,11 +161,6 @@ impl Side {
             Origin::File { name, .. } => format!("{}, results of {name}", self.policy),
         }
     }
-}
-
-/// Returns the rollouts that both policies ran under the same id but in different setups.
-fn unpaired(statistics: &paired::Comparison) -> BTreeSet<RolloutId> {
-    statistics.unpaired.values().flatten().copied().collect()
 }
 
 /// Returns A and B; if their labels are equal, they are distinguished by origin, or by letter if

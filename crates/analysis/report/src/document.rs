@@ -2,23 +2,27 @@
 //! programs.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::OnceLock;
 
-use libero_ctrl::{Execution, JsonError, Level, Look};
-use paired::{DuplicateRecord, Measures, Report, push_wrapped};
+use libero_ctrl::{Condition, Execution, JsonError, Level, Look};
+use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report, push_wrapped};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
+use crate::block::{self, Block, WIDTH};
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
 use crate::family::{Family, FamilyError};
 use crate::interactions;
+use crate::page;
 use crate::sequential::Sequential;
-use crate::subject::{Origin, Quarantined, Subject};
+use crate::subject::{Origin, Quarantined, Subject, agree, pluralise};
+use crate::tables;
 use crate::threshold_report::ThresholdReport;
 use crate::warnings;
 
-/// Columns of a terminal. Longer error texts are truncated; the JSON form contains them in full.
-const WIDTH: usize = 80;
+/// Largest number of quarantined rollouts that are named; further ones are only counted.
+const MAX_NAMED: usize = 6;
 
 /// A report: the analyses of one or several policies.
 #[derive(Clone, Debug)]
@@ -31,6 +35,8 @@ pub struct Document {
     /// paraphrase.
     /// Reports show them instead of the measures of LIBERO-CTRL.
     pub family: Option<Family>,
+    /// Comparisons of all pairs, computed when first read.
+    comparisons: OnceLock<Vec<Result<Comparison, Unpairable>>>,
 }
 
 /// Failure to build or write a report.
@@ -124,16 +130,19 @@ impl Document {
             let duplicate = |source| DocumentError::Duplicate { policy: label.clone(), source };
             Analysis::new(label.clone(), subject).map_err(duplicate)
         });
-        Ok(Self { warnings, analyses: analyses.collect::<Result<_, _>>()?, family })
+        let analyses = analyses.collect::<Result<_, _>>()?;
+        Ok(Self { warnings, analyses, family, comparisons: OnceLock::new() })
     }
 
     /// Compares every policy with every later one.
-    pub(crate) fn comparisons(&self) -> Vec<Result<Comparison, Unpairable>> {
-        let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
-            let later = self.analyses[index + 1..].iter();
-            later.map(move |b| Comparison::of([a, b], [&a.subject.setups, &b.subject.setups]))
-        });
-        pairs.collect()
+    pub(crate) fn comparisons(&self) -> &[Result<Comparison, Unpairable>] {
+        self.comparisons.get_or_init(|| {
+            let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
+                let later = self.analyses[index + 1..].iter();
+                later.map(move |b| Comparison::of([a, b], [&a.subject.setups, &b.subject.setups]))
+            });
+            pairs.collect()
+        })
     }
 
     /// Returns the label and the measures of each policy with complete configurations at a
@@ -193,10 +202,17 @@ impl Document {
         analyses.flat_map(|analysis| &analysis.report.notes)
     }
 
-    fn push_notes(&self, text: &mut String) {
-        for note in self.notes() {
-            push_wrapped(text, "! ", note);
-        }
+    /// Returns all warnings, to be read first.
+    pub(crate) fn all_warnings(&self) -> Vec<String> {
+        let several = self.analyses.len() > 1;
+        let of_policies = self.analyses.iter().flat_map(|analysis| {
+            let prefix = if several { format!("`{}`: ", analysis.label) } else { String::new() };
+            let quarantined = quarantined(&analysis.report.quarantined);
+            let quarantined = quarantined.filter(|_| self.family.is_none());
+            let notes = analysis.report.notes.iter().cloned().chain(quarantined);
+            notes.map(move |note| format!("{prefix}{note}"))
+        });
+        self.warnings.iter().cloned().chain(of_policies).collect()
     }
 
     /// Writes a short report for a terminal of 80 columns: success by condition, and
@@ -204,22 +220,22 @@ impl Document {
     pub fn brief(&self) -> String {
         let mut text = String::new();
         if let Some(family) = &self.family {
-            self.push_notes(&mut text);
+            push_warnings(&mut text, &self.all_warnings());
             text.push_str(&family.text(false));
             return text;
         }
-        for warning in &self.warnings {
-            push_wrapped(&mut text, "! ", warning);
-        }
+        push_warnings(&mut text, &self.warnings);
         for analysis in &self.analyses {
             if !text.is_empty() {
                 text.push('\n');
             }
             text.push_str(&title(&analysis.subject));
-            match analysis.is_paired() {
-                true => text.push_str(&paired::brief(&analysis.report)),
-                false => push_derived_findings(&mut text, analysis),
-            }
+            push_warnings(&mut text, &analysis.report.notes);
+            text.push('\n');
+            text.push_str(&match analysis.derived_text() {
+                Some(derived) => derived,
+                None => block::text(&brief(analysis)),
+            });
         }
         if self.analyses.iter().any(Analysis::is_paired) {
             text.push('\n');
@@ -236,39 +252,93 @@ impl Document {
     /// Writes the whole report for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        for warning in &self.warnings {
-            push_wrapped(&mut text, "! ", warning);
-        }
+        push_warnings(&mut text, &self.warnings);
         for analysis in &self.analyses {
             if !text.is_empty() {
                 text.push('\n');
             }
             text.push_str(&head(&analysis.subject));
+        }
+        text.push('\n');
+        push_warnings(&mut text, &self.all_warnings()[self.warnings.len()..]);
+        if !text.ends_with("\n\n") {
             text.push('\n');
-            if let Some(family) = &self.family {
-                self.push_notes(&mut text);
-                text.push_str(&family.text(true));
-                text.push_str(&quarantine_list(&analysis.subject));
-                return text;
+        }
+        match &self.family {
+            Some(family) => text.push_str(&family.text(true)),
+            None => {
+                let sections = page::of_document(self, None);
+                text.push_str(&block::text(sections.iter().flat_map(|section| &section.blocks)));
             }
-            match analysis.is_paired() {
-                true => text.push_str(&paired::table(&analysis.report)),
-                false => push_derived_findings(&mut text, analysis),
-            }
-            if let Some(sequential) = &analysis.sequential {
-                text.push('\n');
-                text.push_str(&sequential.text());
-            }
+        }
+        for analysis in &self.analyses {
             text.push_str(&quarantine_list(&analysis.subject));
         }
-        let measured = self.analyses.iter().filter(|analysis| analysis.is_paired());
-        let reports: Vec<&Report> = measured.map(|analysis| &analysis.report).collect();
-        let legend = paired::legend(&reports);
-        if !legend.is_empty() {
-            text.push('\n');
-            text.push_str(&legend);
-        }
         text
+    }
+}
+
+/// Returns the short report for readers who do not know the protocol's symbols. Of the findings
+/// about a level, and of simultaneous success by suite, it has only those at the last level.
+fn brief(analysis: &Analysis) -> Vec<Block<'_>> {
+    let report = &analysis.report;
+    let last = report.cells.last().map(|cell| cell.level);
+    let findings = report.findings.iter();
+    let findings = findings.filter(|finding| finding.level.is_none() || finding.level == last);
+    let (directions, main): (Vec<&Finding>, Vec<&Finding>) =
+        findings.partition(|finding| finding.kind == FindingKind::Directions);
+    let sentence = |finding: &Finding| Block::Paragraph(finding.sentence.clone());
+    let suites = tables::suites(analysis, "", |row| match row.condition {
+        Condition::Clean => true,
+        condition => condition == Condition::Combination && Some(row.level) == last,
+    });
+    let mut blocks: Vec<Block<'_>> = main.into_iter().map(sentence).collect();
+    blocks.push(Block::Table(tables::success(std::slice::from_ref(analysis), true)));
+    blocks.push(Block::Table(suites));
+    blocks.extend(tables::gates(report).into_iter().map(Block::Paragraph));
+    blocks.extend(directions.into_iter().map(sentence));
+    blocks.extend(incomplete(report).map(Block::Paragraph));
+    blocks
+}
+
+/// Returns the sentence about rollouts without an outcome; `None` if there are none.
+fn incomplete(report: &Report) -> Option<String> {
+    let mut gaps: Vec<_> = report.nominal.iter().map(|nominal| nominal.gap).collect();
+    gaps.extend(report.cells.iter().flat_map(|cell| cell.completeness.gaps.values().copied()));
+    let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
+    let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
+    let parts = [
+        (missing, ["has", "have"], "no outcome yet"),
+        (quarantined, ["is", "are"], "in quarantine"),
+    ];
+    let parts = parts.into_iter().filter(|(count, ..)| *count > 0);
+    let parts = parts.map(|(count, [singular, plural], state)| {
+        format!("{count} {} {state}", agree(count, singular, plural))
+    });
+    let parts: Vec<String> = parts.collect();
+    (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", parts.join(" and ")))
+}
+
+/// Names some of the quarantined rollouts; `None` if there are none.
+fn quarantined(names: &[String]) -> Option<String> {
+    let named = names[..names.len().min(MAX_NAMED)].join(", ");
+    let more = match names.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let count = names.len() as u64;
+    (count > 0).then(|| {
+        format!(
+            "{} {} in quarantine (failed too often, or skipped) and in no rate: {named}{more}",
+            pluralise(count, "rollout"),
+            agree(count, "is", "are")
+        )
+    })
+}
+
+fn push_warnings(text: &mut String, warnings: &[String]) {
+    for warning in warnings {
+        push_wrapped(text, "! ", warning);
     }
 }
 
@@ -341,22 +411,6 @@ fn head(subject: &Subject) -> String {
             ));
             head
         }
-    }
-}
-
-/// Appends the findings of a derived campaign, its warnings first.
-fn push_derived_findings(text: &mut String, analysis: &Analysis) {
-    for note in &analysis.report.notes {
-        push_wrapped(text, "! ", note);
-    }
-    if !analysis.report.notes.is_empty() {
-        text.push('\n');
-    }
-    if let Some(findings) = &analysis.findings {
-        text.push_str(&findings.text());
-    }
-    if let Some(thresholds) = &analysis.thresholds {
-        text.push_str(&thresholds.text());
     }
 }
 

@@ -3,18 +3,17 @@
 //! initial states. Suite files have no unperturbed rollouts.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 use libero_ctrl::{TaskRef, UnknownName};
-use libero_family::para::{Kind, Paraphrased};
+use libero_family::para::{Distances, Kind, Paraphrased};
 use libero_family::plus::{Dimension, PUBLISHED, PUBLISHED_SOURCE};
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Protocol;
 use libero_family::{Case, SelectionError, Subject as CaseSubject};
-use paired::{Bootstrap, Interval, NoInterval, Outcome, intervals_of_many, push_wrapped};
+use paired::{Bootstrap, Interval, NoInterval, Outcome, intervals_of_many};
 use serde::Serialize;
 
-use crate::family_pride::Pride;
+use crate::block::{self, Block, Rows, Section, Table, cell};
 use crate::subject::{Subject, agree, pluralise};
 
 /// Results of a campaign of LIBERO's family or of a suite file, under one protocol.
@@ -92,31 +91,6 @@ pub struct Line {
     pub loss_interval: Option<Interval>,
     /// Reason why `loss_interval` is withheld.
     pub no_loss_interval: Option<NoInterval>,
-}
-
-impl Line {
-    /// Returns the cells of the table of successes.
-    pub(crate) fn counts(&self) -> [String; 5] {
-        [
-            self.name.clone(),
-            self.rollouts.to_string(),
-            self.successes.to_string(),
-            number(self.percent),
-            interval(self.interval, self.no_interval),
-        ]
-    }
-
-    /// Returns the cells of the table of losses.
-    pub(crate) fn losses(&self) -> [String; 6] {
-        [
-            self.name.clone(),
-            self.pairs.to_string(),
-            self.broken.to_string(),
-            self.gained.to_string(),
-            number(self.loss),
-            interval(self.loss_interval, self.no_loss_interval),
-        ]
-    }
 }
 
 /// Failure to report on a campaign of LIBERO's family or of a suite file.
@@ -229,45 +203,75 @@ impl Line {
 }
 
 impl Family {
-    const LEGEND: [&str; 3] = [
-        "percent: successes over rollouts, as in the benchmark's table; the last line counts all \
-         variants together.",
-        "broken: failed, and the unperturbed rollout of its task from the same initial state \
-         succeeds; gained: the reverse; loss: broken less gained, per cent of the pairs.",
-        "Intervals resample whole tasks.",
-    ];
+    /// Returns the sections of the page.
+    pub(crate) fn sections(&self) -> Vec<Section<'_>> {
+        vec![Section { title: self.title(), blocks: self.blocks(true) }]
+    }
 
-    const PARA_LEGEND: [&str; 2] = [
-        "obj, act, comp: other words for the object, for the action, for both.",
-        "PRIDE: sum of the distances from the task's instruction of the sentences that succeed, \
-         per cent of the sum over all sentences; α is the weight of the content words in a \
-         distance, and 1 − α that of the sentence's structure.",
-    ];
-
-    /// Returns the meaning of the columns that the report has.
-    pub(crate) fn legend(&self) -> Vec<&'static str> {
-        let mut legend = match self.is_paired {
-            true => Self::LEGEND.to_vec(),
-            false => vec!["percent: successes over rollouts.", Self::LEGEND[2]],
-        };
-        if !self.pride.is_empty() {
-            legend.extend(Self::PARA_LEGEND);
+    fn title(&self) -> String {
+        match self.is_paired {
+            true => format!("{} under protocol {}", self.benchmark, self.protocol),
+            false => format!("Suite file {}", self.protocol),
         }
-        legend
     }
 
-    /// Returns the cells of the table of PRIDE.
-    pub(crate) fn pride_cells(&self) -> impl Iterator<Item = [String; 3]> {
-        self.pride.iter().map(|pride| {
-            let interval = interval(pride.interval, pride.no_interval);
-            [pride.name(), number(pride.percent), interval]
-        })
-    }
-
-    /// Returns the lines of the table of successes.
-    pub(crate) fn success_lines(&self, full: bool) -> Vec<&Line> {
+    /// Returns the report; `is_full` adds the lines of `cells` and the published table.
+    fn blocks(&self, is_full: bool) -> Vec<Block<'_>> {
         let unperturbed = [&self.unperturbed].into_iter().filter(|_| self.is_paired);
-        unperturbed.chain(self.lines(full)).collect()
+        let lines = self.lines(is_full);
+        let all_lines = unperturbed.chain(lines.iter().copied());
+        let successes = Rows::new("Successes", all_lines)
+            .key("variants", |line| cell(&line.name))
+            .column("rollouts", "", "", |line| cell(line.rollouts))
+            .column("successes", "", "", |line| cell(line.successes))
+            .column(
+                "percent",
+                "",
+                "successes over rollouts, as in the benchmark's table; the last line counts all \
+                 variants together",
+                |line| cell(number(line.percent)),
+            )
+            .column("95 % interval", "", "resamples whole tasks", |line| {
+                cell(interval(line.interval, line.no_interval))
+            });
+        let pride = Rows::new("PRIDE", &self.pride)
+            .key("weight", |pride| cell(pride.name()))
+            .column("percent", "", "", |pride| cell(number(pride.percent)))
+            .column("95 % interval", "", "resamples whole tasks", |pride| {
+                cell(interval(pride.interval, pride.no_interval))
+            })
+            .note("obj, act, comp", "other words for the object, for the action, for both")
+            .note(
+                "PRIDE",
+                "sum of the distances from the task's instruction of the sentences that succeed, \
+                 per cent of the sum over all sentences; α is the weight of the content words in a \
+                 distance, and 1 − α that of the sentence's structure",
+            );
+        let losses = lines.into_iter().filter(|_| self.is_paired);
+        let losses = Rows::new("Against the unperturbed rollouts", losses)
+            .key("variants", |line| cell(&line.name))
+            .column("pairs", "", "", |line| cell(line.pairs))
+            .column(
+                "broken",
+                "",
+                "failed, and the unperturbed rollout of its task from the same initial state \
+                 succeeds",
+                |line| cell(line.broken),
+            )
+            .column("gained", "", "the reverse of broken", |line| cell(line.gained))
+            .column("loss", "", "broken less gained, per cent of the pairs", |line| {
+                cell(number(line.loss))
+            })
+            .column("95 % interval", "", "resamples whole tasks", |line| {
+                cell(interval(line.loss_interval, line.no_loss_interval))
+            });
+        let caveats = self.caveats().into_iter().map(Block::Paragraph);
+        let tables = [successes.table(), pride.table(), losses.table()];
+        let mut blocks: Vec<Block<'_>> = caveats.chain(tables.map(Block::Table)).collect();
+        if is_full && !self.published.is_empty() {
+            blocks.push(Block::Table(self.published_table()));
+        }
+        blocks
     }
 
     /// Reports on a campaign; `None` if it is neither of LIBERO's family nor of a suite file.
@@ -378,93 +382,41 @@ impl Family {
         }))
     }
 
-    /// Writes the report for a terminal; `full` adds the lines of `cells` and the published table.
-    pub fn text(&self, full: bool) -> String {
-        let heading = format!("Campaign {} of policy {}", self.campaign, self.policy);
-        let mut text = match self.is_paired {
-            true => format!("{heading}: {} under protocol {}\n", self.benchmark, self.protocol),
-            false => format!("{heading}: suite file {}\n", self.protocol),
-        };
-        for sentence in self.caveats() {
-            push_wrapped(&mut text, "", &sentence);
-        }
-        text.push('\n');
-        let heads = ["Successes", "rollouts", "successes", "percent", "95 % interval"];
-        let counts = self.success_lines(full).into_iter().map(Line::counts);
-        for [name, rollouts, successes, percent, interval] in
-            [heads.map(str::to_owned)].into_iter().chain(counts)
-        {
-            let _ =
-                writeln!(text, "{name:<30}{rollouts:>9}{successes:>10}{percent:>9}  {interval}");
-        }
-        text.push('\n');
-        let heads = ["PRIDE", "percent", "95 % interval"];
-        let pride = self.pride_cells();
-        for [name, percent, interval] in
-            [heads.map(str::to_owned)].into_iter().chain(pride).filter(|_| !self.pride.is_empty())
-        {
-            let _ = writeln!(text, "{name:<30}{percent:>9}  {interval}");
-        }
-        if !self.pride.is_empty() {
-            text.push('\n');
-        }
-        let heads =
-            ["Against the unperturbed", "pairs", "broken", "gained", "loss", "95 % interval"];
-        let losses = self.lines(full).into_iter().map(Line::losses);
-        let table = [heads.map(str::to_owned)].into_iter().chain(losses);
-        for [name, pairs, broken, gained, loss, interval] in table.filter(|_| self.is_paired) {
-            let _ =
-                writeln!(text, "{name:<30}{pairs:>7}{broken:>7}{gained:>7}{loss:>7}  {interval}");
-        }
-        if self.is_paired {
-            text.push('\n');
-        }
-        for sentence in self.legend() {
-            push_wrapped(&mut text, "", sentence);
-        }
-        if full && !self.published.is_empty() {
-            text.push('\n');
-            for row in self.published_table() {
-                let _ = write!(text, "{:<14}", row[0]);
-                for (cell, name) in row[1..].iter().zip(Dimension::ALL.map(Dimension::name)) {
-                    let width = name.len() + 2;
-                    let _ = write!(text, "{cell:>width$}");
-                }
-                text.push('\n');
-            }
-            push_wrapped(&mut text, "", &Self::published_note());
-        }
-        text
+    /// Writes the report for a terminal; `is_full` adds the lines of `cells` and the published
+    /// table.
+    pub fn text(&self, is_full: bool) -> String {
+        let title =
+            format!("Campaign {} of policy {}: {}", self.campaign, self.policy, self.title());
+        let blocks = [Block::Heading(title)].into_iter().chain(self.blocks(is_full));
+        block::text(&blocks.collect::<Vec<_>>())
     }
 
-    /// Returns the heads of the published table, the row of this campaign, and the published rows.
-    pub(crate) fn published_table(&self) -> Vec<Vec<String>> {
-        let names = Dimension::ALL.map(Dimension::name);
-        let measured_percent = |name: &&str| {
-            let line = self.groups.iter().find(|line| line.name == **name);
-            number(line.and_then(|line| line.percent))
-        };
-        let heads = ["Published"].into_iter().chain(names).map(str::to_owned);
-        let measured = ["this campaign".to_owned()].into_iter();
-        let measured = measured.chain(names.iter().map(measured_percent));
+    /// Returns the row of this campaign, and the published rows.
+    fn published_table(&self) -> Table {
+        let measured = self.groups.iter().map(|line| (line.name.as_str(), line.percent));
+        let measured = ("this campaign".to_owned(), measured.collect::<BTreeMap<_, _>>());
         let published = self.published.iter().map(|row| {
-            let cells = names.iter().map(|name| number(row.percent.get(name).copied()));
-            [row.policy.clone()].into_iter().chain(cells).collect()
+            let percent = row.percent.iter().map(|(name, percent)| (*name, Some(*percent)));
+            (row.policy.clone(), percent.collect())
         });
-        [heads.collect(), measured.collect()].into_iter().chain(published).collect()
-    }
-
-    /// Describes the published table's source and scope.
-    pub(crate) fn published_note() -> String {
-        format!(
+        let name = format!(
             "Published: successes over all 10,030 variants, per cent ({PUBLISHED_SOURCE}). A \
              published figure is comparable with this campaign only for a dimension of which the \
-             campaign ran all variants."
-        )
+             campaign ran all variants"
+        );
+        let mut rows = Rows::new(name, [measured].into_iter().chain(published))
+            .key("policy", |(policy, _)| cell(policy));
+        for name in Dimension::ALL.map(Dimension::name) {
+            let value = |(_, percent): &(_, BTreeMap<&str, Option<f64>>)| {
+                cell(number(percent.get(name).copied().flatten()))
+            };
+            rows = rows.column(name, "", "", value);
+        }
+        rows.table()
     }
 
     /// Returns the rows of variants, the total last.
-    pub(crate) fn lines(&self, full: bool) -> Vec<&Line> {
+    fn lines(&self, full: bool) -> Vec<&Line> {
         let cells = self.cells.iter().filter(|_| full);
         let lines = self.kinds.iter().chain(&self.groups);
         let lines = lines.chain(&self.difficulties).chain(cells);
@@ -472,7 +424,7 @@ impl Family {
     }
 
     /// Returns sentences about rollouts that are in no figure.
-    pub(crate) fn caveats(&self) -> Vec<String> {
+    fn caveats(&self) -> Vec<String> {
         let mut sentences = Vec::new();
         if self.missing > 0 {
             sentences.push(format!(
@@ -545,5 +497,75 @@ pub(crate) fn interval(interval: Option<Interval>, reason: Option<NoInterval>) -
         (Some([low, high]), _) => format!("{low:.1} to {high:.1}"),
         (None, Some(reason)) => reason.to_string(),
         (None, None) => "-".to_owned(),
+    }
+}
+
+/// Weights of the content words: 0.5 as in the released code, 0 for the structure alone, 1 for the
+/// content words alone.
+const ALPHAS: [f64; 3] = [0.5, 0.0, 1.0];
+
+/// PRIDE with one weight of the content words.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Pride {
+    /// Weight of the content words; the weight of the structure is 1 − `alpha`.
+    pub alpha: f64,
+    /// Successes, each weighted by the distance of its sentence from the task's instruction, per
+    /// cent of the sum of all distances.
+    pub percent: Option<f64>,
+    /// 95 % interval of `percent`, by a bootstrap over tasks.
+    pub interval: Option<Interval>,
+    /// Reason why `interval` is withheld.
+    pub no_interval: Option<NoInterval>,
+}
+
+impl Pride {
+    /// Returns the score of the rollouts with each weight; empty without rollouts.
+    pub(crate) fn all(rollouts: impl Iterator<Item = (TaskRef, Paraphrased)>) -> Vec<Self> {
+        let mut by_task: BTreeMap<TaskRef, [Distances; ALPHAS.len()]> = BTreeMap::new();
+        for (task, outcome) in rollouts {
+            let sums = by_task.entry(task).or_default();
+            for (sum, alpha) in sums.iter_mut().zip(ALPHAS) {
+                sum.add(&outcome, alpha);
+            }
+        }
+        if by_task.is_empty() {
+            return Vec::new();
+        }
+        let tasks: Vec<_> = by_task.into_values().collect();
+        let pride = |index: usize, draws: &dyn Fn(usize) -> f64| {
+            let mut sum = Distances::default();
+            for (task, sums) in tasks.iter().enumerate() {
+                sum.reached += draws(task) * sums[index].reached;
+                sum.total += draws(task) * sums[index].total;
+            }
+            sum.pride()
+        };
+        let bootstrap = Bootstrap::default();
+        let intervals =
+            intervals_of_many(&bootstrap, tasks.len(), ALPHAS.len(), |draws, values| {
+                for (index, value) in values.iter_mut().enumerate() {
+                    let drawn = pride(index, &|task| f64::from(draws[task]));
+                    *value = drawn.unwrap_or_default();
+                }
+            });
+        let lines = ALPHAS.into_iter().zip(intervals).enumerate();
+        lines
+            .map(|(index, (alpha, interval))| Self {
+                alpha,
+                percent: pride(index, &|_| 1.0),
+                interval: interval.ok(),
+                no_interval: interval.err(),
+            })
+            .collect()
+    }
+
+    /// Returns the name in tables.
+    pub(crate) fn name(&self) -> String {
+        let weight = match self.alpha {
+            0.0 => ", structure alone",
+            1.0 => ", content words alone",
+            _ => "",
+        };
+        format!("α {}{weight}", self.alpha)
     }
 }

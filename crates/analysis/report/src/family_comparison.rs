@@ -7,9 +7,10 @@ use std::fmt::Write;
 
 use libero_ctrl::RolloutId;
 use libero_family::{Case, Subject as CaseSubject};
-use paired::{Interval, NoInterval, push_wrapped};
+use paired::{Interval, NoInterval};
 use serde::Serialize;
 
+use crate::block::{self, Block, Rows, cell};
 use crate::comparison::{SHARED, Side, Unpairable, property_difference};
 use crate::family::{Counted, Family, FamilyError, Line, group, interval, number};
 use crate::subject::{Subject, agree, pluralise};
@@ -159,27 +160,28 @@ impl FamilyComparison {
                 );
             }
         }
-        text.push('\n');
-        let heads = ["Pairs", "pairs", "A %", "B %", "only A", "only B", "A - B", "95 % interval"];
         let unperturbed = [&self.unperturbed].into_iter().filter(|line| line.pairs > 0);
-        let lines = unperturbed.chain(&self.groups).chain([&self.all]);
-        let rows = lines.map(PairedLine::cells);
-        for [name, pairs, a, b, only_a, only_b, difference, interval] in
-            [heads.map(str::to_owned)].into_iter().chain(rows)
-        {
-            let _ = writeln!(
-                text,
-                "{name:<22}{pairs:>6}{a:>7}{b:>7}{only_a:>8}{only_b:>8}{difference:>7}  {interval}"
-            );
-        }
+        let percent = |line: &PairedLine, successes: u64| {
+            cell(number((line.pairs > 0).then(|| 100.0 * successes as f64 / line.pairs as f64)))
+        };
+        let table = Rows::new("Pairs", unperturbed.chain(&self.groups).chain([&self.all]))
+            .key("variants", |line| cell(&line.name))
+            .column(
+                "pairs",
+                "",
+                "a rollout of A is paired with that of B of the same variant and initial state",
+                |line| cell(line.pairs),
+            )
+            .column("A", "%", "", |line| percent(line, line.a_successes))
+            .column("B", "%", "", |line| percent(line, line.b_successes))
+            .column("only A", "", "pairs in which A succeeds and B fails", |line| cell(line.only_a))
+            .column("only B", "", "", |line| cell(line.only_b))
+            .column("A − B", "points", "", |line| cell(number(line.difference)))
+            .column("95 % interval", "", "resamples whole tasks", |line| {
+                cell(interval(line.interval, line.no_interval))
+            });
         text.push('\n');
-        for sentence in [
-            "A rollout of A is paired with that of B of the same variant and initial state. Only A: \
-             pairs in which A succeeds and B fails. A - B: percentage points.",
-            "Intervals resample whole tasks.",
-        ] {
-            push_wrapped(&mut text, "", sentence);
-        }
+        text.push_str(&block::text(&[Block::Table(table.table())]));
         text
     }
 }
@@ -200,22 +202,6 @@ impl PairedLine {
             interval: line.loss_interval,
             no_interval: line.no_loss_interval,
         }
-    }
-
-    fn cells(&self) -> [String; 8] {
-        let percent = |successes: u64| {
-            number((self.pairs > 0).then(|| 100.0 * successes as f64 / self.pairs as f64))
-        };
-        [
-            self.name.clone(),
-            self.pairs.to_string(),
-            percent(self.a_successes),
-            percent(self.b_successes),
-            self.only_a.to_string(),
-            self.only_b.to_string(),
-            number(self.difference),
-            interval(self.interval, self.no_interval),
-        ]
     }
 }
 

@@ -10,12 +10,10 @@
 mod decomposition;
 mod differences;
 mod directions;
-mod gate;
 mod heat_map;
 mod interactions;
 mod lattice;
 mod matrix;
-mod replication;
 mod survival;
 mod svg;
 mod upset;
@@ -33,11 +31,9 @@ pub use self::lattice::{SubsetLink, lattice};
 pub use decomposition::decomposition;
 pub use differences::differences;
 pub use directions::directions;
-pub use gate::gate;
 pub use heat_map::heat_map;
 pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
-pub use replication::flips;
 pub use survival::survival;
 pub use svg::WIDTH;
 pub use upset::upset;
@@ -160,7 +156,6 @@ pub fn of_thresholds(report: &ThresholdReport) -> Vec<Figure> {
 /// Draws all figures of a document, in the page's order.
 pub fn all(document: &Document) -> Vec<Figure> {
     let mut figures = Vec::new();
-    figures.extend(gate(document));
     let levels = levels(document);
     figures.extend(levels.iter().filter_map(|&level| heat_map(document, level)));
     figures.extend(levels.iter().filter_map(|&level| decomposition(document, level)));
@@ -179,10 +174,9 @@ pub fn all(document: &Document) -> Vec<Figure> {
         for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
             figures.extend([interaction_matrix(analysis, level), additive(analysis, level)]);
         }
-        figures.extend(flips(analysis));
     }
     for pair in document.comparisons() {
-        figures.extend(pair.ok().and_then(|comparison| differences(&comparison)));
+        figures.extend(pair.as_ref().ok().and_then(differences));
     }
     // Distinct labels can map to the same file name; files must not overwrite each other.
     let mut used_names = BTreeSet::new();

@@ -9,20 +9,21 @@
 #![forbid(unsafe_code)]
 
 mod analysis;
+mod block;
 mod comparison;
+mod comparison_tables;
 mod document;
 mod explanation;
 mod family;
 mod family_comparison;
-mod family_pride;
 pub mod figures;
 mod import;
 mod interactions;
 mod page;
 mod sequential;
-mod sequential_comparison;
 mod subject;
 mod table;
+mod tables;
 mod threshold_report;
 mod warnings;
 mod words;
@@ -31,14 +32,12 @@ pub use analysis::Analysis;
 pub use comparison::{Comparison, Side, Unpairable};
 pub use document::{Document, DocumentError};
 pub use explanation::Findings;
-pub use family::{Family, FamilyError, Line};
+pub use family::{Family, FamilyError, Line, Pride};
 pub use family_comparison::{FamilyComparison, FamilyComparisonError, PairedLine};
-pub use family_pride::Pride;
 pub use import::{BadLine, ImportError, import};
 pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
 pub use sequential::{Sequential, describe_early_stop};
-pub use sequential_comparison::{NoCommonOrder, SequentialCell, SequentialComparison};
 pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Purpose, Quarantined, Setups, Subject,
     counted, rollout_name,

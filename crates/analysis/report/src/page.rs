@@ -1,24 +1,21 @@
 //! The report as one self-contained page of HTML without scripts, in a light and a dark
 //! scheme, for screens, phones and paper. The modules below write its sections.
 
-mod differences;
 mod explanation;
-mod family;
 mod findings;
-mod inference;
+pub(crate) mod markup;
 mod methods;
-mod panels;
-mod sequential;
-mod tables;
 mod thresholds;
 
+use libero_ctrl::Level;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::analysis::Analysis;
+use crate::block::{self, Block, Section};
 use crate::comparison::Comparison;
 use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
-use panels::figure;
+use crate::tables;
 
 /// The page's style, with that of its figures.
 pub const STYLE: &str = concat!(include_str!("page/style.css"), include_str!("figures/style.css"));
@@ -67,67 +64,206 @@ pub fn warnings(document: &Document) -> Markup {
 /// [`STYLE`]. The squares of the outcome matrices and the explained configurations
 /// are linked to the URLs that `link` returns.
 pub fn sections(document: &Document, link: Option<Link>) -> Markup {
+    block::html(&of_document(document, link))
+}
+
+/// Returns the sections of a report, without a title for those of figures alone.
+pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) -> Vec<Section<'a>> {
     if let Some(family) = &document.family {
-        return family::sections(family);
+        return family.sections();
     }
-    let levels = levels(document);
-    let per_level = |panel: fn(&Document, libero_ctrl::Level) -> Option<Figure>| {
-        let panels = levels.iter().filter_map(|&level| panel(document, level));
-        panels.collect::<Vec<_>>()
+    let analyses = document.analyses.as_slice();
+    let section = |title: &str, blocks| Section { title: title.to_owned(), blocks };
+    let per_level = |caption: &'static str, panel: fn(&Document, Level) -> Option<Figure>| {
+        Block::Html(Box::new(move || {
+            let levels = levels(document);
+            let panels = levels.iter().filter_map(|&level| panel(document, level));
+            figure(caption, panels.collect())
+        }))
     };
-    let has_paired = document.analyses.iter().any(Analysis::is_paired);
+    let derived = analyses.iter().filter_map(Analysis::derived_text).map(Block::Text);
+    let mut sections = vec![
+        section("", derived.collect()),
+        section(
+            "",
+            vec![Block::Html(Box::new(move || {
+                html! { (explanation::findings(document, link)) (thresholds::sections(document)) }
+            }))],
+        ),
+        section("Findings", finding_blocks(analyses)),
+    ];
+    if !analyses.iter().any(Analysis::is_paired) {
+        sections.push(section("", vec![Block::Html(Box::new(move || methods::methods(document)))]));
+        return sections;
+    }
+    let suites = analyses.iter().flat_map(|analysis| {
+        let policy = match analyses.len() {
+            1 => String::new(),
+            _ => format!(": {}", analysis.label),
+        };
+        [
+            Block::Table(tables::suites(analysis, &policy, |_| true)),
+            Block::Html(Box::new(move || tables::tasks(analysis).folded())),
+        ]
+    });
+    let named = |analysis: &Analysis, sentence: String| match analyses.len() {
+        1 => Block::Paragraph(sentence),
+        _ => Block::Paragraph(format!("{}: {sentence}", analysis.label)),
+    };
+    let gates = analyses.iter().flat_map(|analysis| {
+        let gates = tables::gates(&analysis.report).into_iter();
+        gates.map(move |gate| named(analysis, gate))
+    });
+    let nominal = [Block::Table(tables::nominal(analyses))]
+        .into_iter()
+        .chain(gates)
+        .chain([Block::Table(tables::success(analyses, false))])
+        .chain(suites)
+        .chain([Block::Folded(tables::subsets(analyses))]);
+    sections.push(section("Nominal success and single axes", nominal.collect()));
+    let paired = tables::paired(tables::PAIRED, analyses, |cell| cell.paired.as_ref());
+    sections.push(section("Paired outcomes", vec![Block::Table(paired)]));
+    let inference =
+        [tables::targets, tables::tests, tables::floor, tables::losses].map(|of| of(analyses));
+    if analyses.iter().any(|analysis| analysis.report.cells.iter().any(|c| c.inference.is_some())) {
+        let tables = inference.into_iter().map(Block::Table);
+        sections.push(section("Uncertainty by target", tables.collect()));
+    }
+    let sequences = analyses.iter().filter_map(|analysis| {
+        let explanation = analysis.sequential.as_ref()?.explanation();
+        Some(named(analysis, format!("{explanation}.")))
+    });
+    let sequences: Vec<Block<'a>> = sequences.collect();
+    if !sequences.is_empty() {
+        let table = Block::Table(tables::sequences(analyses));
+        let blocks = [table].into_iter().chain(sequences).collect();
+        sections.push(section("Confidence sequences", blocks));
+    }
+    let matrices = Block::Html(Box::new(move || {
+        let panels = analyses.iter().flat_map(|analysis| {
+            let levels = levels(document).into_iter();
+            levels.filter_map(move |level| figures::matrix(analysis, level, link))
+        });
+        figure(matrix_caption(link), panels.collect())
+    }));
+    sections.push(section(
+        "",
+        vec![
+            per_level(
+                "Success under each axis alone, and under simultaneous perturbation by all of them.",
+                figures::heat_map,
+            ),
+            per_level(
+                "From independent axes to simultaneous perturbation. D: the effect of failures of \
+                 several axes that coincide in the same configurations. I: the further effect of \
+                 simultaneity. In brackets, 95 % intervals.",
+                figures::decomposition,
+            ),
+            per_level(
+                "Outcome changes by direction. Left, every axis alone succeeds and the \
+                 simultaneous rollout fails; right, some axis alone fails and the simultaneous \
+                 rollout succeeds. Whiskers and brackets: 95 % intervals; p: exact McNemar test of \
+                 left against right.",
+                figures::directions,
+            ),
+            matrices,
+            Block::Html(Box::new(move || explanation::interactions(document))),
+        ],
+    ));
+    let replication = analyses.iter().flat_map(|analysis| {
+        let sentences = tables::replication(analysis).into_iter();
+        sentences.map(move |sentence| named(analysis, sentence))
+    });
+    sections.push(section("Replication", replication.collect()));
+    let pairs = document.comparisons().iter().flat_map(|pair| match pair {
+        Ok(comparison) => {
+            let warnings = comparison.warnings.iter().cloned().map(Block::Paragraph);
+            let title = [Block::Heading(comparison.title())].into_iter();
+            title.chain(warnings).chain(comparison.blocks()).collect::<Vec<_>>()
+        }
+        Err(unpairable) => {
+            let title = format!("{} and {} are not compared", unpairable.a, unpairable.b);
+            let reasons = unpairable.reasons.iter().cloned().map(Block::Paragraph);
+            [Block::Heading(title)].into_iter().chain(reasons).collect()
+        }
+    });
+    sections.push(section("Differences between policies", pairs.collect()));
+    let solvable = tables::paired(SOLVABLE, analyses, |cell| cell.solvable.as_ref());
+    let rest = [solvable, tables::bounds(analyses)].map(Block::Table);
+    sections.push(section("Further tables", rest.into()));
+    sections.push(section(
+        "",
+        vec![Block::Html(Box::new(move || {
+            html! { (quarantine(document)) (methods::methods(document)) }
+        }))],
+    ));
+    sections
+}
+
+/// Name of the table of configurations whose nominal rollout succeeds.
+const SOLVABLE: &str = "Paired outcomes of solvable configurations, whose nominal rollout succeeds";
+
+/// Returns the findings of each policy.
+pub(crate) fn finding_blocks(analyses: &[Analysis]) -> Vec<Block<'_>> {
+    let several = analyses.len() > 1;
+    let findings = analyses.iter().filter(|analysis| !analysis.report.findings.is_empty());
+    let blocks = findings.flat_map(|analysis| {
+        let heading = several.then(|| Block::Heading(analysis.label.clone()));
+        let sentences = analysis.report.findings.iter().map(|finding| match finding.claims {
+            true => Block::Claim(finding.sentence.clone()),
+            false => Block::Paragraph(finding.sentence.clone()),
+        });
+        heading.into_iter().chain(sentences)
+    });
+    blocks.collect()
+}
+
+/// Renders the table of quarantined rollouts with their last errors.
+fn quarantine(document: &Document) -> Markup {
+    let rows = document.analyses.iter().flat_map(|analysis| {
+        analysis.subject.errors.iter().map(|quarantined| {
+            vec![
+                html! { code { (quarantined.rollout) } },
+                markup::plain(&analysis.label),
+                markup::plain(&quarantined.last_error),
+            ]
+        })
+    });
+    let rows: Vec<Vec<Markup>> = rows.collect();
     html! {
-        (explanation::findings(document, link))
-        (thresholds::sections(document))
-        (findings::section(document))
-        @if has_paired {
+        @if !rows.is_empty() {
             section {
-                h2 { "Paired outcomes" }
-                (tables::paired(document))
+                h2 { "Quarantine" }
+                (markup::table("Quarantine", &["rollout", "policy.", "last error."], rows))
             }
         }
-        (inference::tables(document))
-        (sequential::section(document))
-        (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
-            per_level(figures::heat_map)))
-        (figure("From independent axes to simultaneous perturbation. D: the effect of failures \
-            of several axes that coincide in the same configurations. I: the further effect of \
-            simultaneity. In brackets, 95 % intervals.",
-            per_level(figures::decomposition)))
-        (figure("Outcome changes by direction. Left, every axis alone succeeds and the \
-            simultaneous rollout fails; right, some axis alone fails and the simultaneous rollout \
-            succeeds. Whiskers and brackets: 95 % intervals; p: exact McNemar test of left against \
-            right.",
-            per_level(figures::directions)))
-        (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
-            levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
-        }).collect()))
-        (explanation::interactions(document))
-        @if has_paired {
-            section {
-                h2 { "Nominal success and single axes" }
-                (tables::nominal(document))
-                (figure("The reproduction gate: a policy that does not reach its published nominal \
-                    success within 5 points is not set up as its authors had it, and its robustness \
-                    is not to be interpreted.", figures::gate(document).into_iter().collect()))
-                (tables::single_axes(document))
-                @for analysis in &document.analyses { (tables::suites(analysis)) }
-                (tables::subsets(document))
-            }
-        }
-        (replication(document))
-        @let pairs = document.comparisons();
-        @if !pairs.is_empty() { (differences::section(&pairs)) }
-        (tables::solvable(document))
-        (tables::bounds(document))
-        (tables::quarantine(document))
-        (methods::methods(document))
     }
 }
 
 /// Renders a comparison of two policies, for another page that includes [`STYLE`].
 pub fn comparison(comparison: &Comparison) -> Markup {
-    differences::comparison(comparison)
+    let notes: Vec<&String> = comparison.warnings.iter().chain(&comparison.notes).collect();
+    html! {
+        @if !notes.is_empty() {
+            section.warnings role="note" aria-label="Warnings" {
+                h2 { "Warnings" }
+                ul { @for note in notes { li { (findings::sentence(note)) } } }
+            }
+        }
+        (block::blocks_html(&comparison.blocks()))
+    }
+}
+
+/// Renders panels with one caption, side by side if there is room; empty without a panel.
+pub(crate) fn figure(caption: &str, panels: Vec<Figure>) -> Markup {
+    html! {
+        @if !panels.is_empty() {
+            figure {
+                div.panels { @for panel in &panels { (panel.inline()) } }
+                figcaption { (caption) }
+            }
+        }
+    }
 }
 
 fn title(document: &Document) -> String {
@@ -151,20 +287,6 @@ fn matrix_caption(link: Option<Link>) -> &'static str {
             "Every configuration: tasks downwards, configurations to the right, one square each. \
              A square opens its rollouts side by side; with the keyboard, arrow keys go from \
              square to square."
-        }
-    }
-}
-
-/// Renders the share of outcomes that another policy seed changes, in campaigns with replicates.
-fn replication(document: &Document) -> Markup {
-    let panels: Vec<_> = document.analyses.iter().filter_map(figures::flips).collect();
-    html! {
-        @if !panels.is_empty() {
-            section {
-                h2 { "Replication" }
-                (figure("Rollouts whose outcome differs from that of the first seed, with the same \
-                    initial state and realised perturbation.", panels))
-            }
         }
     }
 }

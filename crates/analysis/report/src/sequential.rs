@@ -2,17 +2,12 @@
 //! rollouts that an early end saved.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write;
 
 use libero_ctrl::{Clause, Level, Measure, StopRule, Strata};
-use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records, push_wrapped};
+use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records};
 use serde::Serialize;
 
 use crate::subject::{EarlyStop, Subject};
-
-/// Widths of the columns of intervals, in characters: rates, then signed points.
-const RATE_COLUMNS: usize = 14;
-const POINTS_COLUMNS: usize = 17;
 
 /// The confidence sequences of a campaign: at the look at which it stopped early, or over all
 /// outcomes so far if it has not stopped.
@@ -22,12 +17,11 @@ pub struct Sequential {
     pub rule: StopRule,
     /// Seed of the drawn order of the configurations.
     pub seed: u64,
-    /// Strata of the order: each round has one configuration, or one whole task, of each stratum.
+    /// Strata of the order: each round has one configuration of each stratum.
     pub strata: Strata,
     /// True if the campaign stopped early.
     pub has_stopped: bool,
-    /// Configurations of the campaign: the population of the intervals, unless the rule is about
-    /// new tasks.
+    /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
     /// Number of configurations from which the intervals are computed: the first in the drawn
     /// order.
@@ -107,12 +101,8 @@ impl Sequential {
     }
 
     /// Returns the findings that are valid at any look, which replace those of a fixed sample: by
-    /// level, the intervals of simultaneous success and of the net effect of simultaneity or, for a
-    /// rule about new tasks, of the rule's measures.
+    /// level, the intervals of simultaneous success and of the net effect of simultaneity.
     pub(crate) fn findings(&self) -> Vec<Finding> {
-        if self.rule.is_about_new_tasks() {
-            return self.findings_of_new_tasks();
-        }
         let levels = self.levels.iter().filter_map(|(&level, measures)| {
             let [success, net] = [Measure::SSim, Measure::I].map(|measure| measures.get(&measure));
             let percent = |value: f64| format!("{:.1}", 100.0 * value);
@@ -132,28 +122,6 @@ impl Sequential {
             })
         });
         levels.collect()
-    }
-
-    /// Returns the findings about new tasks, by level.
-    fn findings_of_new_tasks(&self) -> Vec<Finding> {
-        let finding = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
-            let intervals = measures
-                .iter()
-                .map(|(&measure, &ends)| format!("{measure} in {}", percent_text(measure, ends)));
-            let intervals: Vec<String> = intervals.collect();
-            Finding {
-                kind: FindingKind::Simultaneity,
-                level: Some(level),
-                claims: false,
-                holm_p: None,
-                sentence: format!(
-                    "At {level}, confidence sequences for new tasks of these suites under these \
-                     directions, valid at any look: {}.",
-                    intervals.join(", ")
-                ),
-            }
-        };
-        self.levels.iter().map(finding).collect()
     }
 
     /// Returns the warning that the campaign stopped early or may still do so; `None` if it did not
@@ -194,28 +162,10 @@ impl Sequential {
         }
     }
 
-    /// Returns true if the estimate of a measure tends to be too extreme.
-    pub(crate) fn is_overstated(&self, measure: Measure) -> bool {
-        self.overstated.contains(&measure)
-    }
-
-    /// Formats an estimate, percent or points, with a star if the early stop overstates it.
-    pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
-        let estimate = self.estimates.get(&level).and_then(|measures| measures.get(&measure));
-        let Some(estimate) = estimate.map(|estimate| 100.0 * estimate) else {
-            return "–".to_owned();
-        };
-        let star = if self.is_overstated(measure) { "*" } else { "" };
-        match measure {
-            Measure::I | Measure::Difference => format!("{estimate:+.1}{star}"),
-            _ => format!("{estimate:.1}{star}"),
-        }
-    }
-
     /// Returns the explanation of the star; empty if no estimate has one.
     fn star_explanation(&self) -> &'static str {
         let measures = self.levels.values().flat_map(BTreeMap::keys);
-        match measures.copied().any(|measure| self.is_overstated(measure)) {
+        match measures.copied().any(|measure| self.overstated.contains(&measure)) {
             true => {
                 ". An estimate marked * is overstated, because the campaign ended when it was \
                  large; the end of its interval that is nearest to the excluded value bounds it"
@@ -226,54 +176,17 @@ impl Sequential {
 
     /// Returns a definition of the intervals and their population.
     pub(crate) fn explanation(&self) -> String {
-        let about = match self.rule.is_about_new_tasks() {
-            true => {
-                "new tasks of these suites, which weigh the same, under these directions".to_owned()
-            }
-            false => format!("all {} configurations", self.configurations),
-        };
         format!(
-            "confidence sequences: at each level, they hold together at all looks with a \
-             probability of 95 %, whichever rule ends the campaign. They concern {about}, and are \
+            "Confidence sequences: at each level, they hold together at all looks with a \
+             probability of 95 %, whichever rule ends the campaign. They concern all {} configurations, and are \
              computed from the first {} configurations in the order of seed {} (rounds of {}). The \
              estimates beside them weight suites or tasks as in that population{}",
+            self.configurations,
             self.used,
             self.seed,
-            strata_in_words(self.strata),
+            self.strata.name(),
             self.star_explanation()
         )
-    }
-
-    /// Writes the sequences for a terminal of 80 columns: percent and points.
-    pub(crate) fn text(&self) -> String {
-        let names = self.levels.keys().map(ToString::to_string);
-        let widest = names.map(|name| name.len()).max().unwrap_or_default();
-        let mut text = " ".repeat(widest);
-        let measures = self.levels.values().next();
-        for &measure in measures.into_iter().flat_map(BTreeMap::keys) {
-            let name = measure.name();
-            let _ = write!(text, "{name:>width$}", width = column_width(measure));
-        }
-        text.push('\n');
-        for (level, intervals) in &self.levels {
-            let name = level.to_string();
-            let _ = write!(text, "{name:<widest$}");
-            for (&measure, &interval) in intervals {
-                let interval = percent_text(measure, interval);
-                let _ = write!(text, "{interval:>width$}", width = column_width(measure));
-            }
-            text.push('\n');
-            if self.estimates.contains_key(level) {
-                text.push_str(&" ".repeat(widest));
-                for &measure in intervals.keys() {
-                    let estimate = self.estimate_text(*level, measure);
-                    let _ = write!(text, "{estimate:>width$}", width = column_width(measure));
-                }
-                text.push('\n');
-            }
-        }
-        push_wrapped(&mut text, "", &self.explanation());
-        text
     }
 }
 
@@ -282,26 +195,4 @@ fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
     let clauses = rule.clauses().iter();
     let clauses = clauses.filter(|clause| !matches!(clause, Clause::Width(..)));
     clauses.map(Clause::measure).collect()
-}
-
-fn column_width(measure: Measure) -> usize {
-    match measure {
-        Measure::I | Measure::Difference => POINTS_COLUMNS,
-        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,
-    }
-}
-
-/// Returns the strata in words, such as `whole tasks`.
-pub(crate) fn strata_in_words(strata: Strata) -> String {
-    strata.name().replace('_', " ")
-}
-
-/// Formats an interval: a rate in percent, `[3.5, 12.0]`, or a difference in points,
-/// `[-4.0, +1.5]`.
-pub(crate) fn percent_text(measure: Measure, [low, high]: [f64; 2]) -> String {
-    let (low, high) = (100.0 * low, 100.0 * high);
-    match measure {
-        Measure::I | Measure::Difference => format!("[{low:+.1}, {high:+.1}]"),
-        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => format!("[{low:.1}, {high:.1}]"),
-    }
 }

@@ -48,7 +48,7 @@ pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), 
 
 /// A build without the feature writes no Parquet.
 #[cfg(not(feature = "parquet"))]
-impl<R> form::Table<R> {
+impl<R> form::Table<'_, R> {
     fn parquet(&self, _: impl Write + Send) -> Result<(), TableError> {
         Err(TableError::Parquet { table: self.name })
     }

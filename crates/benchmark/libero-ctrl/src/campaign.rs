@@ -211,8 +211,10 @@ impl CampaignSpec {
                 self.check_matched("thresholds")?;
             }
         }
-        if let Some(stop) = &self.stop {
-            stop.check(self.replicates)?;
+        if self.stop.is_some() {
+            if self.replicates != 1 {
+                return Err(StopError::Replicates { given: self.replicates }.into());
+            }
             let derived = |field| StopError::Derived { field };
             match &self.rollouts {
                 Rollouts::Design(design) if design.axes.len() < 2 => {

@@ -7,10 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::axis::Axis;
 use crate::condition::Condition;
 use crate::level::Level;
-use crate::names::UnknownName;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
-use crate::stop_rule::{Clause, Measure, StopRule};
+use crate::stop_rule::StopRule;
 use crate::suite::TaskRef;
 
 /// Early stop of a campaign. The configurations run in an order that is drawn before any
@@ -29,7 +28,7 @@ pub struct Stop {
 }
 
 /// Strata of the random order: each round of the order has one configuration of each stratum that
-/// has any left or, with [`Self::WholeTasks`], one whole task of each.
+/// has any left.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
@@ -39,26 +38,14 @@ pub enum Strata {
     Suites,
     /// A stratum per task.
     Tasks,
-    /// A stratum per suite, from which whole tasks are drawn: for rules about new
-    /// tasks, which count a task only once all its configurations are complete.
-    WholeTasks,
 }
 
 impl Strata {
-    /// Returns the default strata for a rule.
-    pub fn default_for(rule: &StopRule) -> Self {
-        match rule.is_about_new_tasks() {
-            true => Self::WholeTasks,
-            false => Self::default(),
-        }
-    }
-
     /// Returns the name in specifications.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Suites => "suites",
             Self::Tasks => "tasks",
-            Self::WholeTasks => "whole_tasks",
         }
     }
 }
@@ -66,26 +53,11 @@ impl Strata {
 /// Error: the rule cannot end the campaign.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
-    #[error("`stop`: {0}")]
-    Measure(UnknownName),
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
          or remove `stop`"
     )]
     NotSimultaneous,
-    #[error(
-        "`stop` mixes clauses for new tasks, which need whole tasks one after another, with \
-         clauses that need every task from the start; write clauses of one kind"
-    )]
-    BothKinds,
-    #[error("`stop` with `strata` {given}: `{rule}` needs {needed}")]
-    Strata {
-        /// The strata given.
-        given: &'static str,
-        rule: String,
-        /// Strata that the rule needs.
-        needed: &'static str,
-    },
     #[error(
         "`stop` with {given} `replicates`: its intervals assume one replicate; write 1, \
          or remove `stop`"
@@ -107,33 +79,6 @@ pub enum StopError {
         /// The first missing rollout.
         rollout: RolloutId,
     },
-}
-
-impl Stop {
-    /// Checks that the rule can end a campaign with the given number of replicates.
-    pub(crate) fn check(&self, replicates: u32) -> Result<(), StopError> {
-        let checked = self.rule.check(&Measure::OF_ONE_POLICY);
-        checked.map_err(StopError::Measure)?;
-        let mut clauses = self.rule.clauses().iter();
-        let is_about_new_tasks = self.rule.is_about_new_tasks();
-        if is_about_new_tasks && !clauses.all(Clause::is_about_new_tasks) {
-            return Err(StopError::BothKinds);
-        }
-        if is_about_new_tasks != (self.strata == Strata::WholeTasks) {
-            return Err(StopError::Strata {
-                given: self.strata.name(),
-                rule: self.rule.to_string(),
-                needed: match is_about_new_tasks {
-                    true => Strata::WholeTasks.name(),
-                    false => "suites or tasks",
-                },
-            });
-        }
-        match replicates {
-            1 => Ok(()),
-            given => Err(StopError::Replicates { given }),
-        }
-    }
 }
 
 /// Checks that every configuration has the simultaneous rollout and one rollout per single axis at

@@ -10,12 +10,8 @@ use crate::names::UnknownName;
 /// Separator of two clauses.
 const AND: &str = " and ";
 
-/// Suffix of a clause about new tasks.
-const FOR_NEW_TASKS: &str = " for new tasks";
-
 const VALID: &str = "width(M) < X with X above 0 and up to 2 (0.08 is 8 percentage points), M \
-                     excludes X with X from -1 to 1, M excludes X for new tasks, or several of \
-                     them with ` and ` between";
+                     excludes X with X from -1 to 1, or several of them with ` and ` between";
 
 /// Quantity that an interval estimates. N is the number of configurations that the interval rests
 /// on: complete configurations, in the drawn order up to the first incomplete one.
@@ -32,19 +28,13 @@ pub enum Measure {
     RD,
     /// Net effect of simultaneity: `R_c` − `R_e`.
     I,
-    /// Success rate of policy A − success rate of policy B.
-    Difference,
 }
 
 impl Measure {
     /// All measures.
-    pub const ALL: [Self; 6] =
-        [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I, Self::Difference];
+    pub const ALL: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
 
-    /// Measures of one policy.
-    pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
-
-    /// Returns the name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.
+    /// Returns the name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SSim => "S_sim",
@@ -52,7 +42,6 @@ impl Measure {
             Self::RC => "R_c",
             Self::RD => "R_d",
             Self::I => "I",
-            Self::Difference => "difference",
         }
     }
 }
@@ -107,30 +96,9 @@ pub enum Clause {
     Width(Measure, f64),
     /// `M excludes X`: X is outside the interval of M over the campaign's configurations.
     Excludes(Measure, f64),
-    /// `M excludes X for new tasks`: X is outside the interval of M over the population that
-    /// the campaign's tasks were drawn from.
-    ExcludesForNewTasks(Measure, f64),
 }
 
 impl StopRule {
-    /// Checks that a campaign or comparison has every measure that the rule uses. Otherwise
-    /// the rule would never hold.
-    pub fn check(&self, measures: &[Measure]) -> Result<(), UnknownName> {
-        let mut needed = self.clauses.iter().map(|clause| clause.measure());
-        match needed.find(|measure| !measures.contains(measure)) {
-            None => Ok(()),
-            Some(measure) => Err(UnknownName {
-                kind: "measure of a stop rule",
-                given: measure.to_string(),
-                valid: listed(measures),
-            }),
-        }
-    }
-
-    pub fn is_about_new_tasks(&self) -> bool {
-        self.clauses.iter().any(Clause::is_about_new_tasks)
-    }
-
     /// Returns the clauses in the order written.
     pub fn clauses(&self) -> &[Clause] {
         &self.clauses
@@ -141,15 +109,8 @@ impl Clause {
     /// Returns the quantity that the clause constrains.
     pub const fn measure(&self) -> Measure {
         match *self {
-            Self::Width(measure, _)
-            | Self::Excludes(measure, _)
-            | Self::ExcludesForNewTasks(measure, _) => measure,
+            Self::Width(measure, _) | Self::Excludes(measure, _) => measure,
         }
-    }
-
-    /// Returns true if the clause is about new tasks, not the campaign's configurations.
-    pub const fn is_about_new_tasks(&self) -> bool {
-        matches!(self, Self::ExcludesForNewTasks(..))
     }
 }
 
@@ -158,9 +119,6 @@ impl fmt::Display for Clause {
         match self {
             Self::Width(measure, width) => write!(f, "width({measure}) < {width}"),
             Self::Excludes(measure, value) => write!(f, "{measure} excludes {value}"),
-            Self::ExcludesForNewTasks(measure, value) => {
-                write!(f, "{measure} excludes {value}{FOR_NEW_TASKS}")
-            }
         }
     }
 }
@@ -179,16 +137,8 @@ impl FromStr for Clause {
         }
         let (measure, value) = text.split_once(" excludes ").ok_or_else(unknown)?;
         let measure: Measure = measure.trim().parse()?;
-        let new_tasks = value.trim_end().strip_suffix(FOR_NEW_TASKS);
-        let value = number(new_tasks.unwrap_or(value));
-        let value = value.filter(|value| (-1.0..=1.0).contains(value));
-        let value = value.ok_or_else(unknown)?;
-        match new_tasks {
-            None => Ok(Self::Excludes(measure, value)),
-            // A comparison covers the rollouts that both policies have, not new tasks.
-            Some(_) if measure == Measure::Difference => Err(unknown()),
-            Some(_) => Ok(Self::ExcludesForNewTasks(measure, value)),
-        }
+        let value = number(value).filter(|value| (-1.0..=1.0).contains(value));
+        Ok(Self::Excludes(measure, value.ok_or_else(unknown)?))
     }
 }
 
@@ -232,13 +182,8 @@ fn unknown(given: &str) -> UnknownName {
     UnknownName {
         kind: "stop rule",
         given: given.to_owned(),
-        valid: format!("{VALID}; M is one of {}", listed(&Measure::ALL)),
+        valid: format!("{VALID}; M is one of {}", Measure::ALL.map(Measure::name).join(", ")),
     }
-}
-
-fn listed(measures: &[Measure]) -> String {
-    let names: Vec<&str> = measures.iter().map(|measure| measure.name()).collect();
-    names.join(", ")
 }
 
 #[cfg(test)]
@@ -256,11 +201,8 @@ mod tests {
 
     fn clause() -> impl Strategy<Value = Clause> {
         let measure = prop::sample::select(Measure::ALL.to_vec());
-        (measure, 1e-6..=1.0_f64, 0..3).prop_map(|(measure, value, kind)| match kind {
+        (measure, 1e-6..=1.0_f64, 0..2).prop_map(|(measure, value, kind)| match kind {
             0 => Clause::Width(measure, 2.0 * value),
-            1 if measure != Measure::Difference => {
-                Clause::ExcludesForNewTasks(measure, 2.0 * value - 1.0)
-            }
             _ => Clause::Excludes(measure, 2.0 * value - 1.0),
         })
     }
@@ -292,9 +234,6 @@ mod tests {
             assert_eq!(rule(text).to_string(), "width(I) < 0.08 and S_sim excludes 0.5");
         }
         assert_eq!(rule("I excludes -0").to_string(), "I excludes 0");
-        let new_tasks = rule(" I  excludes 0.0 for new tasks ");
-        assert_eq!(new_tasks.to_string(), "I excludes 0 for new tasks");
-        assert!(new_tasks.is_about_new_tasks() && !rule("I excludes 0").is_about_new_tasks());
     }
 
     #[test]
@@ -314,28 +253,14 @@ mod tests {
             "I excludes",
             "I excludes inf",
             "I excludes 1.5",
-            "I excludes 1.5 for new tasks",
-            "I excludes 0 for new directions",
-            "width(I) < 0.1 for new tasks",
-            "difference excludes 0 for new tasks",
+            "I excludes 0 for new tasks",
         ] {
             assert!(refusal_of(text).contains("valid are width(M) < X"), "{text}");
         }
         assert!(refusal_of("width(I) < 0.1 and and I excludes 0").contains("`and I`"));
         assert_eq!(
             refusal_of("width(S_conj) < 0.1"),
-            "read measure `S_conj`: valid are S_sim, R_e, R_c, R_d, I, difference"
-        );
-    }
-
-    #[test]
-    fn a_rule_with_a_measure_that_the_campaign_lacks_is_refused() {
-        let rule = rule("width(difference) < 0.1");
-        assert_eq!(rule.check(&[Measure::Difference]), Ok(()));
-        let error = rule.check(&Measure::OF_ONE_POLICY).expect_err("one policy");
-        assert_eq!(
-            error.to_string(),
-            "read measure of a stop rule `difference`: valid are S_sim, R_e, R_c, R_d, I"
+            "read measure `S_conj`: valid are S_sim, R_e, R_c, R_d, I"
         );
     }
 }

@@ -203,7 +203,7 @@ fn the_sentences_have_the_reviewed_digest() {
 
 #[test]
 fn the_documented_sentences_of_a_task_are_current() {
-    let documented = include_str!("../../../../docs/PARAPHRASES.md");
+    let documented = include_str!("../../../../docs/dev/PARAPHRASES.md");
     let task = "libero_10/2".parse().expect("a task");
     let current = task_text(task);
     let is_row = |line: &&str| line.starts_with("| ") && line.contains(" | L");

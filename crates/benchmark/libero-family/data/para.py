@@ -7,8 +7,7 @@ The argument is a checkout of LIBERO-Para at git dec2d93. The first line is the 
 files and the metadata: the SHA-256 of the lines of `sha256sum`, sorted by path. Every further line
 holds the paraphrases of a task and type: index of the task in the alphabetical order of
 libero_goal's files, the columns `high`, `mid` and `low`, then `NUMBER:KEYWORD:STRUCTURE` for each
-paraphrase, with the two similarities of the metadata.
-"""
+paraphrase, with the two similarities of the metadata."""
 
 import collections
 import csv

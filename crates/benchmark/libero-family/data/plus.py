@@ -12,8 +12,7 @@ task and kind of change: suite, task (its index in LIBERO's order), kind of chan
 `language` (sentence), `light`, `table` (its texture), `tb` (textures of table and background),
 `add` (additional objects) and `level` (positions of objects; NUMBER is LEVEL_SAMPLE). Variants of
 kind `light`, `table` or `tb` have a third field, taken from the problem class in the BDDL file: the
-number of the scene with changed lights, or the part of the class's name after its parent's name.
-"""
+number of the scene with changed lights, or the part of the class's name after its parent's name."""
 
 import itertools
 import json

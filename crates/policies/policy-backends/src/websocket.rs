@@ -9,6 +9,7 @@ use std::{
 use futures_util::{FutureExt, SinkExt, StreamExt};
 use proto::policy::Setting;
 use rollout_types::CONNECTED_SINCE;
+use time::OffsetDateTime;
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     net::TcpStream,
@@ -137,7 +138,13 @@ impl Server {
     pub(super) fn connected_since(&self) -> Setting {
         let since = *self.connected.lock();
         let value = since.map_or_else(String::new, |since| {
-            format!("{} since {since} ms after 1970", self.host_port.authority)
+            let at = OffsetDateTime::UNIX_EPOCH + Duration::from_millis(since);
+            let (h, m, s, ms) = at.to_hms_milli();
+            format!(
+                "{} since {}T{h:02}:{m:02}:{s:02}.{ms:03}Z",
+                self.host_port.authority,
+                at.date()
+            )
         });
         Setting { name: CONNECTED_SINCE.to_owned(), value }
     }

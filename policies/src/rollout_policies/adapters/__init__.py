@@ -1,10 +1,8 @@
 """The policies of the LIBERO-CTRL paper, each in its own module.
 
-A module imports its policy's upstream package only when the policy is served,
-and holds only the details of that policy: its inputs, its
-prompt, the length of its chunks and the source of its noise. Arithmetic on
-frames and actions is in `rollout_policies.processing`.
-"""
+A module imports its policy's upstream package only when the policy is served, and holds only the
+details of that policy: its inputs, its prompt, the length of its chunks and the source of its
+noise. Arithmetic on frames and actions is in `rollout_policies.processing`."""
 
 from __future__ import annotations
 
@@ -67,8 +65,7 @@ def load(name: str, options: Options) -> Policy:
     """Loads a policy, ready to be served.
 
     Raises UnknownPolicy, UnusableOption, NoCheckpoint, UpstreamMissing,
-    UnusableCheckpoint, or whatever the upstream package raises.
-    """
+    UnusableCheckpoint, or whatever the upstream package raises."""
     listed = entry(name)
     _require_options(listed, options)
     module = importlib.import_module(f"{__name__}.{MODULES[name]}")
@@ -97,11 +94,10 @@ def _require_options(listed: Entry, options: Options) -> None:
 
 
 def executed_actions(listed: Entry, options: Options, *, chunk: int, from_checkpoint: int) -> int:
-    """Returns the number of executed actions of a chunk: the command line's, else LIBERO-CTRL's
-    for the checkpoints of the catalogue, else `from_checkpoint`, the checkpoint's own.
+    """Returns the number of executed actions of a chunk: the command line's, else LIBERO-CTRL's for
+    the checkpoints of the catalogue, else `from_checkpoint`, the checkpoint's own.
 
-    Raises UnusableOption for a number that does not fit the chunk.
-    """
+    Raises UnusableOption for a number that does not fit the chunk."""
     protocol = listed.execute if listed.lists(options.checkpoint) else None
     candidates = (options.execute, protocol, from_checkpoint)
     number = next(number for number in candidates if number is not None)

@@ -2,8 +2,7 @@
 
 Slots have the names that the images have in the data set of the checkpoint's training. If the
 cameras are swapped, the policy sees the wrist camera's frames in place of the scene's, and every
-task fails; so slots are assigned by known names or by the command line, never guessed.
-"""
+task fails; so slots are assigned by known names or by the command line, never guessed."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ def camera_of_slot(
 
     Raises UnusableOption if `image_keys` names an unknown role or slot, or one slot twice;
     UnusableCheckpoint, whose message has the flag to add, if the names do not determine the
-    cameras.
-    """
+    cameras."""
     if image_keys:
         return _assigned_by_flag(slots, image_keys)
     assigned: dict[str, str] = {}
@@ -68,8 +66,7 @@ def camera_of_slot(
 
 
 def short(slot: str) -> str:
-    """Returns a slot's name without the common prefix: `image` for
-    `observation.images.image`."""
+    """Returns a slot's name without the common prefix: `image` for `observation.images.image`."""
     return slot.rpartition(".")[2]
 
 

@@ -31,13 +31,12 @@ class Fetched:
 
 
 def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
-    """Returns the folder of a checkpoint: a local folder, or a download from
-    the hub (`owner/repository` or `owner/repository/folder`).
+    """Returns the folder of a checkpoint: a local folder, or a download from the hub
+    (`owner/repository` or `owner/repository/folder`).
 
     Raises NoCheckpoint if the name is neither a local folder nor of the hub's form, UnusableOption
     if a revision is given for a local folder, UpstreamMissing without huggingface_hub,
-    UnusableCheckpoint if the hub does not provide the checkpoint.
-    """
+    UnusableCheckpoint if the hub does not provide the checkpoint."""
     local = Path(name).expanduser()
     if local.is_dir():
         if revision is not None:

@@ -1,10 +1,9 @@
 """Code shared by the policies that lerobot runs.
 
-Only `LerobotModel` uses lerobot and torch. lerobot's own processors normalise,
-tokenise, resize and un-normalise, with the statistics stored beside the
-checkpoint; this module does not repeat that processing. It refuses two faults
-that lerobot ignores silently: weights that do not fit, and missing statistics.
-"""
+Only `LerobotModel` uses lerobot and torch. lerobot's own processors normalise, tokenise, resize and
+un-normalise, with the statistics stored beside the checkpoint; this module does not repeat that
+processing. It refuses two faults that lerobot ignores silently: weights that do not fit, and
+missing statistics."""
 
 from __future__ import annotations
 
@@ -69,10 +68,8 @@ def batch_of(
 ) -> dict[str, Any]:
     """Returns observations in the form that lerobot's processors take.
 
-    Frames are float32 [batch, 3, height, width] in 0..1, turned by 180 degrees;
-    the state is float32 [batch, 8] whatever width the checkpoint declares; the
-    instructions are verbatim.
-    """
+    Frames are float32 [batch, 3, height, width] in 0..1, turned by 180 degrees; the state is
+    float32 [batch, 8] whatever width the checkpoint declares; the instructions are verbatim."""
     batch: dict[str, Any] = {
         slot: np.stack([unit_planes(each.rotated(camera)) for each in observations])
         for slot, camera in slots.items()
@@ -102,11 +99,10 @@ class LerobotModel:
     def load(
         cls, entry: Entry, options: Options, *, kind: str | None = None, **overrides: Any
     ) -> LerobotModel:
-        """Loads a checkpoint of lerobot's policy type `kind` (of any type if None) from a folder
-        or the hub; `overrides` replaces values of the checkpoint's configuration.
+        """Loads a checkpoint of lerobot's policy type `kind` (of any type if None) from a folder or
+        the hub; `overrides` replaces values of the checkpoint's configuration.
 
-        Raises UnusableCheckpoint if the policy would not run as it was trained.
-        """
+        Raises UnusableCheckpoint if the policy would not run as it was trained."""
         name = options.checkpoint or entry.checkpoint_for(options.suite)
         configs = require("lerobot.configs.policies", entry)
         factory = require("lerobot.policies.factory", entry)
@@ -212,10 +208,9 @@ class LerobotModel:
     ) -> np.ndarray:
         """Returns chunks of actions, un-normalised, [batch, n, 7].
 
-        `noise` is the flow's initial noise, [batch, n, width]; without it the
-        network draws from torch's generator. `under_way` has the actions that are executed
-        during inference; the batch must then hold one query, whose chunk continues them.
-        """
+        `noise` is the flow's initial noise, [batch, n, width]; without it the network draws from
+        torch's generator. `under_way` has the actions that are executed during inference; the batch
+        must then hold one query, whose chunk continues them."""
         import torch
 
         batch = self._prepared(observations, under_way)
@@ -256,8 +251,7 @@ class LerobotModel:
         """Returns the next action [7] of an episode and advances its memory.
 
         lerobot's network holds the action queues of one episode; here each call first puts the
-        queues of its own episode into the network.
-        """
+        queues of its own episode into the network."""
         import torch
 
         vars(self.network).update(memory)
@@ -347,17 +341,12 @@ def _require_weights(network: Any, weights: Path, name: str) -> None:
 
 
 def _statistics(
-    config: Any,
-    preprocessor: Any,
-    postprocessor: Any,
-    slots: Mapping[str, str],
-    with_state: bool,
+    config: Any, preprocessor: Any, postprocessor: Any, slots: Mapping[str, str], with_state: bool
 ) -> list[str]:
     """Returns a short text for each normalised feature and its statistics.
 
     Raises UnusableCheckpoint if the actions are relative to the state or of another width, or if
-    statistics are missing: lerobot would leave such a feature's numbers unchanged.
-    """
+    statistics are missing: lerobot would leave such a feature's numbers unchanged."""
     relative_steps = [step for step in preprocessor.steps if _is_of_type(step, "Relative")]
     if any(getattr(step, "enabled", False) for step in relative_steps):
         raise UnusableCheckpoint(

@@ -1,13 +1,11 @@
 """MINERVA, whose repository is its own version of lerobot.
 
-It has no language model: it finds the instruction in a table of LIBERO's 40
-tasks, and any other wording is an error. Its description therefore declares
-canonical instructions only. The language axis does not change its input, so its
-results on that axis say nothing about language.
+It has no language model: it finds the instruction in a table of LIBERO's 40 tasks, and any other
+wording is an error. Its description therefore declares canonical instructions only. The language
+axis does not change its input, so its results on that axis say nothing about language.
 
-Its input is the last two observations, and it is queried at every step; it averages
-the overlapping chunks itself, with weights exp(-0.01 i).
-"""
+Its input is the last two observations, and it is queried at every step; it averages the overlapping
+chunks itself, with weights exp(-0.01 i)."""
 
 from __future__ import annotations
 

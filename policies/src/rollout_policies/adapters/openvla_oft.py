@@ -1,8 +1,6 @@
 """OpenVLA-OFT: two frames and the state in, eight actions out, deterministic.
 
-Every suite has its own weights, so a server serves one suite and refuses
-episodes of another.
-"""
+Every suite has its own weights, so a server serves one suite and refuses episodes of another."""
 
 from __future__ import annotations
 

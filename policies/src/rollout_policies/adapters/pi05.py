@@ -1,12 +1,10 @@
 """π0.5, as lerobot runs it.
 
-The model resizes frames with padding to 224 x 224, and the state is written
-into the prompt. openpi's own server needs no adapter: the gateway supports its
-protocol.
+The model resizes frames with padding to 224 x 224, and the state is written into the prompt.
+openpi's own server needs no adapter: the gateway supports its protocol.
 
-`lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO, so
-it is refused. Serve `lerobot/pi05-libero`.
-"""
+`lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO, so it is refused.
+Serve `lerobot/pi05-libero`."""
 
 from __future__ import annotations
 

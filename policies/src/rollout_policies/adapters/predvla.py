@@ -1,13 +1,12 @@
 """PredVLA: a recurrent network that corrects itself while it acts.
 
-At every step the network runs ten iterations of Adam over its last forty steps, to infer the
-latent variables that explain its observations. The object that does this, upstream's `ERBatch`, is
-called a correction here. Upstream keeps one correction for all episodes; here each episode has its
-own, created from the episode's instruction.
+At every step the network runs ten iterations of Adam over its last forty steps, to infer the latent
+variables that explain its observations. The object that does this, upstream's `ERBatch`, is called
+a correction here. Upstream keeps one correction for all episodes; here each episode has its own,
+created from the episode's instruction.
 
 Frames are not turned. They are rendered at 256 x 256, as for every policy, because the campaign's
-blur and noise are defined at that size, and reduced to 128 x 128, the size in training.
-"""
+blur and noise are defined at that size, and reduced to 128 x 128, the size in training."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ def frame(raw: np.ndarray) -> np.ndarray:
 
 
 def uses_frames(step: int, stride: int) -> bool:
-    """Returns True if this step uses frames: the first does, then every
-    `stride`-th."""
+    """Returns True if this step uses frames: the first does, then every `stride`-th."""
     return step % stride == 0
 
 

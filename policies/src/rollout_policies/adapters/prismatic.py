@@ -1,10 +1,8 @@
 """Code shared by OpenVLA's descendants, whose checkpoints are folders in transformers' format. Each
 policy's repository has its own version of the package `prismatic`, which reads them.
 
-Upstream's helpers place everything on the first GPU, query the hub for every
-path and write into the checkpoint's folder. This module therefore assembles the
-parts from upstream's classes.
-"""
+Upstream's helpers place everything on the first GPU, query the hub for every path and write into
+the checkpoint's folder. This module therefore assembles the parts from upstream's classes."""
 
 from __future__ import annotations
 
@@ -28,11 +26,10 @@ def prompt(instruction: str) -> str:
 
 
 def statistics_key(suite: str, all_statistics: Mapping[str, Any]) -> str:
-    """Returns the key of a suite's statistics. OpenVLA's data sets are named
-    `libero_goal_no_noops` if steps without motion were removed.
+    """Returns the key of a suite's statistics. OpenVLA's data sets are named `libero_goal_no_noops`
+    if steps without motion were removed.
 
-    Raises UnusableCheckpoint if there are none.
-    """
+    Raises UnusableCheckpoint if there are none."""
     for key in (suite, f"{suite}_no_noops"):
         if key in all_statistics:
             return key
@@ -43,11 +40,10 @@ def statistics_key(suite: str, all_statistics: Mapping[str, Any]) -> str:
 
 
 def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
-    """Returns all statistics beside a checkpoint, a suite's key in them, and a
-    short text on how its actions are un-normalised.
+    """Returns all statistics beside a checkpoint, a suite's key in them, and a short text on how
+    its actions are un-normalised.
 
-    Raises UnusableCheckpoint if the suite's actions have no statistics.
-    """
+    Raises UnusableCheckpoint if the suite's actions have no statistics."""
     file = folder / STATISTICS
     if not file.is_file():
         raise UnusableCheckpoint(
@@ -67,10 +63,9 @@ def load_network(
 ) -> tuple[Any, Any]:
     """Returns the network in bfloat16 and the processor of its inputs.
 
-    `causal` says that the network's language model was trained with causal attention: a
-    token does not see later ones. Raises UnusableCheckpoint if weights are
-    missing, UpstreamMissing if the installed transformers is not the policy's.
-    """
+    `causal` says that the network's language model was trained with causal attention: a token does
+    not see later ones. Raises UnusableCheckpoint if weights are missing, UpstreamMissing if the
+    installed transformers is not the policy's."""
     # timm must be imported before TensorFlow, which upstream imports: the reverse order has crashed
     # the process.
     require("timm", entry)

@@ -1,9 +1,8 @@
 """SmolVLA, as lerobot runs it.
 
-The model resizes frames with padding to 512 x 512. A chunk has 50 actions. With
-the released checkpoint, LIBERO-CTRL executes one of them: executing 50 or 10
-lowers the success rate by twenty points.
-"""
+The model resizes frames with padding to 512 x 512. A chunk has 50 actions. With the released
+checkpoint, LIBERO-CTRL executes one of them: executing 50 or 10 lowers the success rate by twenty
+points."""
 
 from __future__ import annotations
 

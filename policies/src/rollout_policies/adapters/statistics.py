@@ -1,9 +1,8 @@
 """Statistics that convert between a network's normalised numbers and the units of its training
 data, which are those of LIBERO's states and actions.
 
-A checkpoint without them loads and moves, but its actions stay normalised as in
-training, and every task fails.
-"""
+A checkpoint without them loads and moves, but its actions stay normalised as in training, and every
+task fails."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ def require_statistics(
     spread in at least one number, and have `width` numbers unless `width` is None. Returns a short
     text: the feature's `title`, such as "actions", the mode and a digest.
 
-    Raises UnusableCheckpoint.
-    """
+    Raises UnusableCheckpoint."""
     if mode == "IDENTITY":
         return f"{title} not normalised"
     if mode not in NEEDED:

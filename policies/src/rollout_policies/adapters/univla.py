@@ -1,14 +1,13 @@
-"""UniVLA: the language model samples latent actions, and a small decoder turns
-them into twelve actions of the robot.
+"""UniVLA: the language model samples latent actions, and a small decoder turns them into twelve
+actions of the robot.
 
-It is queried at every step. Its inputs are the scene camera's frame and its last latent
-actions. It averages the predictions of its last twelve chunks for the current step.
-Every suite has its own weights.
+It is queried at every step. Its inputs are the scene camera's frame and its last latent actions. It
+averages the predictions of its last twelve chunks for the current step. Every suite has its own
+weights.
 
-The LIBERO-CTRL study evaluated it differently from its authors: frames were
-reduced without antialiasing and cropped to whole pixels, and every episode used
-the same seed. Both protocols are available; the authors' is the default.
-"""
+The LIBERO-CTRL study evaluated it differently from its authors: frames were reduced without
+antialiasing and cropped to whole pixels, and every episode used the same seed. Both protocols are
+available; the authors' is the default."""
 
 from __future__ import annotations
 

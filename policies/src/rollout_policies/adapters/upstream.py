@@ -35,8 +35,7 @@ class WrongSuite(ValueError):
 def require(module: str, entry: Entry) -> ModuleType:
     """Imports a module of the policy's upstream package.
 
-    Raises UpstreamMissing, whose message says what to install.
-    """
+    Raises UpstreamMissing, whose message says what to install."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -49,8 +48,7 @@ def require(module: str, entry: Entry) -> ModuleType:
 def require_suite(entry: Entry, served: str | None, episode: Episode) -> None:
     """Refuses an episode of a suite for which the weights were not trained.
 
-    With such weights, the arm moves but every task fails, which looks like a poor policy.
-    """
+    With such weights, the arm moves but every task fails, which looks like a poor policy."""
     if entry.per_suite and episode.suite != served:
         raise WrongSuite(
             f"this server has {entry.title}'s weights for {served}, and the episode is of"

@@ -3,8 +3,7 @@
 The model reduces frames to 224 x 224 by area; its processor un-normalises actions by
 minimum and maximum and makes the gripper binary. Its flow takes no noise as input, so
 torch's generator is seeded before every query, and queries are answered one by one:
-a batch would draw all its noise from one seed.
-"""
+a batch would draw all its noise from one seed."""
 
 from __future__ import annotations
 

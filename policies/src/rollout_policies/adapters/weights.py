@@ -1,10 +1,9 @@
 """Comparison of a loaded network with its files of weights.
 
-Loaders of weights are lenient: some skip tensors that do not fit, some only print a
-warning. Skipped tensors stay random; the arm then moves but every task fails, which
-looks like a poor policy. So every tensor is compared after loading, in both
-directions: by name, shape and content.
-"""
+Loaders of weights are lenient: some skip tensors that do not fit, some only print a warning.
+Skipped tensors stay random; the arm then moves but every task fails, which looks like a poor
+policy. So every tensor is compared after loading, in both directions: by name, shape and
+content."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ COMPUTED = ("*.rotary_emb.inv_freq", "*.position_ids")
 class Exceptions:
     """Differences that are permitted for a policy, by name.
 
-    Patterns have shell syntax: `*` matches anything.
-    """
+    Patterns have shell syntax: `*` matches anything."""
 
     #: Pairs of names of one tensor; a file may lack either name of a pair.
     tied: Mapping[str, str] = field(default_factory=dict)
@@ -77,9 +75,8 @@ def compare(
 ) -> Differences:
     """Returns the differences between a network's tensors and the stored ones, by name.
 
-    Tensors on both sides have a `shape`; `same` compares the contents of each
-    pair of equal shape.
-    """
+    Tensors on both sides have a `shape`; `same` compares the contents of each pair of equal
+    shape."""
     differences = Differences()
 
     def compare_pair(name: str, loaded: Any, in_file: Any) -> None:
@@ -120,8 +117,7 @@ def require_loaded(
     """Compares a torch module with its stored tensors, which are torch tensors or those of
     `stored_in`.
 
-    Raises UnusableCheckpoint, which names the differences.
-    """
+    Raises UnusableCheckpoint, which names the differences."""
     if differences := str(compare(network.state_dict(), stored, _is_equal, exceptions)):
         raise UnusableCheckpoint(
             f"checkpoint {checkpoint} was not loaded as it is stored. Tensors of {part}:"
@@ -136,8 +132,7 @@ def load_stored(
 ) -> None:
     """Copies torch's tensors into a torch module and requires an exact match.
 
-    Raises UnusableCheckpoint, which names the tensors that do not fit.
-    """
+    Raises UnusableCheckpoint, which names the tensors that do not fit."""
     # load_state_dict copies what fits before it raises; require_loaded has a better message.
     with contextlib.suppress(RuntimeError):
         network.load_state_dict(tensors)
@@ -150,8 +145,7 @@ def stored_in(
 ) -> Iterator[dict[str, Any]]:
     """Context of the tensors of safetensors files by name, read only when they are compared.
 
-    `rename` converts a name in the file to the network's.
-    """
+    `rename` converts a name in the file to the network's."""
     from safetensors import safe_open
 
     with contextlib.ExitStack() as stack:

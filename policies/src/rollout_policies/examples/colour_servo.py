@@ -12,16 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rollout_policies import (
-    Camera,
-    Description,
-    Episode,
-    Language,
-    Observation,
-    Policy,
-    State,
-    run,
-)
+from rollout_policies import Camera, Description, Episode, Language, Observation, Policy, State, run
 
 WRIST = "robot0_eye_in_hand"
 SIDE = 128
@@ -76,9 +67,8 @@ class ColourServo(Policy):
 def find_blob(frame: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Finds the most saturated region of an upright RGB frame.
 
-    Returns its centre in half-frames right of and above the middle, and the
-    share of the frame's width that it spans; None if the whole frame is grey.
-    """
+    Returns its centre in half-frames right of and above the middle, and the share of the frame's
+    width that it spans; None if the whole frame is grey."""
     saturation = smooth(np.ptp(frame, axis=2) / 255.0)
     peak = saturation.max()
     if peak < LEAST_SATURATION:

@@ -33,9 +33,8 @@ def from_bounds(
 class Ensemble:
     """Weighted mean of the last chunks' actions for the current step.
 
-    The newest chunk has weight 1, and a chunk that is `age` queries older has weight
-    exp(-decay * age). Equals UniVLA's `ActionDecoder` if the decay is 0.1.
-    """
+    The newest chunk has weight 1, and a chunk that is `age` queries older has weight exp(-decay *
+    age). Equals UniVLA's `ActionDecoder` if the decay is 0.1."""
 
     decay: float
     #: Chunks [n, 7] of successive queries, the newest first.

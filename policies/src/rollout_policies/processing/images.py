@@ -1,10 +1,8 @@
-"""Resizing and cropping of frames, as in the frameworks that policies were
-trained with.
+"""Resizing and cropping of frames, as in the frameworks that policies were trained with.
 
-Bilinear and Lanczos filters differ between frameworks in their sample
-positions, in widening when they shrink, and in rounding; a network sees the
-difference. Frames are uint8 [height, width, 3] throughout.
-"""
+Bilinear and Lanczos filters differ between frameworks in their sample positions, in widening when
+they shrink, and in rounding; a network sees the difference. Frames are uint8 [height, width, 3]
+throughout."""
 
 from __future__ import annotations
 
@@ -33,9 +31,8 @@ def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.nda
     """Resizes with a filter that is widened if it shrinks the frame (antialias).
 
     Equals `tf.image.resize(method="lanczos3", antialias=True)` and
-    `torch.nn.functional.interpolate(mode="bilinear", antialias=True)`, each
-    followed by rounding to the nearest and clipping to 0..255.
-    """
+    `torch.nn.functional.interpolate(mode="bilinear", antialias=True)`, each followed by rounding to
+    the nearest and clipping to 0..255."""
     rows = _filter_matrix(frame.shape[0], height, kernel)
     columns = _filter_matrix(frame.shape[1], width, kernel)
     filtered = np.einsum("ys,sxc->yxc", rows, frame.astype(np.float32), optimize=True)
@@ -44,12 +41,10 @@ def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.nda
 
 
 def resize_bilinear(frame: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Resizes by linear interpolation between the two nearest samples, without
-    antialiasing.
+    """Resizes by linear interpolation between the two nearest samples, without antialiasing.
 
-    Equals `torch.nn.functional.interpolate(mode="bilinear", align_corners=False)`,
-    followed by rounding to the nearest.
-    """
+    Equals `torch.nn.functional.interpolate(mode="bilinear", align_corners=False)`, followed by
+    rounding to the nearest."""
     values = frame.astype(np.float32)
     for axis, target in ((0, height), (1, width)):
         size = values.shape[axis]
@@ -74,13 +69,11 @@ def _filter_matrix(size: int, target: int, kernel: Kernel) -> np.ndarray:
 
 
 def centre_crop(frame: np.ndarray, area: float, side: int) -> np.ndarray:
-    """Crops the middle, `area` of the frame's area, and enlarges it to `side` x
-    `side`.
+    """Crops the middle, `area` of the frame's area, and enlarges it to `side` x `side`.
 
-    As in OpenVLA's evaluation: `tf.image.crop_and_resize`, bilinear with the outer
-    samples on the outer edges of the crop, between two `convert_image_dtype`,
-    of which the second multiplies by 255.5 and drops the fraction.
-    """
+    As in OpenVLA's evaluation: `tf.image.crop_and_resize`, bilinear with the outer samples on the
+    outer edges of the crop, between two `convert_image_dtype`, of which the second multiplies by
+    255.5 and drops the fraction."""
     scale = math.sqrt(area)
     values = frame.astype(np.float32) * np.float32(1 / 255)
     for axis in (0, 1):

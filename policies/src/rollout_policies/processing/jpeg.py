@@ -1,14 +1,12 @@
 """The loss of a JPEG round trip, without creating the file.
 
-Entropy coding is lossless, so the round trip consists of colour conversion,
-chroma subsampling, the cosine transform and the rounding of its coefficients,
-and their inverses. Policies trained on RLDS recordings, which are JPEGs, are
-evaluated on frames after such a round trip.
+Entropy coding is lossless, so the round trip consists of colour conversion, chroma subsampling, the
+cosine transform and the rounding of its coefficients, and their inverses. Policies trained on RLDS
+recordings, which are JPEGs, are evaluated on frames after such a round trip.
 
-TensorFlow decodes with libjpeg's fast inverse transform, whose eight fractional
-bits change two values in three by a level or more. Networks were trained on frames with these
-errors, so they are reproduced here.
-"""
+TensorFlow decodes with libjpeg's fast inverse transform, whose eight fractional bits change two
+values in three by a level or more. Networks were trained on frames with these errors, so they are
+reproduced here."""
 
 from __future__ import annotations
 
@@ -18,8 +16,7 @@ import numpy as np
 UNIT = 16
 BLOCK = 8
 
-#: ITU-T T.81, tables K.1 and K.2: quantisation of luma and of chroma at
-#: quality 50.
+#: ITU-T T.81, tables K.1 and K.2: quantisation of luma and of chroma at quality 50.
 LUMA_STEPS = np.array(
     [
         [16, 11, 10, 16, 24, 40, 51, 61],
@@ -85,11 +82,10 @@ ROOT_2, TWICE_COS, DIFFERENCE, SUM = 362, 473, 277, 669
 def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
     """Returns a frame, uint8 [height, width, 3], after a JPEG round trip.
 
-    Equals `tf.io.decode_image(tf.image.encode_jpeg(frame))`: quality 95, chroma
-    at half the resolution, the slow forward and the fast inverse transform.
+    Equals `tf.io.decode_image(tf.image.encode_jpeg(frame))`: quality 95, chroma at half the
+    resolution, the slow forward and the fast inverse transform.
 
-    Raises ValueError if a side is not a multiple of 16.
-    """
+    Raises ValueError if a side is not a multiple of 16."""
     height, width, _ = frame.shape
     if height % UNIT or width % UNIT:
         raise ValueError(f"a frame of {width}x{height} is not a multiple of {UNIT}x{UNIT} pixels")

@@ -27,8 +27,7 @@ class Folders:
         """Returns the folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or
         `assets`. Task files are fetched at first use.
 
-        Raises KeyError for another key, FileNotFoundError if files cannot be fetched.
-        """
+        Raises KeyError for another key, FileNotFoundError if files cannot be fetched."""
         if query_key == "benchmark_root":
             return self._package
         if query_key in _FOLDERS:
@@ -45,8 +44,7 @@ class Folders:
     def set_libero_default_path(self, custom_location: str | None = None) -> None:
         """Accepts no folder but that of this package, which is the default.
 
-        Raises ValueError.
-        """
+        Raises ValueError."""
         if custom_location is not None and os.path.abspath(custom_location) != self._package:
             raise ValueError(
                 f"{self._benchmark}'s files lie where they were fetched, not in {custom_location}: "

@@ -28,8 +28,7 @@ def get_libero_path(query_key: str) -> str:
     fetched at first use.
 
     Raises KeyError for another key that the configuration file lacks, FileNotFoundError if the
-    files are unavailable, ValueError if the configuration file is not YAML.
-    """
+    files are unavailable, ValueError if the configuration file is not YAML."""
     configured = _configured()
     if query_key not in _KEYS and query_key not in configured:
         raise KeyError(
@@ -58,8 +57,7 @@ def set_libero_default_path(custom_location: str | None = None) -> None:
     package's folder, removes the configuration file, so that the defaults apply again.
 
     Raises FileNotFoundError if the folder has no `bddl_files`, because `get_libero_path` would
-    ignore such a folder.
-    """
+    ignore such a folder."""
     if custom_location is None or _is_this_package(custom_location):
         Path(config_file).unlink(missing_ok=True)
         return
@@ -77,8 +75,7 @@ def set_libero_default_path(custom_location: str | None = None) -> None:
 def get_assets_path() -> str:
     """Returns the asset pack: `$ROLLOUT_ASSETS`, the configuration file's, or the fetched one.
 
-    Raises FileNotFoundError, with the remedy, if there is none.
-    """
+    Raises FileNotFoundError, with the remedy, if there is none."""
     if os.environ.get("ROLLOUT_ASSETS"):
         return files.assets(None)
     return get_libero_path("assets")

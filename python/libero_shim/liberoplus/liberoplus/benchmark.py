@@ -44,8 +44,7 @@ def grab_language_from_filename(suite_name: str, x: str) -> str:
     description of the change. If the change is of the instruction, returns the instruction in the
     BDDL file, in lower case.
 
-    Raises FileNotFoundError if the task files cannot be fetched.
-    """
+    Raises FileNotFoundError if the task files cannot be fetched."""
     variant = PlusVariant.find(os.path.splitext(x)[0])
     if variant is None:
         return _libero.grab_language_from_filename(x)
@@ -111,8 +110,7 @@ class Benchmark(_libero.Benchmark):
         positions and velocities. A variant that changes the objects' layout has one state; every
         other variant has LIBERO's fifty states.
 
-        Raises FileNotFoundError for tasks of libero_90, for which LIBERO-Plus has no states.
-        """
+        Raises FileNotFoundError for tasks of libero_90, for which LIBERO-Plus has no states."""
         name = self.tasks[i].name
         variant = PlusVariant.find(name)
         if variant is None:

@@ -30,7 +30,6 @@ _WHEEL = files.Wheel(
 def folder() -> Path:
     """Returns the folder with `bddl_files` and `init_files`, which are fetched if they are missing.
 
-    Raises FileNotFoundError if they cannot be fetched.
-    """
+    Raises FileNotFoundError if they cannot be fetched."""
     files.sources()
     return files.unpacked(_WHEEL, lambda unpacked: link_suite(unpacked, UNCHANGED))

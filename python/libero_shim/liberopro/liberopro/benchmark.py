@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import liberopro.liberopro as _core
 from libero.libero import benchmark as _libero
-from libero.libero.benchmark import (
-    Task,
-    grab_language_from_filename,
-    libero_task_map,
-    task_orders,
-)
+from libero.libero.benchmark import Task, grab_language_from_filename, libero_task_map, task_orders
 from libero.libero.benchmark.registry import Registry, suite_class
 from liberopro.liberopro.files import SUITES
 

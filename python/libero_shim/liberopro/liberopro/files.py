@@ -36,8 +36,7 @@ def folder() -> Path:
     """Returns the folder with `bddl_files` and `init_files` of LIBERO's and LIBERO-PRO's suites,
     which are fetched if they are missing.
 
-    Raises FileNotFoundError if they cannot be fetched.
-    """
+    Raises FileNotFoundError if they cannot be fetched."""
     files.sources()
     return files.unpacked(_WHEEL, _complete)
 

@@ -10,8 +10,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
-use crate::count::Count;
-use crate::outcomes::Matched;
+use crate::outcomes::{Count, Matched};
 
 /// Number of random permutations; the smallest p-value is 1 / (`PERMUTATIONS` + 1).
 const PERMUTATIONS: u32 = 1999;

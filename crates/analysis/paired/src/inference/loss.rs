@@ -6,11 +6,9 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Condition, Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::inference::equivalence::equivalence_p;
 use crate::inference::estimate::{Estimate, Scale, share};
-use crate::inference::multiplicity::holm;
+use crate::inference::hypotheses::{equivalence_p, holm, sign_flip_p};
 use crate::inference::sample::{Row, Sample};
-use crate::inference::sign_flip::sign_flip_p;
 use crate::outcomes::Matched;
 
 /// The loss under each condition.

@@ -7,8 +7,8 @@ use libero_ctrl::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::{Estimate, Scale, defined, share};
+use crate::inference::hypotheses::sign_flip_p;
 use crate::inference::sample::{Row, Sample};
-use crate::inference::sign_flip::sign_flip_p;
 
 use crate::measures::Configuration;
 use crate::outcomes::Matched;

@@ -2,16 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Level, Measure, RolloutId, Stop, Strata, TaskRef};
+use libero_ctrl::{Level, Measure, RolloutId, Stop, Strata, Suite, TaskRef};
 
 use crate::outcomes::{Matched, Record, Records, Transition};
-use crate::sequential::look::Look;
-use crate::sequential::measures::SequentialMeasures;
-use crate::sequential::new_tasks::NewTasks;
+use crate::sequential::measures::{Look, SequentialMeasures, value};
 use crate::sequential::order::{Order, Unit};
 
-/// Largest probability that any interval of a level excludes the true value at any look; in a
-/// comparison, that the interval of a condition at a level does.
+/// Largest probability that any interval of a level excludes the true value at any look.
 pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 
 /// A look at a campaign that may end early. All levels rest on the same
@@ -35,57 +32,6 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
     match stop.strata {
         Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),
         Strata::Tasks => Order::new(stop.seed, units, |(task, _)| *task),
-        Strata::WholeTasks => {
-            let mut configs_by_task: BTreeMap<TaskRef, BTreeSet<u16>> = BTreeMap::new();
-            for (task, config) in units {
-                configs_by_task.entry(task).or_default().insert(config);
-            }
-            let tasks = configs_by_task.keys().copied();
-            Order::new(stop.seed, tasks, |task| task.suite()).expand(|task| {
-                let configs = configs_by_task[task].iter();
-                configs.map(|config| (*task, *config)).collect()
-            })
-        }
-    }
-}
-
-/// The confidence sequences of one level, for the target of the rule.
-enum Sequences {
-    /// Sequences about the campaign's configurations.
-    Configurations(Box<SequentialMeasures<Unit>>),
-    /// Sequences about new tasks.
-    NewTasks(NewTasks),
-}
-
-impl Sequences {
-    fn new(order: &Order<Unit>, stop: &Stop) -> Self {
-        if !stop.rule.is_about_new_tasks() {
-            return Self::Configurations(Box::new(SequentialMeasures::new(
-                order,
-                SEQUENTIAL_ALPHA,
-            )));
-        }
-        let measures = stop.rule.clauses().iter().map(|clause| clause.measure());
-        let measures: BTreeSet<Measure> = measures.collect();
-        Self::NewTasks(NewTasks::new(order, measures, SEQUENTIAL_ALPHA))
-    }
-
-    /// Adds the next configuration of the order.
-    fn complete(&mut self, unit: &Unit, possible: &[Transition]) {
-        match self {
-            Self::Configurations(sequence) => {
-                let result = sequence.complete(unit, possible);
-                result.expect("a configuration of the order");
-            }
-            Self::NewTasks(sequence) => sequence.complete(unit, possible),
-        }
-    }
-
-    fn look(&self) -> Look {
-        match self {
-            Self::Configurations(sequence) => sequence.look(),
-            Self::NewTasks(sequence) => sequence.look(),
-        }
     }
 }
 
@@ -147,7 +93,7 @@ struct Walk<'a> {
     configurations: BTreeMap<(Level, Unit), &'a Matched>,
     /// Configurations with a rollout that has not ended.
     open: BTreeSet<Unit>,
-    sequences: BTreeMap<Level, Sequences>,
+    sequences: BTreeMap<Level, SequentialMeasures>,
     look: CampaignLook,
 }
 
@@ -172,7 +118,7 @@ impl<'a> Walk<'a> {
         let order = drawn_order(stop, units);
         let open = configurations.iter().filter(|(_, matched)| records.is_open(matched));
         let open = open.map(|((_, unit), _)| *unit).collect();
-        let sequence = |level| (level, Sequences::new(&order, stop));
+        let sequence = |level| (level, SequentialMeasures::new(&order, SEQUENTIAL_ALPHA));
         let sequences: BTreeMap<_, _> = levels.into_iter().map(sequence).collect();
         Some(Self {
             look: CampaignLook {
@@ -205,7 +151,7 @@ impl<'a> Walk<'a> {
             return false;
         };
         for (sequence, possible) in self.sequences.values_mut().zip(possible) {
-            sequence.complete(&unit, &possible);
+            sequence.complete(&possible);
         }
         self.look.used.push(unit);
         self.look.levels = looks(&self.sequences);
@@ -213,7 +159,69 @@ impl<'a> Walk<'a> {
     }
 }
 
-fn looks(sequences: &BTreeMap<Level, Sequences>) -> BTreeMap<Level, Look> {
+fn looks(sequences: &BTreeMap<Level, SequentialMeasures>) -> BTreeMap<Level, Look> {
     let looks = sequences.iter();
     looks.map(|(&level, sequences)| (level, sequences.look())).collect()
+}
+
+/// Number of units of a stratum, number of its drawn units with a known outcome, and sums of each
+/// measure over these drawn units.
+#[derive(Clone, Default)]
+struct Stratum {
+    units: f64,
+    known: f64,
+    sums: BTreeMap<Measure, f64>,
+}
+
+impl CampaignLook {
+    /// Returns the estimate of each measure at each level: the mean over strata, weighted by
+    /// their share of the population that the interval is about, and clamped to the interval.
+    /// Strata are drawn in turn, so that small ones are over-represented: an unweighted mean
+    /// would weight suites of 100 and of 30 configurations equally.
+    ///
+    /// A level is omitted while a stratum has no known outcome.
+    pub fn estimates(
+        &self,
+        records: &Records,
+        stop: &Stop,
+    ) -> BTreeMap<Level, BTreeMap<Measure, f64>> {
+        let used: BTreeSet<Unit> = self.used.iter().copied().collect();
+        let mut levels: BTreeMap<Level, BTreeMap<(Suite, Option<TaskRef>), Stratum>> =
+            BTreeMap::new();
+        for matched in records.configurations() {
+            let Some(look) = self.levels.get(&matched.level) else {
+                continue;
+            };
+            if matched.replicate != 0 {
+                continue;
+            }
+            let task = matched.task;
+            let task_stratum = (stop.strata == Strata::Tasks).then_some(task);
+            let strata = levels.entry(matched.level).or_default();
+            let stratum = strata.entry((task.suite(), task_stratum)).or_default();
+            stratum.units += 1.0;
+            let known = matched.transition();
+            if let Some(transition) = known.filter(|_| used.contains(&(task, matched.config))) {
+                stratum.known += 1.0;
+                for &measure in look.intervals.keys() {
+                    *stratum.sums.entry(measure).or_default() += value(measure, transition) as f64;
+                }
+            }
+        }
+        let is_known =
+            |strata: &BTreeMap<_, Stratum>| strata.values().all(|stratum| stratum.known > 0.0);
+        levels.retain(|_, strata| is_known(strata));
+        let level_estimates = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
+            let total: f64 = strata.values().map(|stratum| stratum.units).sum();
+            let intervals = self.levels[&level].intervals.iter();
+            let estimates = intervals.map(|(&measure, interval)| {
+                let weighted_mean =
+                    |stratum: &Stratum| stratum.units * stratum.sums[&measure] / stratum.known;
+                let mean = strata.values().map(weighted_mean).sum::<f64>() / total;
+                (measure, mean.clamp(interval.low(), interval.high()))
+            });
+            (level, estimates.collect())
+        };
+        levels.into_iter().map(level_estimates).collect()
+    }
 }

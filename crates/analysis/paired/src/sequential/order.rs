@@ -63,22 +63,6 @@ impl<U: Ord> Order<U> {
         Self { rounds, sizes }
     }
 
-    /// Replaces each unit by its parts, in sequence.
-    pub(crate) fn expand<P>(self, mut parts: impl FnMut(&U) -> Vec<P>) -> Order<P> {
-        let mut sizes = vec![0; self.sizes.len()];
-        let mut expand_round = |round: Vec<Drawn<U>>| {
-            let mut drawn = Vec::new();
-            for Drawn { stratum, unit } in round {
-                let parts = parts(&unit);
-                sizes[stratum] += parts.len();
-                drawn.extend(parts.into_iter().map(|unit| Drawn { stratum, unit }));
-            }
-            drawn
-        };
-        let rounds = self.rounds.into_iter().map(&mut expand_round).collect();
-        Order { rounds, sizes }
-    }
-
     /// Returns the rounds in the order in which they run.
     pub fn rounds(&self) -> &[Vec<Drawn<U>>] {
         &self.rounds

@@ -6,8 +6,8 @@ use libero_ctrl::RolloutId;
 use maud::{Markup, html};
 use paired::Transition;
 
-use super::panels::figure;
-use super::tables::{difference, plain, table, with_note};
+use super::figure;
+use super::markup::{difference, plain, table, with_note};
 use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::explanation::{Findings, subset};
@@ -219,7 +219,7 @@ fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
         vec![
             plain(set),
             with_note(percent(success.value), &rate_interval(success.ci95, success.no_interval)),
-            super::tables::or_dash(
+            super::markup::or_dash(
                 moebius.map(|estimate| {
                     difference(estimate.value, estimate.ci95, estimate.no_interval)
                 }),

@@ -4,8 +4,8 @@
 use adaptive::radii::Curve;
 use maud::{Markup, html};
 
-use super::panels::figure;
-use super::tables::{plain, table, with_note};
+use super::figure;
+use super::markup::{plain, table, with_note};
 use crate::document::Document;
 use crate::figures;
 use crate::threshold_report::{Measured, ThresholdReport};

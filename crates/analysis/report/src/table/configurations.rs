@@ -8,23 +8,23 @@
 use libero_ctrl::{Axis, Condition};
 use paired::{Matched, Outcome, Progress};
 
-use super::form::{Column, Kind, Table, Value, text};
+use super::form::{self, Column, Kind, Table, Value, text};
 use crate::analysis::Analysis;
 use crate::document::Document;
 
 pub(super) type Row<'a> = (&'a Analysis, &'a Matched);
 
-pub(super) fn table(document: &Document) -> Table<Row<'_>> {
+pub(super) fn table(document: &Document) -> Table<'_, Row<'_>> {
     let rows = document.analyses.iter().flat_map(|analysis| {
         let configurations = analysis.records.configurations().iter();
         configurations.map(move |matched| (analysis, matched))
     });
-    Table { name: "configurations", columns: columns().into(), rows: rows.collect() }
+    Table { name: "configurations", columns: columns(), rows: rows.collect() }
 }
 
-fn columns<'a>() -> [Column<Row<'a>>; 36] {
+fn columns<'a>() -> Vec<Column<'a, Row<'a>>> {
     use Kind::{Bool, Integer, Number, Real, Text};
-    [
+    let first: Vec<Column<'a, Row<'a>>> = form::columns([
         ("policy", Text, |(a, _)| text(&a.label)),
         ("origin", Text, |(a, _)| text(a.subject.origin_name())),
         ("replicate", Number, |(_, m)| Value::Number(m.replicate.into())),
@@ -34,12 +34,11 @@ fn columns<'a>() -> [Column<Row<'a>>; 36] {
         ("config", Number, |(_, m)| Value::Number(m.config.into())),
         ("init_id", Number, |(_, m)| Value::Number(m.init_id.into())),
         ("nominal", Bool, |(_, m)| Value::Bool(m.nominal.success())),
-        ("camera", Bool, |(_, m)| alone(m, Axis::Camera)),
-        ("lighting", Bool, |(_, m)| alone(m, Axis::Lighting)),
-        ("robot", Bool, |(_, m)| alone(m, Axis::Robot)),
-        ("sensor", Bool, |(_, m)| alone(m, Axis::Sensor)),
-        ("actuation", Bool, |(_, m)| alone(m, Axis::Actuation)),
-        ("language", Bool, |(_, m)| alone(m, Axis::Language)),
+    ]);
+    let alone = Axis::ALL.into_iter().map(|axis| -> Column<'a, Row<'a>> {
+        (axis.name().to_owned(), Bool, Box::new(move |(_, m)| alone(m, axis)))
+    });
+    let joint: Vec<Column<'a, Row<'a>>> = form::columns([
         ("latency", Bool, |(_, m)| Value::Bool(m.latency.and_then(Outcome::success))),
         ("conjunction", Bool, |(_, m)| Value::Bool(m.configuration().map(|c| c.conjunction()))),
         ("combination", Bool, |(_, m)| Value::Bool(m.simultaneous.success())),
@@ -47,23 +46,17 @@ fn columns<'a>() -> [Column<Row<'a>>; 36] {
             Value::Text(m.transition().map(|transition| transition.name().to_owned()))
         }),
         ("unresolved", Text, unresolved),
-        ("nominal_goal", Real, |row| goal(row, Condition::Clean)),
-        ("nominal_steps", Integer, |row| steps(row, Condition::Clean)),
-        ("camera_goal", Real, |row| goal(row, Condition::Single(Axis::Camera))),
-        ("camera_steps", Integer, |row| steps(row, Condition::Single(Axis::Camera))),
-        ("lighting_goal", Real, |row| goal(row, Condition::Single(Axis::Lighting))),
-        ("lighting_steps", Integer, |row| steps(row, Condition::Single(Axis::Lighting))),
-        ("robot_goal", Real, |row| goal(row, Condition::Single(Axis::Robot))),
-        ("robot_steps", Integer, |row| steps(row, Condition::Single(Axis::Robot))),
-        ("sensor_goal", Real, |row| goal(row, Condition::Single(Axis::Sensor))),
-        ("sensor_steps", Integer, |row| steps(row, Condition::Single(Axis::Sensor))),
-        ("actuation_goal", Real, |row| goal(row, Condition::Single(Axis::Actuation))),
-        ("actuation_steps", Integer, |row| steps(row, Condition::Single(Axis::Actuation))),
-        ("language_goal", Real, |row| goal(row, Condition::Single(Axis::Language))),
-        ("language_steps", Integer, |row| steps(row, Condition::Single(Axis::Language))),
-        ("combination_goal", Real, |row| goal(row, Condition::Combination)),
-        ("combination_steps", Integer, |row| steps(row, Condition::Combination)),
-    ]
+    ]);
+    let singles = Axis::ALL.into_iter().map(|axis| (axis.name(), Condition::Single(axis)));
+    let conditions = [("nominal", Condition::Clean)].into_iter().chain(singles);
+    let conditions = conditions.chain([("combination", Condition::Combination)]);
+    let progress = conditions.flat_map(|(name, condition)| -> [Column<'a, Row<'a>>; 2] {
+        [
+            (format!("{name}_goal"), Real, Box::new(move |row| goal(row, condition))),
+            (format!("{name}_steps"), Integer, Box::new(move |row| steps(row, condition))),
+        ]
+    });
+    first.into_iter().chain(alone).chain(joint).chain(progress).collect()
 }
 
 fn alone(matched: &Matched, axis: Axis) -> Value {

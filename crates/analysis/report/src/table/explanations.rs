@@ -2,7 +2,7 @@
 
 use adaptive::subsets::{Answer, Explained, MinimalSubset};
 
-use super::form::{Column, Kind, Table, Value, text};
+use super::form::{self, Column, Kind, Table, Value, text};
 use crate::document::Document;
 use crate::explanation::Findings;
 
@@ -13,7 +13,7 @@ pub(super) struct Row<'a> {
     minimal: &'a MinimalSubset,
 }
 
-pub(super) fn table(document: &Document) -> Table<Row<'_>> {
+pub(super) fn table(document: &Document) -> Table<'_, Row<'_>> {
     let campaigns = document.analyses.iter();
     let campaigns = campaigns.filter_map(|analysis| analysis.findings.as_ref());
     let rows = campaigns.flat_map(|findings| {
@@ -29,12 +29,12 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
             })
         })
     });
-    Table { name: "explanations", columns: columns().into(), rows: rows.collect() }
+    Table { name: "explanations", columns: columns(), rows: rows.collect() }
 }
 
-fn columns<'a>() -> [Column<Row<'a>>; 15] {
+fn columns<'a>() -> Vec<Column<'a, Row<'a>>> {
     use Kind::{Bool, Number, Text};
-    [
+    form::columns([
         ("policy", Text, |row| text(&row.findings.policy)),
         ("campaign", Text, |row| text(&row.findings.campaign)),
         ("explained_by", Text, |row| text(&row.findings.explained_by)),
@@ -50,7 +50,7 @@ fn columns<'a>() -> [Column<Row<'a>>; 15] {
         ("open", Number, |row| Value::Number(row.minimal.open.len() as i64)),
         ("undone_by", Text, |row| undone_by(row)),
         ("rollouts", Number, |row| Value::Number(row.explained.rollouts.into())),
-    ]
+    ])
 }
 
 /// Returns the smallest supersets that do not flip the outcome; absent if there are none.

@@ -39,19 +39,30 @@ pub(super) enum Kind {
 }
 
 /// A column: its name, its type, and a function that returns a row's value.
-pub(super) type Column<R> = (&'static str, Kind, fn(&R) -> Value);
+pub(super) type Column<'a, R> = (String, Kind, Box<dyn Fn(&R) -> Value + 'a>);
+
+/// Boxes columns whose values depend on the row alone.
+pub(super) fn columns<'a, R: 'a, const N: usize>(
+    columns: [(&str, Kind, fn(&R) -> Value); N],
+) -> Vec<Column<'a, R>> {
+    let columns = columns.into_iter();
+    let boxed = |(name, kind, value): (&str, _, fn(&R) -> Value)| -> Column<'a, R> {
+        (name.to_owned(), kind, Box::new(value))
+    };
+    columns.map(boxed).collect()
+}
 
 /// A table: its name in the Parquet schema, its columns and its rows.
-pub(super) struct Table<R> {
+pub(super) struct Table<'a, R> {
     pub(super) name: &'static str,
-    pub(super) columns: Vec<Column<R>>,
+    pub(super) columns: Vec<Column<'a, R>>,
     pub(super) rows: Vec<R>,
 }
 
-impl<R> Table<R> {
+impl<R> Table<'_, R> {
     pub(super) fn csv(&self, out: impl Write) -> Result<(), TableError> {
         let mut csv = csv::Writer::from_writer(out);
-        csv.write_record(self.columns.iter().map(|(name, ..)| name))?;
+        csv.write_record(self.columns.iter().map(|(name, ..)| name.as_str()))?;
         for row in &self.rows {
             let values = self.columns.iter().map(|(.., value)| value(row).into_text());
             csv.write_record(values)?;

@@ -15,7 +15,7 @@ use serde_json::{Value as Json, json};
 
 use super::form::{Column, Kind, Table, TableError, Value};
 
-impl<R> Table<R> {
+impl<R> Table<'_, R> {
     /// Writes the table as one row group without compression. Its footer holds pandas
     /// metadata that preserves the types of nullable columns, see [`pandas_metadata`].
     pub(super) fn parquet(&self, out: impl Write + Send) -> Result<(), TableError> {
@@ -71,8 +71,8 @@ impl<R> Table<R> {
 /// Returns the footer's entry `pandas`. Without it, pandas reads nullable booleans and strings
 /// as columns of type `object` with `None` for absent values.
 /// Format: <https://pandas.pydata.org/docs/development/developer.html>.
-fn pandas_metadata<R>(columns: &[Column<R>]) -> Json {
-    let column = |(name, kind, _): &Column<R>| {
+fn pandas_metadata<R>(columns: &[Column<'_, R>]) -> Json {
+    let column = |(name, kind, _): &Column<'_, R>| {
         let (pandas_type, numpy_type) = match kind {
             Kind::Number => ("int64", "int64"),
             Kind::Integer => ("int64", "Int64"),

@@ -5,7 +5,7 @@ use std::io::Write;
 use libero_ctrl::{Execution, JsonError};
 use serde::Deserialize;
 
-use super::form::{Column, Kind, Table, TableError, Value, text};
+use super::form::{self, Column, Kind, Table, TableError, Value, text};
 
 /// A result row; optional fields that the JSON lacks are null.
 #[derive(Debug, Deserialize)]
@@ -52,14 +52,13 @@ pub fn write_results_parquet(
     rows: Vec<ResultRow>,
     out: impl Write + Send,
 ) -> Result<(), TableError> {
-    let columns = columns().into();
-    let table = Table { name: "results", columns, rows };
+    let table = Table { name: "results", columns: columns(), rows };
     table.parquet(out)
 }
 
-fn columns() -> [Column<ResultRow>; 20] {
+fn columns() -> Vec<Column<'static, ResultRow>> {
     use Kind::{Bool, Integer, Number, Real, Text};
-    [
+    form::columns([
         ("rollout_id", Text, |row| text(&row.rollout_id)),
         ("replicate", Number, |row| Value::Number(row.replicate.into())),
         ("success", Bool, |row| Value::Bool(Some(row.success))),
@@ -80,5 +79,5 @@ fn columns() -> [Column<ResultRow>; 20] {
         ("goal_at_most", Integer, |row| Value::Integer(row.goal_at_most.map(i64::from))),
         ("protocol", Text, |row| Value::Text(row.protocol.clone())),
         ("prompt", Text, |row| Value::Text(row.prompt.clone())),
-    ]
+    ])
 }

@@ -3,8 +3,7 @@ dtype of each column and the Python types of its values ({"camera": ["boolean", 
 `gaps`, the number of absent values of each column; `objects`, the columns of dtype object;
 `camera`, the number of successes under camera.
 
-    python3 columns.py table.parquet
-"""
+    python3 columns.py table.parquet"""
 
 import json
 import sys

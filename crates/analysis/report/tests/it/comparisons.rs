@@ -2,11 +2,9 @@
 
 use std::path::Path;
 
-use libero_ctrl::{Condition, Directions, Look, RolloutId, Stop, Strata};
+use libero_ctrl::{Condition, Directions, Look, RolloutId};
 use paired::{Obstacle, Outcome, Progress};
-use report::{
-    Comparison, Document, EarlyStop, Origin, Setups, Subject, Unpairable, figures, import, page,
-};
+use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures, import, page};
 use rollout_types::{GoalProgress, Pin, Provenance};
 use serde_json::{Value, json};
 
@@ -283,11 +281,6 @@ fn quarantined_rollouts_of_either_policy_are_excluded_from_rates_and_counted_in_
     let bounds = quarantined.bounds.expect("bounds");
     assert!((bounds.difference[1] - bounds.difference[0] - 1.0 / bounds.n as f64).abs() < 1e-12);
     assert_eq!(cell(cells[1]).missing, 1);
-    let text = comparison.text();
-    for words in ["worst and best A - B: ", "incomplete: ", "1 quarantined", "1 missing"] {
-        assert!(text.contains(words), "{words}: {text}");
-    }
-    assert_fits_a_terminal(&text);
 }
 
 /// Adds progress to all rollouts. If `more` is above 0, the rollouts take more steps and satisfy
@@ -312,7 +305,7 @@ fn with_progress(mut subject: Subject, more: u32) -> Subject {
 fn partial_progress_is_in_text_page_and_json_beside_success() {
     let (a, b) = (campaign("first"), altered("second"));
     let without = compare(a.clone(), b.clone()).expect("comparable");
-    assert!(!without.text().contains("partial progress"));
+    assert!(!without.text().contains("Partial progress"));
     let comparison = compare(with_progress(a, 0), with_progress(b, 4)).expect("comparable");
     let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
     for cell in json["cells"].as_array().expect("cells") {
@@ -323,32 +316,11 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
         assert!(steps["difference"]["new_tasks"][1].as_f64() < Some(0.0), "{steps}");
         assert!(steps["holm_p"].as_f64() < Some(0.01), "{steps}");
     }
-    let text = comparison.text();
-    assert!(text.contains("partial progress: steps until success"), "{text}");
-    assert_fits_a_terminal(&text);
+    assert_fits_a_terminal(&comparison.text());
     let page = report::page_comparison(&comparison).into_string();
-    for words in ["Partial progress", "A − B of each task, points", "A better %"] {
-        assert!(page.contains(words), "{words}");
+    for form in [page, comparison.text()] {
+        assert!(form.contains("Partial progress: steps until success"), "{form}");
     }
-}
-
-#[test]
-fn the_strata_of_a_sequential_comparison_are_named_in_words() {
-    let with_stop_rule = |mut subject: Subject| {
-        subject.early_stop = Some(EarlyStop {
-            stop: Stop {
-                rule: "I excludes 0".parse().expect("a rule"),
-                seed: 3,
-                strata: Strata::WholeTasks,
-            },
-            has_stopped: false,
-        });
-        subject
-    };
-    let compared = compare(with_stop_rule(campaign("first")), with_stop_rule(altered("second")));
-    let text = compared.expect("comparable").text();
-    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(text.contains("(rounds of whole tasks)"), "{text}");
 }
 
 #[test]
@@ -371,15 +343,4 @@ fn differing_directions_or_placebos_give_a_warning() {
     );
     assert!(text.contains("placebo levels have different radii (`first`: 0.02, `second`: 0.05)"));
     assert_eq!(mixed.statistics.directions, Directions::Shared);
-}
-
-#[test]
-fn the_placebo_level_has_a_heading_below_the_nominal_row() {
-    let example = |name: &str| {
-        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples");
-        import(&examples.join(name)).expect("the example data")
-    };
-    let compared = compare(example("student"), example("student"));
-    let text = compared.expect("comparable").text();
-    assert!(text.contains("\nL0\n camera "), "{text}");
 }

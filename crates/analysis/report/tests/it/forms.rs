@@ -77,7 +77,6 @@ fn warnings_of_a_faulty_campaign_come_before_the_figures() {
     }
     assert!(!page.contains("The policies were measured with"), "there is one policy");
     assert!(page.contains("failed: robustness is not to be interpreted"));
-    assert!(page.contains("Worst and best case"));
     assert!(page.contains("the simulator said &lt;nothing&gt;"));
 }
 
@@ -105,10 +104,10 @@ fn figures_are_well_formed_files_with_counts() {
     let document = document(vec![example(), broken(), twin, replicated()]);
     let figures = figures::all(&document);
     let mut names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
-    for expected in ["single-axis-l1", "decomposition-l2", "directions-l3", "reproduction-gate"] {
+    for expected in ["single-axis-l1", "decomposition-l2", "directions-l3"] {
         assert!(names.contains(&expected), "{names:?}");
     }
-    for kind in ["matrix-", "flips-"] {
+    for kind in ["matrix-"] {
         assert!(names.iter().any(|name| name.starts_with(kind)), "{names:?}");
     }
     for figure in &figures {
@@ -129,20 +128,9 @@ fn figures_are_well_formed_files_with_counts() {
     assert_eq!(names.len(), figures.len(), "no file overwrites another");
 }
 
-/// The table of every paper about LIBERO.
 #[test]
-fn success_by_suite_and_task_is_in_every_form() {
+fn json_has_success_by_task() {
     let document = document(vec![example()]);
-    for text in [document.brief(), document.text()] {
-        assert!(text.contains("success by suite"), "{text}");
-        let row = text.lines().find(|line| line.starts_with("L3 simultaneous")).expect("a row");
-        let numbers: Vec<f64> =
-            row.split_whitespace().skip(2).map(|number| number.parse().expect("a rate")).collect();
-        let mean = numbers[..4].iter().sum::<f64>() / 4.0;
-        assert!(numbers.len() == 5 && (numbers[4] - mean).abs() < 0.1, "{row}");
-    }
-    let page = page(&document);
-    assert!(page.contains("mean of suites") && page.contains("success by task"));
     let json: serde_json::Value =
         serde_json::from_str(&document.json().expect("written")).expect("JSON");
     let rows = json["reports"][0]["by_task"].as_array().expect("rows");

@@ -5,6 +5,7 @@ mod explanations;
 mod family;
 mod forms;
 mod import;
+mod rendered;
 mod stops;
 mod subjects;
 mod tables;

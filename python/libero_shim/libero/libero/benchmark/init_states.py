@@ -1,11 +1,10 @@
 """Reads a task's initial states without PyTorch.
 
-The files are written by `torch.save` from a NumPy array, and users' own from a tensor or a
-list of either, too: a zip archive with a pickle. A
-pickle can call any function that it names, and NumPy's own classes do not check shapes
-and types: an array of objects over bytes of the file reads the bytes as pointers. So this
-module only records the pickle's requests, and builds and checks the array from that record.
-"""
+The files are written by `torch.save` from a NumPy array, and users' own from a tensor or a list of
+either, too: a zip archive with a pickle. A pickle can call any function that it names, and NumPy's
+own classes do not check shapes and types: an array of objects over bytes of the file reads the
+bytes as pointers. So this module only records the pickle's requests, and builds and checks the
+array from that record."""
 
 from __future__ import annotations
 
@@ -157,8 +156,7 @@ class _Unpickler(pickle.Unpickler):
 def _check(content: bytes) -> None:
     """Scans a pickle without executing it, since a few bytes can request a huge memo.
 
-    Raises ValueError if it has more operations or memo entries than an array needs.
-    """
+    Raises ValueError if it has more operations or memo entries than an array needs."""
     for count, (operation, argument, _) in enumerate(pickletools.genops(content), 1):
         if count > _MOST_OPERATIONS:
             raise ValueError(f"its pickle has more than {_MOST_OPERATIONS} operations")
@@ -206,14 +204,13 @@ def _states_in(archive: zipfile.ZipFile) -> Any:
 
 
 def load_init_states(path: str | os.PathLike[str]) -> Any:
-    """Returns the states of a `.pruned_init` or `.init` file: a float64 array
-    [states, numbers], or the numbers of one state.
+    """Returns the states of a `.pruned_init` or `.init` file: a float64 array [states, numbers], or
+    the numbers of one state.
 
     A file that holds tensors, as none of LIBERO's own files does, gives a tensor if PyTorch is
     installed.
 
-    Raises FileNotFoundError; ValueError if the file holds no states.
-    """
+    Raises FileNotFoundError; ValueError if the file holds no states."""
     with open(path, "rb") as file:
         if other := _other_file(file.read(64).lstrip()):
             raise ValueError(f"{os.fspath(path)} holds no initial states: {other}")

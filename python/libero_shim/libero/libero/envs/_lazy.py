@@ -1,8 +1,7 @@
 """An observation whose pictures are drawn when they are first read.
 
-Drawing takes most of a step's time, and most programs use few of the returned
-observations: none while objects settle, and only the last of a chunk of actions.
-"""
+Drawing takes most of a step's time, and most programs use few of the returned observations: none
+while objects settle, and only the last of a chunk of actions."""
 
 from __future__ import annotations
 

@@ -80,8 +80,7 @@ class Observer:
     def include(self, name: str, included: bool) -> None:
         """Includes a key in observations or leaves it out. Omitted pictures are not drawn.
 
-        Raises KeyError.
-        """
+        Raises KeyError."""
         if name not in self.modalities:
             raise KeyError(
                 f"nothing is observed as `{name}`: there are {', '.join(self.modalities)}"
@@ -131,10 +130,9 @@ class Observer:
             )
             for (name, _), pose, from_hand in zip(self._objects, poses, zip(*relative)):
                 read[f"{name}_pos"], read[f"{name}_quat"] = pose
-                (
-                    read[f"{name}_to_{_ROBOT}_eef_pos"],
-                    read[f"{name}_to_{_ROBOT}_eef_quat"],
-                ) = from_hand
+                (read[f"{name}_to_{_ROBOT}_eef_pos"], read[f"{name}_to_{_ROBOT}_eef_quat"]) = (
+                    from_hand
+                )
         return read
 
     def _picture(self, name: str) -> Undrawn:

@@ -26,8 +26,7 @@ class Controller:
 
     With `use_delta`, an action's first six numbers are relative, in units of 0.05 m and 0.5 rad;
     otherwise they are a position, m, and a rotation vector, rad, in the world frame. Each reset
-    makes a new controller, with the `use_delta` of the environment's constructor.
-    """
+    makes a new controller, with the `use_delta` of the environment's constructor."""
 
     name = "OSC_POSE"
     control_dim = _DIMENSIONS

@@ -1,8 +1,7 @@
 """Relative poses with robosuite's rounding.
 
 robosuite computes rotations in single precision. This module reproduces its rounding, because
-policies were trained on observations rounded in this way. Quaternions are x y z w.
-"""
+policies were trained on observations rounded in this way. Quaternions are x y z w."""
 
 from __future__ import annotations
 

@@ -110,11 +110,7 @@ class Settings:
             )
         cameras = (
             _cameras(
-                camera_names,
-                camera_heights,
-                camera_widths,
-                camera_depths,
-                camera_segmentations,
+                camera_names, camera_heights, camera_widths, camera_depths, camera_segmentations
             )
             if use_camera_obs
             else ()

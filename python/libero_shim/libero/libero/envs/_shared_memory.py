@@ -3,8 +3,7 @@
 A frame of 256 × 256 pixels is three times as large as a pipe's buffer, so that sender and receiver
 of a frame would wait for each other several times. Messages still go through the pipe of
 `multiprocessing`; they hold positions in the shared memory in place of large arrays, and the parent
-copies the arrays from there when it unpickles a message.
-"""
+copies the arrays from there when it unpickles a message."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class SharedMemory:
     """Memory shared with a process that is started with it as an argument.
 
     It holds the arrays of one message at a time: the parent unpickles a message before it sends the
-    command that causes the next message.
-    """
+    command that causes the next message."""
 
     def __init__(self) -> None:
         self.number = next(_numbers)

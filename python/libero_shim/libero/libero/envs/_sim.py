@@ -284,8 +284,7 @@ class MjSim:
     def set_state_from_flattened(self, value: Any) -> None:
         """Writes a state [1 + nq + nv]. Call `forward` before reading values derived from it.
 
-        Raises ValueError for a state of another scene.
-        """
+        Raises ValueError for a state of another scene."""
         simulation = self._handle.get()
         state = np.ascontiguousarray(value, dtype=np.float64)
         expected = simulation.state().shape

@@ -29,8 +29,7 @@ def draw_numbers(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) 
     """Draws from NumPy's global generator: calls `numbers` with the generator's state, and sets the
     state that `numbers` returns. Returns the result of `numbers`.
 
-    Raises RuntimeError if the global generator is not of LIBERO's kind, MT19937.
-    """
+    Raises RuntimeError if the global generator is not of LIBERO's kind, MT19937."""
     with _drawing:
         state = np.random.get_state()
         if isinstance(state, dict):  # the state of a generator other than MT19937
@@ -48,8 +47,7 @@ class SimulationHandle:
     """Handle of a simulation of a BDDL file's scene. `close` frees the simulation. All environments
     of a scene share the compiled scene.
 
-    Raises FileNotFoundError if assets are missing; the message has the remedy.
-    """
+    Raises FileNotFoundError if assets are missing; the message has the remedy."""
 
     def __init__(
         self, bddl_file: str, change: PlusPath | None = None, look: str | None = None
@@ -66,8 +64,7 @@ class SimulationHandle:
     def get(self) -> Simulation:
         """The simulation.
 
-        Raises ClosedError.
-        """
+        Raises ClosedError."""
         if self._simulation is None:
             raise ClosedError("the environment is closed: construct a new one to go on")
         return self._simulation
@@ -81,9 +78,7 @@ class SimulationHandle:
     def start_over(self, model_loads: int, *, hard: bool) -> int:
         """Resets all placements, drawing from NumPy's global generator as LIBERO does.
 
-        `model_loads` is the number of times that LIBERO would have loaded its model so far.
-        Returns that number after the reset; it grows when placements are drawn again for lack of
-        room.
-        """
+        `model_loads` is the number of times that LIBERO would have loaded its model so far. Returns
+        that number after the reset; it grows when placements are drawn again for lack of room."""
         simulation = self.get()
         return draw_numbers(lambda state: simulation.reset(state, model_loads, hard=hard))

@@ -17,8 +17,7 @@ def unused_cameras(known: Collection[str]) -> frozenset[str]:
     """Returns the cameras that the environment variable names. Warns once per camera that its
     frames are black, because a policy that does use the camera would fail without another sign.
 
-    Raises ValueError for a camera that the scene (`known`) lacks.
-    """
+    Raises ValueError for a camera that the scene (`known`) lacks."""
     names = (name.strip() for name in os.environ.get(VARIABLE, "").split(","))
     unused = frozenset(name for name in names if name)
     for name in sorted(unused):

@@ -52,12 +52,11 @@ class BDDLBaseDomain:
         "mujoco-3.3.2", as LIBERO's demonstrations were drawn, or "mujoco-3.3.3", as MuJoCo draws
         since; by default `$ROLLOUT_LOOK`, else the first.
 
-        Draws placements from NumPy's global generator, as LIBERO does.
-        `reset` returns the first observation.
+        Draws placements from NumPy's global generator, as LIBERO does. `reset` returns the first
+        observation.
 
         Raises FileNotFoundError for a missing file or missing assets, and the
-        exceptions of `Settings.check`.
-        """
+        exceptions of `Settings.check`."""
         self.bddl_file_name = existing_file(bddl_file_name)
         settings = Settings.check(robots=robots, **arguments)
         self.parsed_problem = bddl_utils.robosuite_parse_problem(self.bddl_file_name)
@@ -113,10 +112,9 @@ class BDDLBaseDomain:
     def reset(self) -> Observation:
         """Resets all placements and returns the observation.
 
-        With `hard_reset` LIBERO loads its model again, which lengthens its list of samplers
-        for doors and knobs and so changes later draws. This method counts these loads, and draws
-        the same numbers.
-        """
+        With `hard_reset` LIBERO loads its model again, which lengthens its list of samplers for
+        doors and knobs and so changes later draws. This method counts these loads, and draws the
+        same numbers."""
         if self.hard_reset:
             self._model_loads += 1
         self._start_over(hard=self.hard_reset)
@@ -125,11 +123,9 @@ class BDDLBaseDomain:
     def step(self, action: Any) -> tuple[Observation, float, bool, dict[str, Any]]:
         """One control step of 50 ms with 7 numbers: pose, and gripper (−1 opens, 1 closes).
 
-        Returns the observation, the reward, True if the goal holds, and an
-        empty dictionary.
+        Returns the observation, the reward, True if the goal holds, and an empty dictionary.
 
-        Raises ValueError for an invalid action, or if the episode is over.
-        """
+        Raises ValueError for an invalid action, or if the episode is over."""
         simulation = self._handle.get()
         if self.done:
             raise ValueError(

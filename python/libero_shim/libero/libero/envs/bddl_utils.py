@@ -23,8 +23,7 @@ class ProblemInfo(TypedDict):
 def scan_tokens(filename: str | os.PathLike[str] | None = None, string: str | None = None) -> Any:
     """Parses a BDDL file or text into nested lists of words in lower case.
 
-    Raises ValueError unless it is one definition with matching parentheses.
-    """
+    Raises ValueError unless it is one definition with matching parentheses."""
     if filename is not None:
         with open(filename, encoding="utf-8") as file:
             string = file.read()
@@ -60,15 +59,12 @@ def get_problem_info(problem_filename: str | os.PathLike[str]) -> ProblemInfo:
     }
 
 
-def robosuite_parse_problem(
-    problem_filename: str | os.PathLike[str],
-) -> dict[str, Any]:
+def robosuite_parse_problem(problem_filename: str | os.PathLike[str]) -> dict[str, Any]:
     """Returns the whole contents of a file, with LIBERO's keys.
 
-    `fixtures` and `objects` map a category to its instances. `regions` maps `TARGET_REGION` to
-    the region's target, ranges (smallest x and y, largest x and y, m), rotation (rad) and
-    colour. `initial_state` and `goal_state` list predicates with their arguments.
-    """
+    `fixtures` and `objects` map a category to its instances. `regions` maps `TARGET_REGION` to the
+    region's target, ranges (smallest x and y, largest x and y, m), rotation (rad) and colour.
+    `initial_state` and `goal_state` list predicates with their arguments."""
     sections = _sections(problem_filename)
     domain = sections.get(":domain", ["robosuite"])[-1]
     if domain != "robosuite":

@@ -19,12 +19,7 @@ from libero.libero.envs.bddl_base_domain import TASK_MAPPING, BDDLBaseDomain
 
 Observation = OrderedDict[str, Any]
 
-__all__ = [
-    "ControlEnv",
-    "DemoRenderEnv",
-    "OffScreenRenderEnv",
-    "SegmentationRenderEnv",
-]
+__all__ = ["ControlEnv", "DemoRenderEnv", "OffScreenRenderEnv", "SegmentationRenderEnv"]
 
 
 class ControlEnv:
@@ -61,8 +56,7 @@ class ControlEnv:
         scene. Sizes of frames are in pixels, `horizon` is in steps.
 
         Raises FileNotFoundError for a missing file or missing assets,
-        NotImplementedError for features that only LIBERO has.
-        """
+        NotImplementedError for features that only LIBERO has."""
         with report_failure():
             self._construct(
                 bddl_file_name,
@@ -118,8 +112,7 @@ class ControlEnv:
     def env(self) -> BDDLBaseDomain:
         """The task's simulation.
 
-        Raises ClosedError.
-        """
+        Raises ClosedError."""
         if self._env is None:
             raise ClosedError("the environment is closed: construct a new one to go on")
         return self._env
@@ -198,8 +191,7 @@ class ControlEnv:
 
 
 class OffScreenRenderEnv(ControlEnv):
-    """A task with frames of its cameras, for evaluation. Takes `ControlEnv`'s arguments by
-    name."""
+    """A task with frames of its cameras, for evaluation. Takes `ControlEnv`'s arguments by name."""
 
     def __init__(self, **kwargs: Any) -> None:
         kwargs["has_renderer"] = False

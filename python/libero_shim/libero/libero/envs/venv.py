@@ -1,8 +1,7 @@
 """Several environments behind one interface: one after another, or each in a process.
 
 Each environment of `SubprocVectorEnv` has its own NumPy global generator, as LIBERO's users expect.
-`rollout_libero.VectorEnvironment` needs less memory and time.
-"""
+`rollout_libero.VectorEnvironment` needs less memory and time."""
 
 from __future__ import annotations
 

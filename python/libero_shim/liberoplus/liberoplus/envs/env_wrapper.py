@@ -61,8 +61,7 @@ class ControlEnv(_VariantEnv):
     `reset` and `step` return are corrupted; the frame that `set_init_state` returns is not.
 
     The corruption of each frame draws from NumPy's global generator, as resets do. The numbers are
-    drawn during `reset` or `step`, in LIBERO-Plus' order, even if the frame is never read.
-    """
+    drawn during `reset` or `step`, in LIBERO-Plus' order, even if the frame is never read."""
 
     _size: tuple[int, int] | None
 
