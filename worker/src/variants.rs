@@ -6,7 +6,6 @@ mod audit;
 mod case;
 mod choice;
 mod error;
-mod own;
 mod protocols;
 
 pub use audit::{Audit, lack};

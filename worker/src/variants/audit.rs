@@ -2,18 +2,23 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
+use std::{fmt, fs};
 
-use assets::Table;
+use assets::{Table, hex};
+use libero_ctrl::presets::ENV_SEED;
 use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::plus::{Assets, Entry};
 use libero_family::protocol::Benchmark;
-use libero_family::{Case, Further, Lack, Lacking, SelectionError, Subject};
+use libero_family::{Case, Further, Lack, Lacking, Subject};
 use scene::catalog::category;
-use scene::{AssetPack, Sources, TaskFiles};
+use scene::{
+    AssetPack, InitialStates, SceneError, Sources, TaskFiles, check_goal, compose, needed_files,
+};
+use sha2::{Digest, Sha256};
 
 use super::case::files;
 use super::error::VariantsError;
-use super::own::{self, States};
 
 /// Chosen rollouts, each with its row and the reason why it cannot run, if any.
 pub struct Audit(Vec<(Case, ManifestRow, Option<Lack>)>);
@@ -56,22 +61,6 @@ impl Audit {
             }
         }
         lacking
-    }
-
-    /// Checks that no rollout lacks files.
-    ///
-    /// # Errors
-    /// If a rollout lacks files.
-    pub fn require_all(&self) -> Result<(), VariantsError> {
-        let lacking = self.lacking();
-        match lacking.count() {
-            0 => Ok(()),
-            count => Err(VariantsError::Selection(SelectionError::Lacking {
-                lacking: count,
-                chosen: self.0.len(),
-                report: lacking.to_string(),
-            })),
-        }
     }
 
     /// Formats a table of the rollouts by [`Case::group`], followed by the missing files.
@@ -162,7 +151,7 @@ impl Checked {
     fn new(row: &ManifestRow, pack: &AssetPack, sources: &Sources) -> Result<Self, VariantsError> {
         let (lack, states) = match &row.own {
             None => (lack_in_benchmark(row, pack, sources)?, None),
-            Some(own) => match own::check(own, row.instruction.is_empty(), pack, sources) {
+            Some(own) => match check_own(own, row.instruction.is_empty(), pack, sources) {
                 Ok(states) => (None, Some(states)),
                 Err(lack) => (Some(lack), None),
             },
@@ -233,4 +222,87 @@ fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
         _ => entry.is_composable(|file| pack.dir().join(file).is_file()),
     };
     (!is_composable).then(|| Lack::Further(Further::Assets(entry.assets())))
+}
+
+/// Initial states of a task.
+#[derive(Clone, Debug)]
+struct States {
+    path: String,
+    count: usize,
+}
+
+impl States {
+    /// Returns the lack of an initial state; `None` if the state exists.
+    fn lack(&self, init_id: u16) -> Option<Lack> {
+        (usize::from(init_id) >= self.count)
+            .then(|| Lack::States { path: self.path.clone(), count: self.count })
+    }
+}
+
+/// Largest task file, bytes: a hundred times the largest of LIBERO.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+
+/// Checks that the files of a suite file's task exist, have the digest that the suite file gives, if any, and make a
+/// scene with a goal that can be evaluated and, if it is the prompt, an instruction. Returns the
+/// task's initial states, or the lack that prevents its rollouts.
+fn check_own(
+    own: &OwnTask,
+    prompts_by_file: bool,
+    pack: &AssetPack,
+    sources: &Sources,
+) -> Result<States, Lack> {
+    let folder = Sources::suite_folder(sources.dir(), &own.folder);
+    let text = |path: &Path| path.display().to_string();
+    if !folder.is_dir() {
+        return Err(Lack::Folder(text(&folder)));
+    }
+    let files = TaskFiles::of_suite_file(sources, own);
+    let mut missing = [&files.bddl, &files.init].into_iter();
+    if let Some(path) = missing.find(|path| !path.is_file()) {
+        return Err(Lack::File(text(path)));
+    }
+    if let Some(expected) = &own.changes.sha256 {
+        let found = digest([&files.bddl, &files.init]).map_err(Lack::Scene)?;
+        if found != *expected {
+            return Err(Lack::OtherFiles {
+                bddl: text(&files.bddl),
+                expected: expected.clone(),
+                found,
+            });
+        }
+    }
+    let instruction = if prompts_by_file { files.instruction().map(drop) } else { Ok(()) };
+    let states = instruction.and_then(|()| try_scene(&files, pack, sources));
+    states.map_err(|error| Lack::Scene(transport::chain(&error)))
+}
+
+fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<States, SceneError> {
+    let problem = files.problem()?;
+    match pack.is_managed() {
+        // The pack's files are fetched only when the rollout starts.
+        true => {
+            check_goal(&problem)?;
+            needed_files(&problem)?;
+        }
+        false => {
+            compose(&problem, pack, sources, ENV_SEED)?;
+        }
+    }
+    let states = InitialStates::read(&files.init)?;
+    Ok(States { path: files.init.display().to_string(), count: states.count() })
+}
+
+/// Returns the SHA-256 of files in sequence, hex, or the reason why a file cannot be read.
+fn digest(paths: [&Path; 2]) -> Result<String, String> {
+    let mut digest = Sha256::new();
+    for path in paths {
+        let problem = |problem: &dyn fmt::Display| format!("read {}: {problem}", path.display());
+        let bytes = path.metadata().map_err(|error| problem(&error))?.len();
+        if bytes > MAX_FILE_BYTES {
+            let size = format!("it has {bytes} bytes, more than {MAX_FILE_BYTES}");
+            return Err(problem(&size));
+        }
+        digest.update(fs::read(path).map_err(|error| problem(&error))?);
+    }
+    Ok(hex(&digest.finalize()))
 }

@@ -65,8 +65,7 @@ fn one_of_each_group(cases: impl Iterator<Item = Case>) -> Vec<Case> {
 /// protocol of their benchmark, and reports each variant's starts as soon as they are known.
 ///
 /// # Errors
-/// If a named variant lacks files, a case belongs to no benchmark with protocols, the simulator
-/// fails, or `report` fails.
+/// If a case belongs to no benchmark with protocols, the simulator fails, or `report` fails.
 pub fn compare(
     audit: &Audit,
     choice: &Choice,
@@ -75,10 +74,7 @@ pub fn compare(
 ) -> anyhow::Result<()> {
     let cases = match choice.variants.is_empty() {
         true => one_of_each_group(audit.runnable()),
-        false => {
-            audit.require_all()?;
-            audit.runnable().collect()
-        }
+        false => audit.runnable().collect(),
     };
     let pack = simulator.pack.clone();
     let mut simulator = Simulator::new(simulator);
