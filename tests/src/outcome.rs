@@ -66,6 +66,6 @@ pub fn alone(gateway: &str, id: &str, more: &[&str]) -> Outcome {
         success: finished["outcome"]["success"].as_bool().expect("a truth value"),
         steps: finished["outcome"]["steps"].as_i64().expect("a number"),
         digests: ["scene_digest", "init_state_digest", "first_frame_digest"].map(digest),
-        prompt: result["assignment"]["row"]["instruction"].as_str().expect("a prompt").to_owned(),
+        prompt: finished["outcome"]["prompt"].as_str().expect("a prompt").to_owned(),
     }
 }

@@ -296,7 +296,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_their_prompts_and_states() {
 
     let report = campaigns.succeed(&["report", "ninety"]);
     let protocol = file.protocol();
-    assert!(report.contains(&format!("suite file {protocol}\n")), "{report}");
+    assert!(report.contains(&format!("Suite file {protocol}\n")), "{report}");
     for words in ["libero_90  ", "all  "] {
         assert!(report.contains(words), "no `{words}`: {report}");
     }

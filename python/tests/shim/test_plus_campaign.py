@@ -88,7 +88,7 @@ def test_a_rollout_equals_the_workers(name: str, rollouts: Path) -> None:
     assert len(file_of_step) == 2 and 0 in file_of_step, "the first and the last query have frames"
     suite = benchmark.get_benchmark("libero_" + VARIANTS[name].split("/")[0])()
     i = suite.get_task_names().index(name)
-    assert suite.get_task(i).language == result["assignment"]["row"]["instruction"]
+    assert suite.get_task(i).language == result["finished"]["outcome"]["prompt"]
     height, width, _ = np.asarray(Image.open(file_of_step[0])).shape
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(i), camera_heights=height, camera_widths=width
