@@ -9,5 +9,6 @@ pub mod family;
 pub mod fidelity;
 pub mod files;
 pub mod measure;
+pub mod outcome;
 pub mod programs;
 pub mod slurm;

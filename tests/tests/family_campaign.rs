@@ -1,6 +1,6 @@
-//! A campaign of LIBERO's family through real processes, compared with `worker variants`.
+//! A campaign of LIBERO's family through real processes, compared with `worker rollout`.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use libero_ctrl::Benchmark;
 use scene::Sources;
 use serde_json::Value;
-use sqlx::Connection;
+use tests::outcome::{Outcomes, alone, stored};
 use tests::programs::{Campaigns, Process, program};
 
 /// One variant of each dimension that needs LIBERO's own files only, and another of the camera.
@@ -36,20 +36,6 @@ const WITH_OWN_FILES: [(&str, &str); 2] = [
 ];
 const LAYOUT: &str = "put_the_bowl_on_the_plate_moved_level1_sample1";
 
-/// Outcome and digests of a rollout, equal for a campaign and `worker variants`.
-#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Outcome {
-    success: bool,
-    steps: i64,
-    /// Digests of the scene, the initial state and the policy's first frames.
-    digests: [String; 3],
-    /// Prompt that the policy got.
-    prompt: String,
-}
-
-/// Outcomes by rollout id.
-type Outcomes = BTreeMap<String, Outcome>;
-
 /// Returns the arguments that create a campaign of LIBERO-Plus.
 fn creation<'a>(campaigns: &'a Campaigns, policy: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     let endpoint = campaigns.gateway.url.as_str();
@@ -57,26 +43,6 @@ fn creation<'a>(campaigns: &'a Campaigns, policy: &'a str, more: &[&'a str]) -> 
     arguments.extend(["--endpoint", endpoint, "--suite", "libero-plus"]);
     arguments.extend(more);
     arguments
-}
-
-/// Reads the outcomes that a coordinator has stored.
-async fn stored(data: &Path) -> Outcomes {
-    let path = data.join("coordinator.sqlite");
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path).read_only(true);
-    let mut database = sqlx::SqliteConnection::connect_with(&options).await.expect("a database");
-    let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
-        "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
-             r.first_frame_digest, r.prompt
-         FROM result r JOIN job j ON j.id = r.job_id",
-    )
-    .fetch_all(&mut database)
-    .await
-    .expect("results");
-    let rows = rows.into_iter().map(|(id, success, steps, scene, state, frame, prompt)| {
-        let digests = [scene, state, frame];
-        (id, Outcome { success, steps, digests, prompt })
-    });
-    rows.collect()
 }
 
 /// Returns the variants whose files this machine has, and the ids of the campaign's rollouts.
@@ -93,42 +59,20 @@ fn variants(test: &str) -> (Vec<&'static str>, BTreeSet<String>) {
     (names, ids)
 }
 
-/// Runs the rollouts with `worker variants` and more arguments; returns the outcomes by the
-/// campaign's ids.
-fn run_variants(campaigns: &Campaigns, more: &[&str], output: &Path) -> Outcomes {
-    let mut command = Command::new(program("worker"));
-    command.arg("variants").args(more);
-    command.args(["--assets", "primitives", "--policy", "student"]);
-    command.args(["--endpoint", &campaigns.gateway.url, "--output"]);
-    let run = command.arg(output).output().expect("the worker runs");
-    let errors = String::from_utf8_lossy(&run.stderr);
-    assert!(run.status.success(), "{errors}");
-    let text = std::fs::read_to_string(output.join("results.jsonl")).expect("results");
-    let rows = text.lines().map(|line| serde_json::from_str(line).expect("JSON"));
-    let id = |row: &Value| {
-        let name = row["variant"].as_str().expect("a name").to_owned();
-        let path = output.join(&name).join("result.json");
-        let result = std::fs::read_to_string(path).expect("a result");
-        let result: Value = serde_json::from_str(&result).expect("JSON");
-        let id = &result["assignment"]["row"]["rollout_id"];
-        id.as_str().expect("an id").to_owned()
-    };
-    let outcome = |row: &Value| Outcome {
-        success: row["success"].as_bool().expect("a truth value"),
-        steps: row["steps"].as_i64().expect("a number"),
-        digests: ["scene_digest", "init_state_digest", "first_frame_digest"]
-            .map(|name| row[name].as_str().expect("a digest").to_owned()),
-        prompt: row["prompt"].as_str().expect("a prompt").to_owned(),
-    };
-    rows.map(|row| (id(&row), outcome(&row))).collect()
+/// Asserts that `worker rollout` has the outcomes of a campaign.
+fn assert_same_alone(campaigns: &Campaigns, outcomes: &Outcomes, more: &[&str]) {
+    for (id, outcome) in outcomes {
+        let more = [&["--assets", "primitives"], more].concat();
+        assert_eq!(&alone(&campaigns.gateway.url, id, &more), outcome, "{id}");
+    }
 }
 
 #[tokio::test]
-async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
+async fn a_campaign_of_variants_has_the_outcomes_of_worker_rollout() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     let campaigns = Campaigns::start(&data);
-    let (names, ids) = variants("a_campaign_of_variants_has_the_outcomes_of_worker_variants");
+    let (names, ids) = variants("a_campaign_of_variants_has_the_outcomes_of_worker_rollout");
     let joined = names.join(",");
     let created = campaigns.succeed(&creation(&campaigns, "student", &["--variant", &joined]));
     assert!(created.contains(&format!("{} rollouts", ids.len())), "{created}");
@@ -142,7 +86,7 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
         assert_eq!(row["axis"], "variant");
         prompts.insert(row["rollout_id"].clone(), row["prompt"].clone());
     }
-    let outcomes = stored(&data).await;
+    let outcomes = stored(&data, "plus").await;
     for (id, outcome) in &outcomes {
         assert_eq!(prompts[&Value::from(id.as_str())], outcome.prompt, "{id}");
         let shown = campaigns.succeed(&["jobs", "show", "plus", id]);
@@ -150,9 +94,7 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
         assert!(shown.contains(&line), "{shown}");
     }
     assert!(outcomes.keys().eq(ids.iter()), "{outcomes:?}");
-    let alone = folder.path().join("alone");
-    let alone = run_variants(&campaigns, &["--variant", &joined], &alone);
-    assert_eq!(outcomes, alone);
+    assert_same_alone(&campaigns, &outcomes, &[]);
     // The changes reached the simulator: no two variants have the same first frames. Variants of
     // the language are left out, because another instruction changes no picture.
     let visual = outcomes.iter().filter(|(id, _)| !id.contains("language"));
@@ -321,8 +263,8 @@ fn the_sentences_of_libero_para_come_from_a_checkout_only() {
 }
 
 #[tokio::test]
-async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
-    let test = "a_campaign_of_sentences_has_the_outcomes_of_worker_variants";
+async fn a_campaign_of_sentences_has_the_outcomes_of_worker_rollout() {
+    let test = "a_campaign_of_sentences_has_the_outcomes_of_worker_rollout";
     let Some(checkout) = para_checkout(test) else {
         return;
     };
@@ -347,7 +289,7 @@ async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
     worker.args(["--assets", "primitives", "--sources"]).arg(&sources);
     let _worker = Process::start(&mut worker);
     campaigns.wait_for_commits("para", None);
-    let outcomes = stored(&data).await;
+    let outcomes = stored(&data, "para").await;
     let prompts = outcomes.iter().map(|(id, outcome)| (id.as_str(), outcome.prompt.as_str()));
     let metadata = checkout.join("metrics/libero_para_metadata.csv");
     let metadata = std::fs::read_to_string(metadata).expect("the metadata");
@@ -369,10 +311,7 @@ async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
     let digests: BTreeSet<&[String; 3]> =
         outcomes.values().map(|outcome| &outcome.digests).collect();
     assert_eq!(digests.len(), 1, "{outcomes:?}");
-    let alone = folder.path().join("alone");
-    let sources = sources.to_str().expect("UTF-8");
-    let alone = run_variants(&campaigns, &["--para", types, "--sources", sources], &alone);
-    assert_eq!(outcomes, alone);
+    assert_same_alone(&campaigns, &outcomes, &["--sources", sources.to_str().expect("UTF-8")]);
     let report = campaigns.succeed(&["report", "para"]);
     for words in ["para-official", "obj lexical", "act pragmatical", "PRIDE", "α 0.5"] {
         assert!(report.contains(words), "{report}");

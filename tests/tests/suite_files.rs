@@ -1,6 +1,6 @@
 //! Suite files through real processes: a user's own suite, LIBERO-90, and their campaigns.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -9,15 +9,12 @@ use std::time::{Duration, Instant};
 use libero_ctrl::{FileTask, SuiteFile, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles, compose};
 use serde_json::{Value, json};
-use sqlx::Connection;
+use tests::files::{folder_with_links, libero};
+use tests::outcome::{alone, stored};
 use tests::programs::{Campaigns, Process, program};
 
 /// Prompt of `libero_goal/8`, on which the student was trained.
 const PROMPT: &str = "put the bowl on the plate";
-
-/// Success, control steps, digests of scene, initial state and the policy's first frames, and
-/// prompt of a rollout.
-type Outcome = (bool, i64, [String; 3], String);
 
 /// A folder of sources with a suite of two tasks, copies of LIBERO's under other names.
 struct OwnSuite {
@@ -71,22 +68,35 @@ impl OwnSuite {
 
     /// Calls `worker variants` with the suite file.
     fn call(&self, more: &[&str]) -> Output {
-        variants(&self.file(), &self.sources(), more)
+        self.call_with("primitives".as_ref(), more)
     }
 
-    /// Returns the arguments that run the suite with a policy.
-    fn run<'a>(&self, campaigns: &'a Campaigns, policy: &'a str, output: &'a str) -> [&'a str; 6] {
-        let url = campaigns.gateway.url.as_str();
-        ["--policy", policy, "--endpoint", url, "--output", output]
+    fn call_with(&self, assets: &Path, more: &[&str]) -> Output {
+        let mut command = Command::new(program("worker"));
+        command.arg("variants").arg("--suite-file").arg(self.file());
+        command.arg("--assets").arg(assets).arg("--sources").arg(self.sources());
+        command.args(more).output().expect("the worker runs")
     }
-}
 
-fn variants(file: &Path, sources: &Path, more: &[&str]) -> Output {
-    let mut command = Command::new(program("worker"));
-    command.arg("variants").arg("--suite-file").arg(file);
-    command.args(["--assets", "primitives", "--sources"]);
-    let run = command.arg(sources).args(more).output();
-    run.expect("the worker runs")
+    /// Creates a campaign of the suite file.
+    fn create(&self, campaigns: &Campaigns, name: &str, policy: &str, trials: &str) {
+        let path = self.file();
+        #[rustfmt::skip]
+        campaigns.succeed(&[
+            "campaign", "create", "--name", name, "--policy", policy,
+            "--endpoint", &campaigns.gateway.url,
+            "--suite-file", path.to_str().expect("UTF-8"), "--trials", trials,
+        ]);
+    }
+
+    /// Starts a worker with the suite's sources, and its log in a file.
+    fn worker(&self, campaigns: &Campaigns, log: &Path) -> Process {
+        let mut command = Command::new(program("worker"));
+        command.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
+        command.args(["--assets", "primitives", "--sources"]);
+        let log = fs::File::create(log).expect("a file");
+        Process::start(command.arg(self.sources()).stderr(log))
+    }
 }
 
 #[track_caller]
@@ -105,76 +115,31 @@ fn assert_refused(output: &Output, expected: &[&str]) {
     }
 }
 
-/// Reads `results.jsonl` of a folder: lines and outcomes, by the names of the rollouts.
-fn results(output: &Path) -> BTreeMap<String, (Value, Outcome)> {
-    let text = fs::read_to_string(output.join("results.jsonl")).expect("results");
-    let rows = text.lines().map(|line| {
-        let row: Value = serde_json::from_str(line).expect("JSON");
-        let text = |name: &str| row[name].as_str().expect(name).to_owned();
-        let outcome = (
-            row["success"].as_bool().expect("a truth value"),
-            row["steps"].as_i64().expect("a number"),
-            ["scene_digest", "init_state_digest", "first_frame_digest"].map(text),
-            text("prompt"),
-        );
-        (text("variant"), (row.clone(), outcome))
-    });
-    rows.collect()
-}
-
-/// Reads the outcomes that a coordinator has stored, by the names that `worker variants` uses.
-async fn stored(data: &Path) -> BTreeMap<String, Outcome> {
-    let options = sqlx::sqlite::SqliteConnectOptions::new()
-        .filename(data.join("coordinator.sqlite"))
-        .read_only(true);
-    let database = sqlx::SqliteConnection::connect_with(&options).await;
-    let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
-        "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
-             r.first_frame_digest, r.prompt
-         FROM result r JOIN job j ON j.id = r.job_id",
-    )
-    .fetch_all(&mut database.expect("a database"))
-    .await
-    .expect("results");
-    let rows = rows.into_iter();
-    rows.map(|(id, success, steps, scene, state, frame, prompt)| {
-        let id = id.parse().expect("an id");
-        let name = libero_family::Case::of_id(id).expect("a case").name();
-        (name, (success, steps, [scene, state, frame], prompt))
-    })
-    .collect()
-}
-
-#[test]
-fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
+#[tokio::test]
+async fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     let suite = OwnSuite::new();
     let text = serde_json::to_string_pretty(&suite.read()).expect("JSON");
     assert!(text.lines().count() <= 30, "{text}");
-    let campaigns = Campaigns::start(&suite.folder.path().join("data"));
-    let output = suite.folder.path().join("own");
-    let output_text = output.to_str().expect("UTF-8");
-    let run = suite.run(&campaigns, "student", output_text);
-    let table = succeed(suite.call(&run));
+    let data = suite.folder.path().join("data");
+    let campaigns = Campaigns::start(&data);
+    suite.create(&campaigns, "own", "student", "1");
+    let _worker = suite.worker(&campaigns, &suite.folder.path().join("log"));
+    campaigns.wait_for_commits("own", None);
+    let report = campaigns.succeed(&["report", "own"]);
     for words in ["tables", "kitchen@"] {
-        assert!(table.contains(words), "no `{words}`: {table}");
+        assert!(report.contains(words), "no `{words}`: {report}");
     }
-    let results_by_name = results(&output);
-    assert_eq!(results_by_name.keys().collect::<Vec<_>>(), ["tables/t0/e00", "tables/t1/e00"]);
-    let (row, outcome) = &results_by_name["tables/t0/e00"];
-    assert_eq!(row["benchmark"], "kitchen");
-    assert_eq!(row["task"], "own/0");
-    assert_eq!(row["waits"], 10);
-
-    // Compares with the unperturbed rollout of the task that `plate` copies, under the protocol
-    // `plus-official`, whose rules the suite file repeats.
-    let libero = suite.folder.path().join("libero");
-    let mut command = Command::new(program("worker"));
-    command.args(["variants", "--assets", "primitives", "--variant"]);
-    command.arg("put_the_bowl_on_the_plate_view_0_0_181_0_0_initstate_0");
-    command.args(suite.run(&campaigns, "student", libero.to_str().expect("UTF-8")));
-    succeed(command.output().expect("the worker runs"));
-    let (_, unperturbed) = &results(&libero)["libero_goal/put_the_bowl_on_the_plate/e00"];
-    assert_eq!(outcome, unperturbed);
+    let outcomes = stored(&data, "own").await;
+    assert!(outcomes.keys().eq(["own/t0/own:tables/i00", "own/t1/own:tables/i00"]));
+    // The unperturbed rollout of the task that `plate` copies, under the protocol `plus-official`,
+    // whose rules the suite file repeats.
+    let more = ["--assets", "primitives"];
+    let outcome = &outcomes["own/t0/own:tables/i00"];
+    let unperturbed = alone(&campaigns.gateway.url, "goal/t8/plus:unperturbed/i00", &more);
+    assert_eq!(outcome, &unperturbed);
+    let paths = [suite.file(), suite.sources()].map(|path| path.display().to_string());
+    let more = [&more[..], &["--suite-file", &paths[0], "--sources", &paths[1]]].concat();
+    assert_eq!(outcome, &alone(&campaigns.gateway.url, "own/t0/own:tables/i00", &more));
 
     // The file's camera, posture, corruption and second initial state reach the simulator: all
     // first frames differ.
@@ -187,27 +152,18 @@ fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
         {"name": "plate", "noise": 30},
     ]);
     suite.write(&file);
-    let output = suite.folder.path().join("changed");
-    let output_text = output.to_str().expect("UTF-8");
-    let run = suite.run(&campaigns, "student", output_text);
-    succeed(suite.call(&[&run[..], &["--trials", "2"]].concat()));
-    let changed = results(&output);
+    suite.create(&campaigns, "changed", "student", "2");
+    campaigns.wait_for_commits("changed", None);
+    let changed = stored(&data, "changed").await;
     assert_eq!(changed.len(), 8);
-    let frames = changed.values().map(|(_, (_, _, digests, _))| &digests[2]);
-    assert_eq!(frames.collect::<std::collections::BTreeSet<_>>().len(), 8);
+    let frames = changed.values().map(|outcome| &outcome.digests[2]);
+    assert_eq!(frames.collect::<BTreeSet<_>>().len(), 8);
 }
 
 #[test]
 fn missing_and_foreign_files_are_named_before_anything_starts() {
     let suite = OwnSuite::new();
-    let campaigns = Campaigns::start(&suite.folder.path().join("data"));
-    let output = suite.folder.path().join("output");
-    let output_text = output.to_str().expect("UTF-8");
-    let mut file = suite.read();
-    file["budget"] = 1.into();
-    suite.write(&file);
-    let run = suite.run(&campaigns, "noop", output_text);
-
+    let file = suite.read();
     let states = suite.sources().join("suites/kitchen/states/stove.pruned_init");
     let moved = states.with_extension("away");
     fs::rename(&states, &moved).expect("moves");
@@ -217,20 +173,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     {
         assert!(counted.contains(words), "no `{words}`: {counted}");
     }
-    let expected = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
-    assert_refused(&suite.call(&run), &expected);
-    assert!(!output.exists(), "nothing ran");
-    succeed(suite.call(&[&run[..], &["--runnable"]].concat()));
-    assert_eq!(results(&output).len(), 1);
     fs::rename(&moved, &states).expect("moves back");
-
-    // A second call runs the remaining rollouts; an altered suite file is refused.
-    succeed(suite.call(&run));
-    assert_eq!(results(&output).len(), 2);
-    let mut altered = file.clone();
-    altered["seed"] = 7.into();
-    suite.write(&altered);
-    assert_refused(&suite.call(&run), &["protocol `kitchen@", "give another --output"]);
 
     let check = |suite_file: &Value, expected: &[&str]| {
         suite.write(suite_file);
@@ -257,8 +200,42 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
 
     suite.write(&json!({"name": "kitchen"}));
     assert_refused(&suite.call(&[]), &["kitchen.json", "`start`", "docs/FAMILY.md"]);
-    assert_refused(&suite.call(&["--protocol", "pro-bddl"]), &["cannot be used with"]);
     assert_refused(&suite.call(&["--pro", "libero_goal_swap"]), &["cannot be used with"]);
+}
+
+#[test]
+fn a_folder_of_liberos_assets_may_hold_a_model_that_libero_lacks() {
+    let test = "a_folder_of_liberos_assets_may_hold_a_model_that_libero_lacks";
+    let Some(pack) = libero(&tests::files::sources(), test) else {
+        return;
+    };
+    let suite = OwnSuite::new();
+    let mut file = suite.read();
+    file["budget"] = 1.into();
+    suite.write(&file);
+    let bddl = suite.sources().join("suites/kitchen/plate.bddl");
+    let text = fs::read_to_string(&bddl).expect("a file");
+    fs::write(&bddl, text.replace("- akita_black_bowl", "- black_bowl")).expect("writes");
+    let assets = folder_with_links(pack.dir(), &["stable_scanned_objects"]);
+    let count = |[all, runnable]: [u8; 2]| {
+        let counted = succeed(suite.call_with(assets.path(), &[]));
+        let line = format!("{:<32}{all:>9}{runnable:>9}\n", "tables");
+        assert!(counted.contains(&line), "{counted}");
+    };
+    count([2, 1]);
+    let models = assets.path().join("stable_scanned_objects");
+    fs::create_dir(models.join("black_bowl")).expect("a folder");
+    for name in ["akita_black_bowl.xml", "texture.png", "visual"] {
+        let link = models.join("black_bowl").join(name.trim_start_matches("akita_"));
+        let file = models.join("akita_black_bowl").join(name);
+        std::os::unix::fs::symlink(file, link).expect("a link");
+    }
+    count([2, 2]);
+    let campaigns = Campaigns::start(&suite.folder.path().join("data"));
+    let paths = [&suite.file(), &suite.sources(), assets.path()];
+    let [file, sources, assets] = paths.map(|path| path.to_str().expect("UTF-8"));
+    let more = ["--suite-file", file, "--sources", sources, "--assets", assets];
+    assert_eq!(alone(&campaigns.gateway.url, "own/t0/own:tables/i00", &more).steps, 1);
 }
 
 /// Returns the shipped LIBERO-90, cut down to the first ten tasks whose objects the built-in pack
@@ -290,7 +267,7 @@ fn composes(task: &FileTask, pack: &AssetPack, sources: &Sources) -> bool {
 }
 
 #[tokio::test]
-async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variants() {
+async fn a_campaign_of_ten_tasks_of_libero_90_has_their_prompts_and_states() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let campaigns = Campaigns::start(&data);
@@ -309,20 +286,17 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("ninety", None);
 
-    let output = folder.path().join("alone");
-    let output_text = output.to_str().expect("UTF-8");
-    let run = ["--policy", "noop", "--endpoint", url, "--output", output_text];
-    let sources = tests::files::sources();
-    succeed(variants(&path, sources.dir(), &run));
-    let alone = results(&output).into_iter();
-    let alone = alone.map(|(name, (_, outcome))| (name, outcome));
-    let alone: BTreeMap<String, Outcome> = alone.collect();
-    assert_eq!(alone.len(), 10);
-    assert_eq!(stored(&data).await, alone);
+    let outcomes = stored(&data, "ninety").await;
+    for row in file.rows() {
+        let outcome = &outcomes[&row.id.to_string()];
+        assert_eq!((&outcome.prompt, outcome.steps), (&row.instruction, 2), "{}", row.id);
+    }
+    let states: BTreeSet<_> = outcomes.values().map(|outcome| &outcome.digests[1]).collect();
+    assert_eq!((outcomes.len(), states.len()), (10, 10), "{outcomes:?}");
 
     let report = campaigns.succeed(&["report", "ninety"]);
     let protocol = file.protocol();
-    assert!(report.contains(&format!("suite file {protocol}\n")), "{report}");
+    assert!(report.contains(&format!("Suite file {protocol}\n")), "{report}");
     for words in ["libero_90  ", "all  "] {
         assert!(report.contains(words), "no `{words}`: {report}");
     }
@@ -375,22 +349,12 @@ fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
     file["budget"] = 1.into();
     suite.write(&file);
     let campaigns = Campaigns::start(&suite.folder.path().join("data"));
-    let path = suite.file();
-    #[rustfmt::skip]
-    campaigns.succeed(&[
-        "campaign", "create", "--name", "own", "--policy", "noop",
-        "--endpoint", &campaigns.gateway.url,
-        "--suite-file", path.to_str().expect("UTF-8"), "--trials", "3",
-    ]);
+    suite.create(&campaigns, "own", "noop", "3");
     let states = suite.sources().join("suites/kitchen/states/stove.pruned_init");
     let moved = states.with_extension("away");
     fs::rename(&states, &moved).expect("moves");
     let log = suite.folder.path().join("log");
-    let mut command = Command::new(program("worker"));
-    command.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
-    command.args(["--assets", "primitives", "--sources"]);
-    let log_file = fs::File::create(&log).expect("a file");
-    let _worker = Process::start(command.arg(suite.sources()).stderr(log_file));
+    let _worker = suite.worker(&campaigns, &log);
     campaigns.wait_for_commits("own", Some(3));
     let start = Instant::now();
     let logged = |words: &str| fs::read_to_string(&log).expect("the log").contains(words);

@@ -8,13 +8,13 @@ use std::str::FromStr;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use libero_ctrl::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
-use libero_family::protocol::Benchmark;
+use libero_family::protocol::{Benchmark, Protocol};
 use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
 
-use crate::variants::{Choice, RunOptions};
+use crate::variants::Choice;
 
 /// Longest name of a machine, bytes.
 const MAX_MACHINE_BYTES: usize = 128;
@@ -99,8 +99,7 @@ pub enum Command {
     /// Makes the missing videos of campaigns that record transitions, from the recorded actions,
     /// until none is left; queries no policy
     Film(FilmArguments),
-    /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files; with
-    /// --endpoint, runs them and the unperturbed tasks of variants
+    /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files
     Variants(Box<VariantsArguments>),
     /// Lists, verifies and fetches asset packs
     Assets(AssetsArguments),
@@ -303,11 +302,24 @@ pub struct SimulatorArguments {
     group = ArgGroup::new("actor").required(true).args(["endpoint", "actions"]),
 )]
 pub struct RolloutArguments {
-    /// The rollout, for example spatial/t0/camera/L2/c00, or
-    /// spatial/t0/nominal/i07. Beside --bddl: the rollout whose suite, seeds
-    /// and perturbation are used (its language axis is not)
+    /// The rollout, for example spatial/t0/camera/L2/c00, spatial/t0/nominal/i07 or
+    /// goal/t8/plus:noise_30/i00. Beside --bddl: the rollout whose suite, seeds and perturbation
+    /// are used (its language axis is not)
     #[arg(long, value_name = "ID")]
     pub id: Option<RolloutId>,
+    /// Protocol of a rollout of LIBERO-Plus, -PRO or -Para, as docs/FAMILY.md describes it
+    /// [default: plus-official, pro-official or para-official]
+    #[arg(
+        long,
+        value_name = "NAME",
+        hide_short_help = true,
+        requires = "id",
+        conflicts_with = "bddl"
+    )]
+    pub protocol: Option<Protocol>,
+    /// The suite file of the rollout, whose id is then such as own/t1/own:drawers/i07
+    #[arg(long, value_name = "FILE", hide_short_help = true, requires = "id", conflicts_with_all = ["bddl", "protocol"])]
+    pub suite_file: Option<PathBuf>,
     /// A task of your own
     #[command(flatten)]
     pub own_task: OwnTaskArguments,
@@ -360,21 +372,17 @@ pub struct VariantsArguments {
     /// The choice of variants.
     #[command(flatten)]
     pub choice: Choice,
-    /// Protocol and options of the run.
-    #[command(flatten)]
-    pub options: RunOptions,
-    /// URL of the policy, or of a gateway
-    #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
-    pub endpoint: Option<String>,
-    /// Name of the policy at the endpoint [default: its only policy; required if there are several]
-    #[arg(long, value_name = "NAME")]
-    pub policy: Option<String>,
-    /// A folder for results.jsonl and the rollouts; an interrupted run resumes from it
-    #[arg(long, value_name = "DIR", requires = "endpoint")]
-    pub output: Option<PathBuf>,
-    /// Credentials for the policy.
-    #[command(flatten)]
-    pub access: ClientArguments,
+    /// Prints a line for each rollout: the files that it needs, and whether they are present
+    #[arg(long)]
+    pub list: bool,
+    /// Prints how the start of a rollout differs between the protocols of the benchmark: the hand's
+    /// pose, the picture, the prompt; for the variants of --variant, or one of each dimension or
+    /// suite
+    ///
+    /// `hand moved` and `turned` are relative to the unperturbed task under the official protocol;
+    /// `pixels` is the share that differs from the variant's picture under that protocol.
+    #[arg(long, conflicts_with_all = ["list", "suite_file"])]
+    pub protocols: bool,
     /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,

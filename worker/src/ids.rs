@@ -3,10 +3,9 @@
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
 
+use assets::hex;
 use rollout_types::AttemptId;
 use sha2::{Digest, Sha256};
-
-use crate::digest::hex;
 
 /// Identifier of a worker process, new at every start.
 #[derive(Clone, Debug, PartialEq, Eq)]

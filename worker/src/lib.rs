@@ -12,7 +12,6 @@ pub mod actor;
 pub mod args;
 pub mod assets;
 pub mod child;
-mod digest;
 pub mod film;
 mod filming;
 mod grpc;

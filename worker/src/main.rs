@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 use std::convert::Infallible;
+use std::iter;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -10,9 +11,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use libero_ctrl::{Condition, ManifestRow, Realisation, TaskRef};
-use libero_family::Case;
-use scene::pack::LIBERO;
+use libero_ctrl::{Condition, ManifestRow, Realisation, RolloutId, TaskRef};
+use libero_family::pro::STATES;
+use libero_family::protocol::Protocol;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -33,7 +34,6 @@ use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient, ROLLOUT_SETTINGS};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
-use worker::variants::Rules;
 use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
 /// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
@@ -221,7 +221,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let own_task = own_task(&arguments);
     let mut row = match (&own_task, arguments.id) {
         (Some(task), _) => task.row()?,
-        (None, Some(id)) => libero_ctrl::row_of(id)?,
+        (None, Some(id)) => row(id, arguments.protocol, arguments.suite_file.as_deref())?,
         (None, None) => unreachable!("clap requires --id or --bddl"),
     };
     if row.id.condition() == Condition::Latency && !arguments.execution.is_wait() {
@@ -246,11 +246,16 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         )?),
         (None, None) => unreachable!("clap requires --endpoint or --actions"),
     };
-    let simulator = open_simulator(&arguments.simulator)?;
-    let files = own_task
-        .as_ref()
-        .map_or_else(|| TaskFiles::of_task(&simulator.sources, row.id.task()), OwnTask::files);
-    simulator.pack.provide_with_bar(&[files])?;
+    let mut simulator = open_simulator(&arguments.simulator)?;
+    let (mut files, mut start) = (own_task.as_ref().map(OwnTask::files), None);
+    if row.id.variant().is_some() {
+        let prepared = variants::Prepared::new(&row, &simulator.sources)?;
+        (files, start, row) = (Some(prepared.files), Some(prepared.start), prepared.row);
+    }
+    let of_task = || TaskFiles::of_task(&simulator.sources, row.id.task());
+    let of_scene = files.clone().unwrap_or_else(of_task);
+    simulator.pack = wide_enough(simulator.pack, iter::once(of_scene.clone()))?;
+    simulator.pack.provide_with_bar(&[of_scene])?;
     let mut simulator = Simulator::new(simulator);
     let assignment = Assignment {
         policy: arguments.policy.unwrap_or_default(),
@@ -267,8 +272,8 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     };
     let request = single::Request {
         assignment: &assignment,
-        files: own_task.as_ref().map(OwnTask::files),
-        variant: None,
+        files,
+        variant: start,
         renders_ends: !arguments.no_video,
         output: &arguments.output,
     };
@@ -285,52 +290,55 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Returns the row of a rollout of LIBERO-CTRL, of LIBERO's family or of a suite file.
+fn row(
+    id: RolloutId,
+    protocol: Option<Protocol>,
+    suite_file: Option<&Path>,
+) -> anyhow::Result<ManifestRow> {
+    let benchmark = id.variant().and_then(|name| name.benchmark());
+    match (benchmark, protocol, suite_file) {
+        (_, _, Some(file)) => {
+            let mut rows = variants::rows_of_file(file, Some(STATES))?.into_iter();
+            rows.find(|row| row.id == id).with_context(|| {
+                let file = file.display();
+                format!("run {id}: {file} has no such rollout; correct task, suite or number")
+            })
+        }
+        (Some(benchmark), ..) => Ok(variants::row(id, benchmark, protocol)?),
+        (None, Some(_), _) => {
+            bail!("run {id}: it is of none of LIBERO's family; leave out --protocol")
+        }
+        (None, None, _) => Ok(libero_ctrl::row_of(id)?),
+    }
+}
+
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
-    let VariantsArguments { choice, options, .. } = &arguments;
-    let (rules, cases) = choice.rollouts(options)?;
-    let mut simulator = open_simulator(&arguments.simulator)?;
-    let is_users_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
-    if is_users_folder && choice.may_need_further_assets(&cases) {
-        // Besides LIBERO's own files, the rollouts also use further files in the user's folder.
-        let look = simulator.pack.look();
-        simulator.pack = AssetPack::open_whole(simulator.pack.dir())?.with_look(look);
-    }
-    let audit = variants::Audit::new(cases, &rules, &simulator.pack, &simulator.sources)?;
+    let VariantsArguments { choice, list, protocols, simulator } = &arguments;
+    let rollouts = choice.rollouts()?;
+    let mut simulator = open_simulator(simulator)?;
+    let files =
+        rollouts.iter().filter_map(|(_, row)| variants::files(row, &simulator.sources).ok());
+    simulator.pack = wide_enough(simulator.pack, files)?;
+    let audit = variants::Audit::new(rollouts, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
-    if options.protocols {
-        let report = &mut |starts: &variants::Starts| print(&starts.to_string());
-        print(&audit.report())?;
-        return variants::compare(&audit, choice, simulator, report);
+    print(&if *list { audit.list() } else { audit.report() })?;
+    if !protocols {
+        return Ok(());
     }
-    let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
-        return match options.list {
-            true => print(&audit.list(&rules)?),
-            false => print(&audit.report()),
-        };
-    };
-    if !options.runnable {
-        audit.require_all()?;
-    }
-    print(&audit.report())?;
-    let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
-    let mut actor = PolicyClient::new(endpoint, &access, ROLLOUT_SETTINGS)?;
-    let assign = |row: ManifestRow, folder: &Path| Assignment {
-        policy: arguments.policy.clone().unwrap_or_default(),
-        policy_endpoint: endpoint.clone(),
-        video: options
-            .video
-            .then(|| VideoRequest { file: folder.join("video.mp4"), of: VideoOf::Everything }),
-        ..standalone_assignment(row, 0, Realisation::Matched)
-    };
-    let mut cases = match &rules {
-        Rules::Protocol(_) => Case::unperturbed(&audit.runnable),
-        Rules::SuiteFile { .. } => Vec::new(),
-    };
-    cases.extend(audit.runnable);
-    let name = rules.name();
-    let run = variants::Run { rules, cases, output, video: options.video, assign: &assign };
-    let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;
-    print(&format!("{name}\n{tally}"))
+    let report = &mut |starts: &variants::Starts| print(&starts.to_string());
+    variants::compare(&audit, choice, simulator, report)
+}
+
+/// Opens a folder of the user's with all its files, if tasks need files beside LIBERO's.
+fn wide_enough(
+    pack: AssetPack,
+    tasks: impl Iterator<Item = TaskFiles>,
+) -> anyhow::Result<AssetPack> {
+    Ok(match pack.is_too_narrow(tasks) {
+        true => AssetPack::open_whole(pack.dir())?.with_look(pack.look()),
+        false => pack,
+    })
 }
 
 /// Builds an assignment outside any campaign, without video or stored actions.

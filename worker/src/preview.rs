@@ -3,25 +3,40 @@
 //! under actuation.
 
 mod paths;
-mod request;
 mod sheet;
 
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{Axis, Condition, ManifestRow, paraphrase};
+use libero_ctrl::{
+    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, paraphrase,
+    presets,
+};
+use sheet::Sheet;
 use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
 
-pub use request::Request;
-use request::{LEVELS, MOTION_STEPS, motion, row};
-use sheet::Sheet;
-
 use crate::picture::Picture;
+
+/// The severities that the protocol has presets for.
+const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
+/// Control steps of the fixed motion that shows the actuation axis.
+const MOTION_STEPS: usize = 40;
 
 const PRESETS: u16 = 10;
 /// Cells per row of a sheet of presets.
 const PRESETS_PER_ROW: usize = 5;
 /// Side of a frame, pixels, as policies usually ask for.
 const FRAME: u32 = 256;
+
+/// Configuration to preview.
+pub struct Request {
+    pub task: TaskRef,
+    /// Index of the configuration, which selects preset and initial state.
+    pub config: u16,
+    /// Severity of the preset sheets.
+    pub level: Level,
+    /// Source of random elements.
+    pub realisation: Realisation,
+}
 
 /// Reason why the preview failed.
 #[derive(Debug, thiserror::Error)]
@@ -128,4 +143,29 @@ fn upright_view(episode: &mut Episode<'_>) -> Result<Picture, SimError> {
     let request = ObservationRequest { cameras: vec![camera], privileged: false };
     let frame = episode.observe(&request)?.frames.remove(0);
     Ok(Picture::upright(&frame))
+}
+
+/// Returns a condition's row. Without a level the row is unperturbed, but has the initial state and
+/// id of the perturbed row at L1, so that only the perturbation differs.
+fn row(task: TaskRef, condition: Condition, level: Option<Level>, config: u16) -> ManifestRow {
+    let mut perturbation = Perturbation::default();
+    if let Some(level) = level {
+        let axes = match condition {
+            Condition::Single(axis) => vec![axis],
+            _ => Axis::METRIC.to_vec(),
+        };
+        for axis in axes {
+            presets::apply_preset(&mut perturbation, axis, level, config);
+        }
+    }
+    let id = RolloutId::perturbed(task, condition, level.unwrap_or(Level::L1), config)
+        .expect("a perturbed condition with a severity");
+    let init_id = task.eval_init_ids()[usize::from(config)];
+    ManifestRow::new(id, config, init_id, perturbation)
+}
+
+/// Returns the action of a step in a descending circle, which shows gain, bias and misalignment.
+fn motion(step: usize) -> [f64; 7] {
+    let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
+    [0.5 * phase.cos(), 0.5 * phase.sin(), -0.25, 0.0, 0.0, 0.1, -1.0]
 }

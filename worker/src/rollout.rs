@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
+use assets::hex;
 use libero_ctrl::{Condition, Execution, Query, Schedule};
 use proto::policy as wire;
 use rollout_types::{EXECUTION, GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
@@ -18,7 +19,6 @@ use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimE
 use transport::chain;
 
 use crate::actor::{Action, Actor, Description, PolicyError};
-use crate::digest::hex;
 use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
 use crate::observation;
 use crate::stage::Stage;

@@ -5,7 +5,6 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
 /// Packs by key: name or path, folder of the sources, and true if the pack also has files that
@@ -36,8 +35,7 @@ pub(crate) fn opened_for(
     sources: &Sources,
 ) -> Result<AssetPack, SceneError> {
     let pack = opened(assets, sources)?;
-    let is_folder = !pack.is_managed() && pack.name() == LIBERO;
-    if !is_folder || AssetPack::files_of_tasks(std::slice::from_ref(task)).is_ok() {
+    if !pack.is_too_narrow(std::iter::once(task.clone())) {
         return Ok(pack);
     }
     let mut packs = PACKS.lock().unwrap_or_else(PoisonError::into_inner);

@@ -19,14 +19,15 @@ from liberoplus.liberoplus import benchmark
 from liberoplus.liberoplus.envs import OffScreenRenderEnv
 
 BOWL = "put_the_bowl_on_the_plate"
+#: Ids of the worker's rollouts, by the variants' names.
 VARIANTS = {
-    f"{BOWL}_view_0_0_181_0_0_initstate_0": "libero_goal",
-    f"{BOWL}_view_0_0_100_0_0_initstate_409": "libero_goal",
-    f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_39": "libero_goal",
-    f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_9": "libero_goal",
-    f"{BOWL}_language_1_view_0_0_100_0_0_initstate_0": "libero_goal",
-    f"{BOWL}_moved_level1_sample1": "libero_goal",
-    "pick_up_the_alphabet_soup_and_place_it_in_the_basket_tb_18": "libero_object",
+    f"{BOWL}_view_0_0_181_0_0_initstate_0": "goal/t8/plus:view_0_0_181_0_0/i00",
+    f"{BOWL}_view_0_0_100_0_0_initstate_409": "goal/t8/plus:initstate_409/i00",
+    f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_39": "goal/t8/plus:noise_39/i00",
+    f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_9": "goal/t8/plus:noise_9/i00",
+    f"{BOWL}_language_1_view_0_0_100_0_0_initstate_0": "goal/t8/plus:language_1/i00",
+    f"{BOWL}_moved_level1_sample1": "goal/t8/plus:level1_sample1/i00",
+    "pick_up_the_alphabet_soup_and_place_it_in_the_basket_tb_18": "object/t0/plus:tb_18/i00",
 }
 #: Seed and waiting steps of the protocol `plus-official`.
 SEED, WAITS = 0, 10
@@ -68,25 +69,24 @@ def rollouts(
     fetched = worker("assets", "fetch", "--suite", "libero-plus")
     if fetched.returncode:
         pytest.skip(f"LIBERO-Plus' task files cannot be fetched: {fetched.stderr}")
-    output = tmp_path_factory.mktemp("plus")
-    ran = worker(
-        "variants", "--variant", ",".join(VARIANTS), "--endpoint", endpoint, "--output", output
-    )
-    assert ran.returncode == 0, ran.stderr
-    return output
+    folder = tmp_path_factory.mktemp("plus")
+    for name, rollout in VARIANTS.items():
+        to = ("--no-video", "--endpoint", endpoint, "--output", folder / name)
+        ran = worker("rollout", "--id", rollout, *to)
+        assert ran.returncode == 0, ran.stderr
+    return folder
 
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_a_rollout_equals_the_workers(name: str, rollouts: Path) -> None:
-    lines = (rollouts / "results.jsonl").read_text().splitlines()
-    result = next(line for line in map(json.loads, lines) if line["variant"] == name)
+    result = json.loads((rollouts / name / "result.json").read_text())
     trace = np.load(rollouts / name / "trace.npz")
     files = (rollouts / name).glob("frames/query-*-agentview.png")
     file_of_step = {EXECUTED * int(file.name.split("-")[1]): file for file in files}
     assert len(file_of_step) == 2 and 0 in file_of_step, "the first and the last query have frames"
-    suite = benchmark.get_benchmark(VARIANTS[name])()
+    suite = benchmark.get_benchmark("libero_" + VARIANTS[name].split("/")[0])()
     i = suite.get_task_names().index(name)
-    assert suite.get_task(i).language == result["prompt"]
+    assert suite.get_task(i).language == result["finished"]["outcome"]["prompt"]
     height, width, _ = np.asarray(Image.open(file_of_step[0])).shape
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(i), camera_heights=height, camera_widths=width
@@ -109,5 +109,5 @@ def test_a_rollout_equals_the_workers(name: str, rollouts: Path) -> None:
         if action is not None:
             observation, _, success, _ = env.step(action)
             assert success == trace["success"][step + 1]
-    assert not file_of_step and success == result["success"]
+    assert not file_of_step and success == result["finished"]["outcome"]["success"]
     env.close()

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use libero_ctrl::{Axis, Condition};
 use sim::{SimError, Simulator};
 
-use super::request::{LEVELS, MOTION_STEPS, Request, motion, row};
+use super::{LEVELS, MOTION_STEPS, Request, motion, row};
 
 /// Colours for colour-blind readers (Okabe and Ito), and dashes for black-and-white print.
 const STYLES: [(&str, &str); 4] =

@@ -6,6 +6,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use assets::hex;
 use policy_protocol::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
@@ -14,7 +15,6 @@ use zip::ZipArchive;
 use super::error::SingleError;
 use super::npy::Header;
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
-use crate::digest::hex;
 use libero_ctrl::{JsonError, Query};
 
 /// Most actions of a recording, well above every step budget of the protocol.

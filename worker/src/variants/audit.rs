@@ -1,127 +1,106 @@
-//! Checks before a run which of the chosen variants have all their files.
+//! Checks which of the chosen variants have all their files.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
+use std::{fmt, fs};
 
-use assets::Table;
+use assets::{Table, hex};
+use libero_ctrl::presets::ENV_SEED;
 use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::plus::{Assets, Entry};
 use libero_family::protocol::Benchmark;
-use libero_family::{Case, Further, Lack, Lacking, SelectionError, Subject};
+use libero_family::{Case, Further, Lack, Lacking, Subject};
 use scene::catalog::category;
-use scene::{AssetPack, Sources, TaskFiles};
+use scene::{
+    AssetPack, InitialStates, SceneError, Sources, TaskFiles, check_goal, compose, needed_files,
+};
+use sha2::{Digest, Sha256};
 
 use super::case::files;
 use super::error::VariantsError;
-use super::own::{self, States};
-use super::rules::Rules;
 
-/// Chosen rollouts, grouped by their missing files.
-pub struct Audit {
-    /// Rollouts with all their files.
-    pub runnable: Vec<Case>,
-    /// Rollouts with missing files, by reason.
-    pub lacking: Lacking,
-}
+/// Chosen rollouts, each with its row and the reason why it cannot run, if any.
+pub struct Audit(Vec<(Case, ManifestRow, Option<Lack>)>);
 
 impl Audit {
-    /// Checks which cases have all their files.
+    /// Checks which rollouts have all their files.
+    ///
+    /// # Errors
+    /// If an existing file cannot be read.
     pub fn new(
-        cases: Vec<Case>,
-        rules: &Rules,
+        rollouts: Vec<(Case, ManifestRow)>,
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, VariantsError> {
-        let mut audit = Self { runnable: Vec::new(), lacking: Lacking::default() };
+        let mut audited = Vec::with_capacity(rollouts.len());
         // All trials of a task need the same files.
         let mut last: Option<(Case, Checked)> = None;
-        for case in cases {
+        for (case, row) in rollouts {
             let known = last.take().filter(|(known, _)| have_the_same_files(known, &case));
             let checked = match known {
                 Some((_, checked)) => checked,
-                None => Checked::new(&rules.row(&case)?, pack, sources)?,
+                None => Checked::new(&row, pack, sources)?,
             };
-            let lack = checked.lack(case.trial);
+            audited.push((case, row, checked.lack(case.trial)));
             last = Some((case, checked));
-            match lack {
-                None => audit.runnable.push(case),
-                Some(lack) => audit.lacking.add(lack, case),
+        }
+        Ok(Self(audited))
+    }
+
+    /// Returns the rollouts that have all their files.
+    pub fn runnable(&self) -> impl Iterator<Item = Case> {
+        self.0.iter().filter(|(.., lack)| lack.is_none()).map(|(case, ..)| *case)
+    }
+
+    fn lacking(&self) -> Lacking {
+        let mut lacking = Lacking::default();
+        for (case, _, lack) in &self.0 {
+            if let Some(lack) = lack {
+                lacking.add(lack.clone(), *case);
             }
         }
-        Ok(audit)
-    }
-
-    /// Returns the number of rollouts.
-    pub fn count(&self) -> usize {
-        self.runnable.len() + self.lacking.count()
-    }
-
-    /// Checks that no rollout lacks files.
-    pub fn require_all(&self) -> Result<(), VariantsError> {
-        match self.lacking.count() {
-            0 => Ok(()),
-            lacking => Err(VariantsError::Selection(SelectionError::Lacking {
-                lacking,
-                chosen: self.count(),
-                report: self.lacking.to_string(),
-            })),
-        }
+        lacking
     }
 
     /// Formats a table of the rollouts by [`Case::group`], followed by the missing files.
     pub fn report(&self) -> String {
         let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
-        let mut count = |cases: &[Case], runnable: usize| {
-            for group in cases.iter().filter_map(Case::group) {
-                let counts = counts.entry(group).or_default();
-                counts[0] += 1;
-                counts[1] += runnable;
-            }
-        };
-        count(&self.runnable, 1);
-        for (_, cases) in &self.lacking.0 {
-            count(cases, 0);
+        for (case, _, lack) in &self.0 {
+            let counts = counts.entry(case.group().unwrap_or_default()).or_default();
+            counts[0] += 1;
+            counts[1] += usize::from(lack.is_none());
         }
         let mut text = format!("{:<32}{:>9}{:>9}\n", "", "rollouts", "can run");
-        let mut line = |name: &str, [all, runnable]: [usize; 2]| {
+        let total = ("all".to_owned(), [self.0.len(), self.runnable().count()]);
+        for (name, [all, runnable]) in counts.into_iter().chain([total]) {
             let _ = writeln!(text, "{name:<32}{all:>9}{runnable:>9}");
-        };
-        for (group, counts) in counts {
-            line(&group, counts);
         }
-        line("all", [self.count(), self.runnable.len()]);
-        if self.lacking.count() > 0 {
-            let _ = write!(text, "Missing:\n{}\n", self.lacking);
+        let lacking = self.lacking();
+        if lacking.count() > 0 {
+            let _ = write!(text, "Missing:\n{lacking}\n");
         }
         text
     }
 
     /// Formats a line per rollout, separated by tabs: suite, name, group, difficulty, files needed
     /// beyond LIBERO's assets, and whether the rollout can run.
-    pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
+    pub fn list(&self) -> String {
         let mut text = String::new();
-        let runnable = [(None, &self.runnable)];
-        let lacking = self.lacking.0.iter().map(|(lack, cases)| (Some(lack), cases));
-        for (lack, cases) in runnable.into_iter().chain(lacking) {
-            for case in cases {
-                let row = rules.row(case)?;
-                let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());
-                let state = match lack {
-                    None => "runs".to_owned(),
-                    Some(lack) => format!("lacks {lack}"),
-                };
-                let _ = writeln!(
-                    text,
-                    "{}\t{}\t{}\t{}\t{}\t{state}",
-                    row.id.suite_name(),
-                    case.name(),
-                    case.group().unwrap_or_default(),
-                    difficulty.as_deref().unwrap_or("-"),
-                    needs(case, &row),
-                );
-            }
+        for (case, row, lack) in &self.0 {
+            let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());
+            let state = lack.as_ref().map_or("runs".to_owned(), |lack| format!("lacks {lack}"));
+            let _ = writeln!(
+                text,
+                "{}\t{}\t{}\t{}\t{}\t{state}",
+                row.id.suite_name(),
+                case.name(),
+                case.group().unwrap_or_default(),
+                difficulty.as_deref().unwrap_or("-"),
+                needs(case, row),
+            );
         }
-        Ok(text)
+        text
     }
 }
 
@@ -148,6 +127,9 @@ fn have_the_same_files(first: &Case, second: &Case) -> bool {
 }
 
 /// Returns the reason why a rollout cannot run; `None` if all its files exist.
+///
+/// # Errors
+/// If the row names no case of a benchmark, or an existing file cannot be read.
 pub fn lack(
     row: &ManifestRow,
     pack: &AssetPack,
@@ -169,7 +151,7 @@ impl Checked {
     fn new(row: &ManifestRow, pack: &AssetPack, sources: &Sources) -> Result<Self, VariantsError> {
         let (lack, states) = match &row.own {
             None => (lack_in_benchmark(row, pack, sources)?, None),
-            Some(own) => match own::check(own, row.instruction.is_empty(), pack, sources) {
+            Some(own) => match check_own(own, row.instruction.is_empty(), pack, sources) {
                 Ok(states) => (None, Some(states)),
                 Err(lack) => (Some(lack), None),
             },
@@ -240,4 +222,87 @@ fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
         _ => entry.is_composable(|file| pack.dir().join(file).is_file()),
     };
     (!is_composable).then(|| Lack::Further(Further::Assets(entry.assets())))
+}
+
+/// Initial states of a task.
+#[derive(Clone, Debug)]
+struct States {
+    path: String,
+    count: usize,
+}
+
+impl States {
+    /// Returns the lack of an initial state; `None` if the state exists.
+    fn lack(&self, init_id: u16) -> Option<Lack> {
+        (usize::from(init_id) >= self.count)
+            .then(|| Lack::States { path: self.path.clone(), count: self.count })
+    }
+}
+
+/// Largest task file, bytes: a hundred times the largest of LIBERO.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+
+/// Checks that the files of a suite file's task exist, have the digest that the suite file gives, if any, and make a
+/// scene with a goal that can be evaluated and, if it is the prompt, an instruction. Returns the
+/// task's initial states, or the lack that prevents its rollouts.
+fn check_own(
+    own: &OwnTask,
+    prompts_by_file: bool,
+    pack: &AssetPack,
+    sources: &Sources,
+) -> Result<States, Lack> {
+    let folder = Sources::suite_folder(sources.dir(), &own.folder);
+    let text = |path: &Path| path.display().to_string();
+    if !folder.is_dir() {
+        return Err(Lack::Folder(text(&folder)));
+    }
+    let files = TaskFiles::of_suite_file(sources, own);
+    let mut missing = [&files.bddl, &files.init].into_iter();
+    if let Some(path) = missing.find(|path| !path.is_file()) {
+        return Err(Lack::File(text(path)));
+    }
+    if let Some(expected) = &own.changes.sha256 {
+        let found = digest([&files.bddl, &files.init]).map_err(Lack::Scene)?;
+        if found != *expected {
+            return Err(Lack::OtherFiles {
+                bddl: text(&files.bddl),
+                expected: expected.clone(),
+                found,
+            });
+        }
+    }
+    let instruction = if prompts_by_file { files.instruction().map(drop) } else { Ok(()) };
+    let states = instruction.and_then(|()| try_scene(&files, pack, sources));
+    states.map_err(|error| Lack::Scene(transport::chain(&error)))
+}
+
+fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<States, SceneError> {
+    let problem = files.problem()?;
+    match pack.is_managed() {
+        // The pack's files are fetched only when the rollout starts.
+        true => {
+            check_goal(&problem)?;
+            needed_files(&problem)?;
+        }
+        false => {
+            compose(&problem, pack, sources, ENV_SEED)?;
+        }
+    }
+    let states = InitialStates::read(&files.init)?;
+    Ok(States { path: files.init.display().to_string(), count: states.count() })
+}
+
+/// Returns the SHA-256 of files in sequence, hex, or the reason why a file cannot be read.
+fn digest(paths: [&Path; 2]) -> Result<String, String> {
+    let mut digest = Sha256::new();
+    for path in paths {
+        let problem = |problem: &dyn fmt::Display| format!("read {}: {problem}", path.display());
+        let bytes = path.metadata().map_err(|error| problem(&error))?.len();
+        if bytes > MAX_FILE_BYTES {
+            let size = format!("it has {bytes} bytes, more than {MAX_FILE_BYTES}");
+            return Err(problem(&size));
+        }
+        digest.update(fs::read(path).map_err(|error| problem(&error))?);
+    }
+    Ok(hex(&digest.finalize()))
 }

@@ -1,7 +1,10 @@
 //! A case as the simulator runs it: its files, its initial conditions, and its manifest row with
-//! the prompt. `worker variants` and the slots of a campaign both prepare their cases here.
+//! the prompt. `worker rollout` and the slots of a campaign both prepare their cases here.
 
-use libero_ctrl::{ManifestRow, OwnTask};
+use std::fs;
+use std::path::Path;
+
+use libero_ctrl::{ManifestRow, OwnTask, RolloutId, SuiteFile};
 use libero_family::corruption::Corruption;
 use libero_family::plus::{View, start_posture};
 use libero_family::protocol::{Beginning, Benchmark, Protocol};
@@ -13,6 +16,7 @@ use super::error::VariantsError;
 
 /// A rollout of LIBERO's family or of a suite file, ready to run.
 pub struct Prepared {
+    /// The task's files.
     pub files: TaskFiles,
     /// Initial conditions.
     pub start: VariantStart,
@@ -22,6 +26,9 @@ pub struct Prepared {
 
 impl Prepared {
     /// Prepares the rollout of a row of LIBERO's family or of a suite file.
+    ///
+    /// # Errors
+    /// If the row names no case of a benchmark, or its BDDL file cannot be read.
     pub fn new(row: &ManifestRow, sources: &Sources) -> Result<Self, VariantsError> {
         let (files, sentence) = files_and_sentence(row, sources)?;
         let (prompt, start) = match &row.own {
@@ -66,6 +73,40 @@ fn files_and_sentence(
     }
 }
 
+/// Returns the row of a rollout of LIBERO-Plus, LIBERO-PRO or LIBERO-Para under a protocol, by
+/// default the benchmark's official one.
+///
+/// # Errors
+/// If no benchmark has the rollout, or the protocol is another benchmark's.
+pub fn row(
+    id: RolloutId,
+    benchmark: Benchmark,
+    protocol: Option<Protocol>,
+) -> Result<ManifestRow, SelectionError> {
+    let case = Case::of_id(id)?;
+    let protocol = protocol.unwrap_or(Protocol::official(benchmark));
+    protocol.check(benchmark)?;
+    Ok(case.row(&protocol))
+}
+
+/// Returns the rows of a suite file, with `trials` in place of its own number of trials if given.
+///
+/// # Errors
+/// If the file cannot be read or is invalid.
+pub fn rows_of_file(path: &Path, trials: Option<u16>) -> Result<Vec<ManifestRow>, VariantsError> {
+    let path = || path.to_owned();
+    let text = fs::read_to_string(path());
+    let text = text.map_err(|source| VariantsError::File { path: path(), source })?;
+    let file = SuiteFile::from_json(&text);
+    let mut file = file.map_err(|source| VariantsError::SuiteFile { path: path(), source })?;
+    file.trials = trials.unwrap_or(file.trials);
+    Ok(file.rows())
+}
+
+/// Returns the files of a row's task.
+///
+/// # Errors
+/// If the row names no case of a benchmark.
 pub fn files(row: &ManifestRow, sources: &Sources) -> Result<TaskFiles, SelectionError> {
     if let Some(own) = &row.own {
         return Ok(TaskFiles::of_suite_file(sources, own));

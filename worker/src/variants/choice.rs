@@ -1,19 +1,18 @@
-//! Command-line options that select variants and the way to run them.
+//! Command-line options that select variants.
 
-use std::fs;
 use std::path::PathBuf;
 
 use clap::Args;
-use libero_ctrl::{Suite, SuiteFile, TaskRef};
+use libero_ctrl::{ManifestRow, Suite, TaskRef};
 use libero_family::para::TypeName;
 use libero_family::plus::{Dimension, Variant};
 use libero_family::pro::{ProSuite, STATES};
-use libero_family::protocol::{Benchmark, Protocol};
-use libero_family::{Case, ParaFilters, PlusFilters, ProFilters, Selection, SelectionError};
+use libero_family::protocol::Protocol;
+use libero_family::{Case, ParaFilters, PlusFilters, ProFilters, Selection};
 use terminal::number;
 
+use super::case::rows_of_file;
 use super::error::VariantsError;
-use super::rules::Rules;
 
 /// A choice of rollouts: variants of LIBERO-Plus that match every given filter, suites of
 /// LIBERO-PRO, sentences of LIBERO-Para, or the tasks of a suite file.
@@ -52,58 +51,21 @@ pub struct Choice {
     pub trials: Option<u16>,
 }
 
-/// Protocol and options of a run of variants.
-#[derive(Clone, Debug, Args)]
-pub struct RunOptions {
-    /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf, plus-stripped,
-    /// pro-official, pro-openpi, pro-bddl or para-official; docs/FAMILY.md describes each [default:
-    /// plus-official, pro-official or para-official]
-    #[arg(long, value_name = "NAME", conflicts_with = "suite_file")]
-    pub protocol: Option<Protocol>,
-    /// Leaves out rollouts whose files are missing, after naming them
-    #[arg(long)]
-    pub runnable: bool,
-    /// Films each rollout
-    #[arg(long)]
-    pub video: bool,
-    /// Prints a line for each rollout: the files that it needs, and whether they are present
-    #[arg(long, conflicts_with = "endpoint")]
-    pub list: bool,
-    /// Prints how the start of a rollout differs between the protocols of the benchmark: the hand's
-    /// pose, the picture, the prompt; for the variants of --variant, or one of each dimension or
-    /// suite
-    ///
-    /// `hand moved` and `turned` are relative to the unperturbed task under the official protocol;
-    /// `pixels` is the share that differs from the variant's picture under that protocol.
-    #[arg(long, conflicts_with_all = ["endpoint", "list", "protocol", "suite_file"])]
-    pub protocols: bool,
-}
-
 impl Choice {
-    /// Returns the rules of the run and the chosen rollouts, in the benchmark's order.
-    pub fn rollouts(&self, options: &RunOptions) -> Result<(Rules, Vec<Case>), VariantsError> {
+    /// Returns the chosen rollouts in the benchmark's order, with their rows under its official
+    /// protocol or the suite file's rules.
+    ///
+    /// # Errors
+    /// If nothing matches, or the suite file is invalid.
+    pub fn rollouts(&self) -> Result<Vec<(Case, ManifestRow)>, VariantsError> {
         let Some(path) = &self.suite_file else {
             let selection = self.selection();
-            let protocol = options.protocol_of(selection.benchmark())?;
-            return Ok((Rules::Protocol(protocol), selection.cases()?));
+            let protocol = Protocol::official(selection.benchmark());
+            let cases = selection.cases()?.into_iter();
+            return Ok(cases.map(|case| (case, case.row(&protocol))).collect());
         };
-        let path = path.clone();
-        let text = match fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(source) => return Err(VariantsError::File { path, source }),
-        };
-        let mut file = match SuiteFile::from_json(&text) {
-            Ok(file) => file,
-            Err(source) => return Err(VariantsError::SuiteFile { path, source }),
-        };
-        file.trials = self.trials.unwrap_or(file.trials);
-        Ok(Rules::of_file(file)?)
-    }
-
-    /// Returns true if a chosen rollout may need files that LIBERO's assets do not have.
-    pub fn may_need_further_assets(&self, cases: &[Case]) -> bool {
-        let needs = |case: &Case| case.further_assets().is_some();
-        self.suite_file.is_some() || !self.pro.is_empty() || cases.iter().any(needs)
+        let rows = rows_of_file(path, self.trials)?.into_iter();
+        rows.map(|row| Ok((Case::of_id(row.id)?, row))).collect()
     }
 
     /// Returns the selection of the options of LIBERO-Plus, LIBERO-PRO and LIBERO-Para.
@@ -129,17 +91,10 @@ impl Choice {
     }
 }
 
-impl RunOptions {
-    /// Returns the protocol for a benchmark.
-    pub fn protocol_of(&self, benchmark: Benchmark) -> Result<Protocol, SelectionError> {
-        let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
-        protocol.check(benchmark)?;
-        Ok(protocol)
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use libero_family::SelectionError;
+
     use super::*;
 
     #[test]
@@ -170,28 +125,16 @@ mod tests {
         let cases = hints.selection().cases().unwrap();
         assert_eq!(Case::unperturbed(&cases).len(), 1);
         assert_eq!(cases[0].name(), "act_pragmatical_hint_eval3_ver1");
-        assert!(!hints.may_need_further_assets(&cases));
+        assert!(cases.iter().all(|case| case.further_assets().is_none()));
         let none = Choice { tasks: vec!["libero_object/8".parse().unwrap()], ..hints };
         assert!(none.selection().cases().is_err());
     }
 
     #[test]
-    fn a_pro_suite_has_ten_tasks_of_fifty_trials_and_its_own_protocol() {
+    fn a_pro_suite_has_ten_tasks_of_fifty_trials() {
         let pro = Choice { pro: vec!["libero_goal_swap".parse().unwrap()], ..Choice::default() };
         let cases = pro.selection().cases().unwrap();
         assert_eq!((cases.len(), Case::unperturbed(&cases).len()), (500, 500));
         assert_eq!(cases[1].name(), "libero_goal_swap/open_the_middle_drawer_of_the_cabinet/e01");
-        let mut options = RunOptions {
-            protocol: None,
-            runnable: false,
-            video: false,
-            list: false,
-            protocols: false,
-        };
-        let protocol = |options: &RunOptions, benchmark| options.protocol_of(benchmark);
-        assert_eq!(protocol(&options, Benchmark::Pro).unwrap().name, "pro-official");
-        assert_eq!(protocol(&options, Benchmark::Plus).unwrap().name, "plus-official");
-        options.protocol = Some("plus-rlinf".parse().unwrap());
-        assert!(matches!(protocol(&options, Benchmark::Pro), Err(SelectionError::Foreign { .. })));
     }
 }

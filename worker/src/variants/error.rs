@@ -8,9 +8,7 @@ use libero_family::SelectionError;
 use scene::SceneError;
 use sim::SimError;
 
-use crate::single::SingleError;
-
-/// Reason why variants were not run.
+/// Reason why variants cannot be listed or started.
 #[derive(Debug, thiserror::Error)]
 pub enum VariantsError {
     /// The choice of variants is invalid, or files of some are missing.
@@ -19,36 +17,30 @@ pub enum VariantsError {
     /// A task file is missing or wrong.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// A rollout has no result.
-    #[error(transparent)]
-    Single(#[from] SingleError),
+    /// A rollout cannot be brought to its start.
     #[error("start {id}")]
     Start {
+        /// The rollout.
         id: RolloutId,
+        /// Error of the simulator.
         #[source]
         source: Box<SimError>,
     },
+    /// The suite file is invalid.
     #[error("use {}", path.display())]
     SuiteFile {
+        /// Path of the file.
         path: PathBuf,
+        /// Error that names the field and the remedy.
         #[source]
         source: SuiteFileError,
     },
-    #[error(
-        "add to {}: its results are of {what} `{found}`, and this run is of `{expected}`; numbers \
-         of the two measure different things, so give another --output", path.display()
-    )]
-    Pinned { path: PathBuf, what: &'static str, found: String, expected: String },
-    #[error("read line {line} of {}: {problem}; remove the line", path.display())]
-    Malformed {
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: usize,
-        problem: String,
-    },
+    /// A file cannot be read.
     #[error("use {}: check its path and permissions", path.display())]
     File {
+        /// Path of the file.
         path: PathBuf,
+        /// Error of the system.
         #[source]
         source: io::Error,
     },

@@ -51,11 +51,11 @@ struct Start {
 }
 
 /// Returns the first case of each dimension or suite.
-fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
+fn one_of_each_group(cases: impl Iterator<Item = Case>) -> Vec<Case> {
     let mut chosen: Vec<Case> = Vec::new();
     for case in cases {
         if chosen.iter().all(|earlier| earlier.group() != case.group()) {
-            chosen.push(*case);
+            chosen.push(case);
         }
     }
     chosen
@@ -63,6 +63,9 @@ fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
 
 /// Starts the chosen variants, or one of each dimension or suite if none is named, under every
 /// protocol of their benchmark, and reports each variant's starts as soon as they are known.
+///
+/// # Errors
+/// If a case belongs to no benchmark with protocols, the simulator fails, or `report` fails.
 pub fn compare(
     audit: &Audit,
     choice: &Choice,
@@ -70,11 +73,8 @@ pub fn compare(
     report: &mut dyn FnMut(&Starts) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let cases = match choice.variants.is_empty() {
-        true => one_of_each_group(&audit.runnable),
-        false => {
-            audit.require_all()?;
-            audit.runnable.clone()
-        }
+        true => one_of_each_group(audit.runnable()),
+        false => audit.runnable().collect(),
     };
     let pack = simulator.pack.clone();
     let mut simulator = Simulator::new(simulator);

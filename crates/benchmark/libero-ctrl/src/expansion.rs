@@ -179,9 +179,9 @@ pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     if id.variant().is_some() {
         let remedy = match id.task().suite() {
             Suite::Own => {
-                "it is a rollout of a suite file, which `worker variants --suite-file` runs"
+                "it is a rollout of a suite file; give the file to `worker rollout` with --suite-file"
             }
-            _ => "it is a rollout of LIBERO's family, which `worker variants` runs",
+            _ => "it is a rollout of LIBERO's family, which `worker rollout` and campaigns run",
         };
         return Err(problem(remedy.to_owned()));
     }

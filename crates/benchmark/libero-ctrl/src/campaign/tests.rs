@@ -343,7 +343,7 @@ fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     let error = imported(&rows, None).expect_err("rows of a suite file");
     assert!(error.to_string().contains("`suite_file`: remove the row"), "{error}");
     let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
-    assert!(error.to_string().contains("`worker variants --suite-file`"), "{error}");
+    assert!(error.to_string().contains("`worker rollout` with --suite-file"), "{error}");
 }
 
 #[test]

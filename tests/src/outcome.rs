@@ -1,0 +1,71 @@
+//! What a rollout yields in a campaign and in `worker rollout` alike.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use sqlx::Connection;
+
+use crate::programs::program;
+
+/// Outcome, digests and prompt of a rollout.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Outcome {
+    pub success: bool,
+    pub steps: i64,
+    /// Digests of the scene, the initial state and the policy's first frames.
+    pub digests: [String; 3],
+    /// Prompt that the policy got.
+    pub prompt: String,
+}
+
+/// Outcomes by rollout id.
+pub type Outcomes = BTreeMap<String, Outcome>;
+
+/// Reads the outcomes of a campaign from a coordinator's data.
+///
+/// # Panics
+/// If the data cannot be read.
+pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
+    let path = data.join("coordinator.sqlite");
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path).read_only(true);
+    let mut database = sqlx::SqliteConnection::connect_with(&options).await.expect("a database");
+    let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
+        "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
+             r.first_frame_digest, r.prompt
+         FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
+         WHERE c.name = ?",
+    )
+    .bind(campaign)
+    .fetch_all(&mut database)
+    .await
+    .expect("results");
+    let rows = rows.into_iter().map(|(id, success, steps, scene, state, frame, prompt)| {
+        (id, Outcome { success, steps, digests: [scene, state, frame], prompt })
+    });
+    rows.collect()
+}
+
+/// Runs a rollout with `worker rollout` and a gateway's `student`.
+///
+/// # Panics
+/// If the rollout has no result.
+pub fn alone(gateway: &str, id: &str, more: &[&str]) -> Outcome {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut command = Command::new(program("worker"));
+    command.args(["rollout", "--id", id, "--policy", "student", "--endpoint", gateway]);
+    let command = command.args(["--no-video", "--output"]).arg(folder.path()).args(more);
+    let run = command.output().expect("the worker runs");
+    assert!(run.status.success(), "{id}: {}", String::from_utf8_lossy(&run.stderr));
+    let text = std::fs::read(folder.path().join("result.json")).expect("a result");
+    let result: Value = serde_json::from_slice(&text).expect("JSON");
+    let Value::Object(finished) = &result["finished"] else { panic!("{result}") };
+    let digest = |name: &str| finished["evidence"][name].as_str().expect(name).to_owned();
+    Outcome {
+        success: finished["outcome"]["success"].as_bool().expect("a truth value"),
+        steps: finished["outcome"]["steps"].as_i64().expect("a number"),
+        digests: ["scene_digest", "init_state_digest", "first_frame_digest"].map(digest),
+        prompt: finished["outcome"]["prompt"].as_str().expect("a prompt").to_owned(),
+    }
+}
