@@ -6,11 +6,9 @@
 pub struct BddlError {
     /// Line, counted from 1.
     pub line: usize,
-    /// Description of the error.
     pub problem: String,
 }
 
-/// An s-expression and its first line.
 #[derive(Debug)]
 pub(crate) struct Expression {
     line: usize,
