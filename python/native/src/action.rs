@@ -1,5 +1,3 @@
-//! Conversion of actions from Python.
-
 use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 

@@ -14,12 +14,9 @@ use crate::simulation::{Simulation, action_frame};
 use crate::start::Start;
 use crate::state::{Snapshot, State, picture_size, shaped};
 
-/// The expert's next actions in each environment, and whether it makes progress in them.
 type Foreseen<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<bool>>);
 
-/// Total width of all [`READINGS`].
 const READING_WIDTH: usize = 28;
-/// Names and widths of the readings, in order.
 const READINGS: [(&str, usize); 7] = [
     ("eef_pos", 3),
     ("eef_quat", 4),
@@ -39,14 +36,12 @@ enum Render {
     All,
 }
 
-/// Environments that start and step together.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Batch {
     states: Vec<Guarded<State>>,
     threads: usize,
 }
 
-/// A camera and the size of its pictures.
 struct Camera {
     name: String,
     size: [u32; 2],
@@ -73,7 +68,6 @@ struct Task<'a> {
     outputs: Outputs<'a>,
 }
 
-/// Output buffers for one environment's work.
 struct Outputs<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
@@ -89,8 +83,7 @@ struct Outputs<'a> {
 
 #[pymethods]
 impl Batch {
-    /// Creates a batch of environments that step on at most `threads` threads, or on one if any
-    /// renders through OpenGL. The environments remain usable individually.
+    /// Uses one thread if any environment renders through OpenGL.
     #[new]
     fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
         if simulations.is_empty() || threads == 0 {
@@ -98,7 +91,6 @@ impl Batch {
                 "make a batch: at least one environment and one thread are needed",
             ));
         }
-        // An OpenGL context belongs to one thread.
         let uses_opengl =
             simulations.iter().any(|simulation| simulation.get().draws_through_opengl());
         let threads = match uses_opengl {
@@ -109,8 +101,6 @@ impl Batch {
         Ok(Self { states: states.collect(), threads })
     }
 
-    /// Restores each environment from a snapshot. If one cannot be restored, no environment
-    /// changes.
     fn restore(&self, py: Python<'_>, snapshots: Vec<Py<Snapshot>>) -> PyResult<()> {
         if snapshots.len() != self.states.len() {
             return Err(invalid(format_args!(
@@ -137,9 +127,6 @@ impl Batch {
         })
     }
 
-    /// Returns the actions that the scripted expert takes in each environment's next `steps` steps
-    /// if it drives, [environments, steps, 7], NaN after the step that reaches the goal, and
-    /// whether the expert makes progress in them, [environments]. Environments remain unchanged.
     fn foresee<'py>(&self, py: Python<'py>, steps: usize) -> PyResult<Foreseen<'py>> {
         let count = self.states.len();
         let mut actions = vec![[f64::NAN; WIDTH]; count * steps];
@@ -161,21 +148,6 @@ impl Batch {
         Ok((actions, shaped(py, progress, &[count])?))
     }
 
-    /// Starts a rollout in each environment whose entry in `starts` is a start, JSON in a form of
-    /// [`Start::read`]; every other environment executes its actions, at most as many as its entry
-    /// in `limits`, and none after a success. `actions` is [environments, steps, 7]; `render`
-    /// selects the steps that are rendered and read: `last` or `all`; with `none`, the last step
-    /// is read and not rendered. Returns `steps` executed and `success` of
-    /// each environment, the readings by name, and the frames by camera, with row 0 at the top,
-    /// and column 0 at the right if `mirrored`. With `expert`, [environments, steps], the
-    /// scripted expert is queried at every step and its actions are returned as `expert_action`;
-    /// at steps where `expert` is true, the expert's action plus the arm's given action, clamped to
-    /// −1..1, is executed. With `past_success`, steps continue after a success, and `successes`,
-    /// [environments, steps], has true for each step after which the goal holds.
-    ///
-    /// Invalid arguments raise before any environment moves. A failing environment does not
-    /// stop the other environments: `errors` has its exception, and `steps` counts the steps
-    /// that it completed.
     #[expect(clippy::too_many_arguments, reason = "keyword arguments in Python")]
     #[pyo3(signature = (
         actions, limits, starts, cameras, *,
@@ -387,7 +359,6 @@ impl Outputs<'_> {
     }
 }
 
-/// Copies a row of pixels in reverse order.
 fn mirror(from: &[u8], to: &mut [u8]) {
     const PIXEL_BYTES: usize = 3;
     let (pixels, _) = from.as_chunks::<PIXEL_BYTES>();
@@ -397,7 +368,6 @@ fn mirror(from: &[u8], to: &mut [u8]) {
     }
 }
 
-/// Returns all [`READINGS`], one after another.
 fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
     let parts: [&[f64]; 7] = [
         &robot.eef_pos,
@@ -421,8 +391,7 @@ fn add_to_expert(expert: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
     })
 }
 
-/// Returns true if a component of the added translation is larger than any that the expert can
-/// command.
+/// A component of the added translation is larger than any that the expert can command.
 fn exceeds_expert(added: &[f64; WIDTH]) -> bool {
     added[..3].iter().any(|value| value.abs() > 1.0)
 }
@@ -470,9 +439,8 @@ fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usi
     }
 }
 
-/// Runs tasks on `threads` threads, including the calling thread; each thread repeatedly takes
-/// the next pending task. Returns the error of each task, in the order of the tasks, when all
-/// tasks have ended.
+/// Each thread, the calling one included, takes the next pending task. Returns the error of each
+/// task, in their order.
 fn run<T: Send>(
     tasks: Vec<T>,
     threads: usize,

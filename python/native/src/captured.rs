@@ -1,5 +1,3 @@
-//! Deferred rendering of an observation.
-
 use std::sync::Arc;
 
 use numpy::PyArrayDyn;
@@ -10,7 +8,6 @@ use crate::error::simulation;
 use crate::guarded::Guarded;
 use crate::state::{State, pairs, picture_size, shaped, with_drawer};
 
-/// Camera views at the time of an observation, rendered on demand.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct CapturedView {
     pub(crate) captured: sim::CapturedView,
@@ -22,7 +19,6 @@ pub(crate) struct CapturedView {
 
 #[pymethods]
 impl CapturedView {
-    /// Renders a frame, [height, width, 3]; row 0 is the bottom.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -36,8 +32,6 @@ impl CapturedView {
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
-    /// Renders OpenGL depth values, [height, width]: 0 at the near plane, 1 at the far plane; row 0
-    /// is the bottom.
     fn depth<'py>(
         &self,
         py: Python<'py>,
@@ -51,9 +45,7 @@ impl CapturedView {
         shaped(py, depths, &[height as usize, width as usize])
     }
 
-    /// Renders the kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1
-    /// for the background; row 0 is the bottom. Sites are transparent, as in frames, unlike
-    /// in `MuJoCo`'s segmentation, except the site of a burner that glowed at the observation.
+    /// Sites are transparent, unlike in `MuJoCo`, except the site of a burner that glowed.
     fn segmentation<'py>(
         &self,
         py: Python<'py>,
@@ -73,8 +65,7 @@ impl CapturedView {
 }
 
 impl CapturedView {
-    /// Renders with the observed environment or, if that is busy or closed, with a new
-    /// environment, so that deferred rendering never fails for these reasons.
+    /// Draws with the observed environment or, if that is busy or closed, with a new one.
     fn draw<T: Send>(
         &self,
         py: Python<'_>,

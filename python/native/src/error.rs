@@ -1,5 +1,3 @@
-//! Conversion of errors to Python exceptions.
-
 use std::error::Error;
 use std::fmt::Display;
 
@@ -30,13 +28,11 @@ create_exception!(
     "A file of a scene is missing or wrong, or cannot be fetched."
 );
 
-/// Returns the message of an exception: `failed to`, followed by the text of an error, which is an
-/// infinitive. Command lines print the simulator's errors in the same way.
+/// `failed to`, and an error's text, which is an infinitive, as on command lines.
 pub(crate) fn failed_to(infinitive: impl Display) -> String {
     format!("failed to {infinitive}")
 }
 
-/// Creates a `ValueError`.
 pub(crate) fn invalid(infinitive: impl Display) -> PyErr {
     PyValueError::new_err(failed_to(infinitive))
 }
@@ -53,7 +49,6 @@ fn message_of(error: &dyn Error) -> String {
     message
 }
 
-/// Converts an error of the simulator.
 pub(crate) fn simulation(error: SimError) -> PyErr {
     let message = message_of(&error);
     match error {
@@ -68,12 +63,10 @@ pub(crate) fn simulation(error: SimError) -> PyErr {
     }
 }
 
-/// Converts an error in a scene's files.
 pub(crate) fn scene(error: SceneError) -> PyErr {
     FilesError::new_err(message_of(&error))
 }
 
-/// Converts an error in fetching assets.
 pub(crate) fn assets(error: AssetsError) -> PyErr {
     FilesError::new_err(message_of(&error))
 }

@@ -1,5 +1,3 @@
-//! Download of LIBERO's assets.
-
 use std::ops::ControlFlow;
 use std::panic::resume_unwind;
 use std::path::PathBuf;
@@ -13,12 +11,10 @@ use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
 
 use crate::error;
-use crate::pack::opened;
+use crate::scene::opened_pack;
 
-/// Interval at which Python's signals are checked.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest wait for an interrupted fetch to end. If its server does not respond, the fetch
-/// ends later in the background.
+/// Longest wait for an interrupted fetch, which otherwise ends in the background.
 const INTERRUPT_WAIT: Duration = Duration::from_secs(2);
 
 /// Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows
@@ -45,7 +41,7 @@ pub(crate) fn fetch_assets(
     let sources = Sources::open(&sources).map_err(error::scene)?;
     let pack = match into {
         Some(folder) => AssetPack::into_folder(&folder),
-        None => opened(LIBERO, &sources).map_err(error::scene)?,
+        None => opened_pack(LIBERO, &sources).map_err(error::scene)?,
     };
     let files = if everything {
         Table::libero().files().iter().collect()
@@ -93,8 +89,7 @@ fn fetch(
     })
 }
 
-/// Waits up to [`SIGNAL_INTERVAL`] for reports, and shows the latest. Returns true if the fetch
-/// has ended.
+/// Waits up to [`SIGNAL_INTERVAL`]; returns true if the fetch has ended.
 fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
     match reports.recv_timeout(SIGNAL_INTERVAL) {
         Ok(first) => bar.show(reports.try_iter().last().unwrap_or(first)),
@@ -104,7 +99,6 @@ fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
     false
 }
 
-/// Waits until the fetch has ended, for at most [`INTERRUPT_WAIT`].
 fn wait(fetch: &JoinHandle<Result<Fetched, AssetsError>>) {
     let until = Instant::now() + INTERRUPT_WAIT;
     while !fetch.is_finished() && Instant::now() < until {

@@ -29,7 +29,6 @@ pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> P
     LegacyRng::from_state(state).ok_or_else(|| wrong(format!("its position is {position}")))
 }
 
-/// Converts a generator to NumPy's form of its state.
 pub(crate) fn write<'py>(py: Python<'py>, rng: &LegacyRng) -> Generator<'py> {
     let state = rng.state();
     (

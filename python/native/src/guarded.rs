@@ -12,9 +12,8 @@ pub(crate) struct Guarded<T>(Arc<Inner<T>>);
 
 struct Inner<T> {
     value: Mutex<Option<T>>,
-    /// Number of threads in [`Guarded::try_read`], for example to render a deferred
-    /// picture. Callers of [`Guarded::hold`] wait for these instead of failing, because
-    /// users cannot know when such a picture is rendered.
+    /// Threads in [`Guarded::try_read`], for example to render a deferred picture. Callers of
+    /// [`Guarded::hold`] wait for these: users cannot know when such a picture is rendered.
     readers: AtomicUsize,
 }
 
@@ -55,7 +54,6 @@ impl<T> Guarded<T> {
                 "use this environment: another thread is computing with it; give each thread an \
                  environment of its own, or use VectorEnvironment",
             ))),
-            // A panic left the value in an inconsistent state.
             Err(TryLockError::Poisoned(_)) => Err(closed("it failed in an earlier call")),
         }
     }

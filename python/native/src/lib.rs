@@ -11,14 +11,12 @@ mod error;
 mod fetch;
 mod generator;
 mod guarded;
-mod pack;
 mod plus;
 mod scene;
 mod schedule;
 mod simulation;
 mod start;
 mod state;
-mod tasks;
 
 use pyo3::prelude::*;
 
@@ -41,12 +39,9 @@ mod _native {
     #[pymodule_export]
     use super::simulation::Simulation;
     #[pymodule_export]
-    use super::start::perturbed_axes;
+    use super::start::{configuration_row, nominal_row, perturbed_axes, task};
     #[pymodule_export]
     use super::state::Snapshot;
-    #[pymodule_export]
-    use super::tasks::{configuration_row, nominal_row, task};
-
     use super::*;
 
     /// Names of the looks, the default first.
@@ -56,7 +51,6 @@ mod _native {
         [default.name(), other.name()]
     };
 
-    /// Version of the loaded MuJoCo library.
     #[pyfunction]
     fn mujoco_version() -> String {
         sim::Simulator::mujoco_version()

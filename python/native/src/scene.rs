@@ -1,21 +1,19 @@
-//! Compiled scenes.
-
+use std::collections::HashMap;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use libero_ctrl::Look;
 use libero_ctrl::presets::ENV_SEED;
 use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
-use scene::{InstanceKind, Sources, TaskFiles, compose};
+use scene::pack::LIBERO;
+use scene::{AssetPack, InstanceKind, SceneError, Sources, TaskFiles, compose};
 use sim::{CompiledScene, ReadyScene, SceneFolder};
 
 use crate::error;
 use crate::error::invalid;
-use crate::pack::{opened, opened_for};
 
-/// A compiled scene, shared by all its simulations.
 #[pyclass(frozen, weakref, module = "rollout_libero._native")]
 pub(crate) struct Scene {
     pub(crate) compiled: Arc<CompiledScene>,
@@ -29,20 +27,14 @@ pub(crate) struct Scene {
     look: Look,
     #[pyo3(get)]
     digest: String,
-    /// Files in which the pack differs from LIBERO's.
     #[pyo3(get)]
     pack_differences: Vec<String>,
 }
 
-/// Instances with their categories.
 type Instances = Vec<(String, &'static str)>;
 
 #[pymethods]
 impl Scene {
-    /// Compiles the scene of a BDDL file, or maps the stored scene into memory if this machine has
-    /// compiled it before.
-    /// `init_file` provides the initial states of rollouts.
-    /// `look` is one of `LOOKS`.
     #[new]
     #[pyo3(signature = (bddl_file, *, assets, sources, look, init_file = None))]
     fn new(
@@ -62,13 +54,11 @@ impl Scene {
         Ok(scene)
     }
 
-    /// Problem class, such as `libero_tabletop_manipulation`.
     #[getter]
     fn problem(&self) -> &str {
         &self.problem.name
     }
 
-    /// Instruction given in the BDDL file.
     #[getter]
     fn language(&self) -> &str {
         &self.problem.language
@@ -104,18 +94,15 @@ impl Scene {
         .collect()
     }
 
-    /// Number of initial states.
     #[getter]
     fn initial_states(&self) -> usize {
         self.ready.as_ref().map_or(0, |ready| ready.states().count())
     }
 
-    /// Returns the name of an instance's root body.
     fn root_body(&self, instance: &str) -> PyResult<&str> {
         Ok(&self.instance(instance)?.root_body)
     }
 
-    /// Returns the names of an instance's joints; an object's free joint is the last.
     fn joints(&self, instance: &str) -> PyResult<Vec<String>> {
         Ok(self.instance(instance)?.joints.clone())
     }
@@ -132,8 +119,8 @@ impl Scene {
         let sources = Sources::open(sources).map_err(error::scene)?;
         let files =
             TaskFiles { bddl: bddl_file.clone(), init: init_file.clone().unwrap_or_default() };
-        let named_pack = opened(assets, &sources).map_err(error::scene)?;
-        let pack = opened_for(&files, assets, &sources).map_err(error::scene)?.with_look(look);
+        let named_pack = opened_pack(assets, &sources).map_err(error::scene)?;
+        let pack = pack_for(&files, assets, &sources).map_err(error::scene)?.with_look(look);
         let problem = files.problem().map_err(error::scene)?;
         let (compiled, ready) = if init_file.is_some() {
             let ready = ReadyScene::compile(files, &pack, &sources).map_err(error::simulation)?;
@@ -179,4 +166,41 @@ impl Scene {
             ))
         })
     }
+}
+
+/// Packs by name or path, sources, and true if they include files that LIBERO lacks.
+type Packs = HashMap<(String, PathBuf, bool), AssetPack>;
+
+static PACKS: Mutex<Option<Packs>> = Mutex::new(None);
+
+/// Opens a pack once per process, because comparing a folder with LIBERO's pack reads all files.
+fn cached(
+    key: (&str, &Sources, bool),
+    open: impl FnOnce() -> Result<AssetPack, SceneError>,
+) -> Result<AssetPack, SceneError> {
+    let (assets, sources, is_whole) = key;
+    let key = (assets.to_owned(), sources.dir().to_owned(), is_whole);
+    let mut packs = PACKS.lock().unwrap_or_else(PoisonError::into_inner);
+    let packs = packs.get_or_insert_default();
+    if let Some(pack) = packs.get(&key) {
+        return Ok(pack.clone());
+    }
+    let pack = open()?;
+    packs.insert(key, pack.clone());
+    Ok(pack)
+}
+
+/// Opens `libero`, `primitives`, or a folder.
+pub(crate) fn opened_pack(assets: &str, sources: &Sources) -> Result<AssetPack, SceneError> {
+    cached((assets, sources, false), || AssetPack::open(assets, sources))
+}
+
+/// If the scene needs models or textures that LIBERO lacks and the pack is a folder with LIBERO's
+/// files, the pack has all files of that folder.
+fn pack_for(task: &TaskFiles, assets: &str, sources: &Sources) -> Result<AssetPack, SceneError> {
+    let pack = opened_pack(assets, sources)?;
+    if !pack.is_too_narrow(std::iter::once(task.clone())) {
+        return Ok(pack);
+    }
+    cached((assets, sources, true), || AssetPack::open_whole(pack.dir()))
 }

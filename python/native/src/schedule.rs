@@ -1,5 +1,3 @@
-//! Python class of the schedule of queries whose responses take effect late.
-
 use libero_ctrl::{ACTION_WIDTH, Action, Execution, TaskRef};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -12,8 +10,6 @@ use crate::state::shaped;
 /// commands within the delay are executed regardless of the response.
 type Query<'py> = (u32, Bound<'py, PyArrayDyn<f64>>);
 
-/// Schedule of one rollout's commands and of its queries, whose responses take effect late, as in a
-/// campaign's rollout with the same execution model.
 #[pyclass(module = "rollout_libero._native")]
 pub(crate) struct Schedule {
     execution: Execution,
@@ -22,8 +18,6 @@ pub(crate) struct Schedule {
 
 #[pymethods]
 impl Schedule {
-    /// Creates the schedule of a rollout of `task` from an initial state. `execute` is the number
-    /// of actions of each response that are executed; by default all. The gripper starts open.
     #[new]
     #[pyo3(signature = (execution, task, init_state, *, execute = None))]
     fn new(execution: &str, task: &str, init_state: u16, execute: Option<usize>) -> PyResult<Self> {
@@ -39,26 +33,22 @@ impl Schedule {
         Ok(Self { execution, inner })
     }
 
-    /// Execution model.
     #[getter]
     fn execution(&self) -> String {
         self.execution.to_string()
     }
 
-    /// True under real-time chunking: the policy is sent the commands of the query, too.
     #[getter]
     fn is_rtc(&self) -> bool {
         self.execution.is_rtc()
     }
 
-    /// Returns the query that is due before the next control step; `None` if none is.
     fn due<'py>(&self, py: Python<'py>) -> PyResult<Option<Query<'py>>> {
         let query = self.inner.due();
         let query = query.map(|query| Ok((query.delay, rows(py, query.under_way)?)));
         query.transpose()
     }
 
-    /// Sets the response to the due query: actions, [n, 7].
     fn answer(&mut self, actions: Numbers<'_>) -> PyResult<()> {
         if self.inner.due().is_none() {
             return Err(invalid(
@@ -79,7 +69,6 @@ impl Schedule {
         Ok(())
     }
 
-    /// Returns the action of the next control step, 7 numbers, and advances by one step.
     fn advance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.inner.due().is_some() {
             return Err(invalid("advance a schedule: a query is due; call answer first"));
@@ -88,8 +77,6 @@ impl Schedule {
         shaped(py, command.action.to_vec(), &[ACTION_WIDTH])
     }
 
-    /// Returns the actions of all control steps until the next query is due, [n, 7], and advances
-    /// by as many.
     fn until_due<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let mut actions = Vec::new();
         while self.inner.due().is_none() {
@@ -98,7 +85,6 @@ impl Schedule {
         rows(py, actions)
     }
 
-    /// Returns an independent copy.
     fn copy(&self) -> Self {
         Self { execution: self.execution.clone(), inner: self.inner.clone() }
     }

@@ -20,7 +20,6 @@ use crate::scene::Scene;
 use crate::start::{Start, check_width};
 use crate::state::{Snapshot, State, pairs, picture_size, shaped, with_drawer};
 
-/// One environment of a scene.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Simulation {
     #[pyo3(get)]
@@ -31,8 +30,6 @@ pub(crate) struct Simulation {
 
 #[pymethods]
 impl Simulation {
-    /// Creates an environment. `change` sets the arm's posture and the view of `agentview` at
-    /// resets.
     #[new]
     #[pyo3(signature = (scene, *, renderer = "software", change = None))]
     fn new(
@@ -62,23 +59,15 @@ impl Simulation {
         Ok(Self { scene, renderer, state: Guarded::new(state) })
     }
 
-    /// Renderer of the frames: `software`, `gl` or `gl:N`.
     #[getter]
     fn renderer(&self) -> String {
         self.renderer.to_string()
     }
 
-    /// Frees the environment; later calls raise `ClosedError`.
     fn close(&self) -> PyResult<()> {
         self.state.close()
     }
 
-    /// Resets like robosuite: places all objects with LIBERO's samplers, which draw from
-    /// NumPy's legacy generator, and observes once. `joint_sampler_rounds` is the number of
-    /// times that the original has loaded its model at the end of this reset: once in the
-    /// constructor, and once per hard reset. Returns the generator's state after the reset and the
-    /// number of rounds, which is larger than the given number if placements were drawn again for
-    /// lack of room.
     #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
     fn reset<'py>(
         &self,
@@ -104,7 +93,6 @@ impl Simulation {
         Ok((generator::write(py, &rng), rounds))
     }
 
-    /// Loads a state (time, qpos, qvel) as the start of an episode, as a campaign does.
     fn load(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
@@ -115,19 +103,16 @@ impl Simulation {
         })
     }
 
-    /// Starts the rollout of a manifest row, JSON, up to the policy's first action.
     fn begin(&self, py: Python<'_>, row: &str) -> PyResult<()> {
         let start = Start::read(row)?;
         self.state.with(py, |state| state.begin(&start))
     }
 
-    /// Returns the state: time, qpos, qvel.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let state = self.state.with(py, |state| Ok(state.environment.state()))?;
         Ok(PyArray1::from_vec(py, state))
     }
 
-    /// Sets the state without computing derived quantities.
     fn set_state(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
@@ -137,12 +122,10 @@ impl Simulation {
         })
     }
 
-    /// Takes a snapshot of everything that the next step depends on.
     fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
         self.state.with(py, State::snapshot)
     }
 
-    /// Restores a snapshot of an environment of the same scene.
     fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
         self.state.with(py, |state| {
             state.check_scene(snapshot)?;
@@ -151,7 +134,6 @@ impl Simulation {
         })
     }
 
-    /// Computes the quantities derived from the state (`mj_forward`).
     fn forward(&self, py: Python<'_>) -> PyResult<()> {
         self.state.with(py, |state| {
             state.environment.forward();
@@ -159,7 +141,6 @@ impl Simulation {
         })
     }
 
-    /// Updates the glow of stoves.
     fn post_process(&self, py: Python<'_>) -> PyResult<()> {
         self.state.with(py, |state| {
             state.environment.post_process();
@@ -167,7 +148,6 @@ impl Simulation {
         })
     }
 
-    /// Updates the observation to the current state.
     fn observe_now(&self, py: Python<'_>) -> PyResult<()> {
         self.state.with(py, |state| {
             state.environment.observe_now();
@@ -175,7 +155,6 @@ impl Simulation {
         })
     }
 
-    /// Executes one control step. Returns true if the goal holds after it.
     #[pyo3(signature = (action, *, absolute = false))]
     fn step(&self, py: Python<'_>, action: Numbers<'_>, absolute: bool) -> PyResult<bool> {
         let action = actions(&action, &[WIDTH])?[0];
@@ -183,12 +162,10 @@ impl Simulation {
         self.state.with(py, |state| state.step(&action, frame))
     }
 
-    /// Returns true if the goal holds.
     fn success(&self, py: Python<'_>) -> PyResult<bool> {
         self.state.with(py, |state| Ok(state.environment.succeeded()))
     }
 
-    /// Returns true if a predicate holds, given by its name and arguments.
     fn predicate(&self, py: Python<'_>, state: Vec<String>) -> PyResult<bool> {
         let [name, arguments @ ..] = &state[..] else {
             return Err(invalid("a predicate has a name and arguments"));
@@ -197,7 +174,6 @@ impl Simulation {
         self.state.with(py, |state| state.environment.holds(predicate).map_err(invalid))
     }
 
-    /// Returns the robot's readings at the last observation.
     fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let robot = self.state.with(py, |state| Ok(state.environment.robot_state()))?;
         let readings = PyDict::new(py);
@@ -215,7 +191,6 @@ impl Simulation {
         Ok(readings)
     }
 
-    /// Returns position and quaternion (x y z w) of a body at the last observation.
     fn body_pose<'py>(&self, py: Python<'py>, body: &str) -> PyResult<Pose<'py>> {
         let (pos, quat) = self.state.with(py, |state| {
             let environment = &mut state.environment;
@@ -228,7 +203,6 @@ impl Simulation {
         ))
     }
 
-    /// Renders a frame, [height, width, 3]; row 0 is the bottom.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -241,8 +215,6 @@ impl Simulation {
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
-    /// Renders OpenGL depth values, [height, width]: 0 at the near plane, 1 at the far plane; row 0
-    /// is the bottom.
     fn depth<'py>(
         &self,
         py: Python<'py>,
@@ -258,8 +230,6 @@ impl Simulation {
         shaped(py, depths, &[height as usize, width as usize])
     }
 
-    /// Renders the kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1
-    /// for the background; row 0 is the bottom.
     fn segmentation<'py>(
         &self,
         py: Python<'py>,
@@ -275,7 +245,6 @@ impl Simulation {
         shaped(py, pairs(segments), &[height as usize, width as usize, 2])
     }
 
-    /// Captures the current camera views for deferred rendering.
     fn capture(&self, py: Python<'_>) -> PyResult<CapturedView> {
         self.state.with(py, |state| {
             Ok(CapturedView {
@@ -287,20 +256,15 @@ impl Simulation {
         })
     }
 
-    /// Returns the model's extent, m, and the distances of the cameras' near and far planes, as
-    /// multiples of the extent.
     fn planes(&self, py: Python<'_>) -> PyResult<[f64; 3]> {
         self.state.with(py, |state| Ok(state.environment.model().planes()))
     }
 
-    /// Returns position and rotation matrix of the end-effector at the controller's last
-    /// update.
     fn controller_pose<'py>(&self, py: Python<'py>) -> PyResult<Pose<'py>> {
         let pose = self.state.with(py, |state| Ok(state.environment.controller_pose()))?;
         Ok((shaped(py, pose.0.to_vec(), &[3])?, shaped(py, pose.1.to_vec(), &[3, 3])?))
     }
 
-    /// Returns an array of the model, by MuJoCo's name.
     fn model_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let array = self.state.with(py, |state| {
             state.environment.model().array(name).ok_or_else(|| {
@@ -318,7 +282,6 @@ impl Simulation {
         })
     }
 
-    /// Sets an array of the model, for this simulation only.
     fn set_model_array(&self, py: Python<'_>, name: &str, values: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&values);
         self.state.with(py, |state| {
@@ -351,13 +314,11 @@ impl Simulation {
         })
     }
 
-    /// Returns an array of the current `mjData`, by MuJoCo's name.
     fn data_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let (values, rows) = self.state.with(py, |state| data_array(state, name))?;
         Ok(by_rows(py, values, rows)?.into_any())
     }
 
-    /// Returns the names of all objects of a kind, in order of ids; `None` for one without a name.
     fn names(&self, py: Python<'_>, kind: &str) -> PyResult<Vec<Option<String>>> {
         let kind = object_kind(kind)?;
         self.state.with(py, |state| {
@@ -366,7 +327,6 @@ impl Simulation {
         })
     }
 
-    /// Returns the pairs of geoms in contact, [contacts, 2].
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<i32>>> {
         let geoms: Vec<i32> = self.state.with(py, |state| {
             let contacts = state.environment.data().contacts();
@@ -383,14 +343,12 @@ impl Simulation {
     }
 }
 
-/// A position, and an orientation as a quaternion or a rotation matrix.
 type Pose<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
 
 fn numbers(given: &Numbers<'_>) -> Vec<f64> {
     given.as_array().iter().copied().collect()
 }
 
-/// Returns the action frame selected by a flag.
 pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
     match absolute {
         true => ActionFrame::Absolute,
@@ -454,8 +412,7 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
     Ok((values.to_vec(), rows))
 }
 
-/// Creates an array with `rows` rows. The array is read-only, because it is a copy: a write to it
-/// would have no effect on the simulation.
+/// Read-only, because a write to the copy would have no effect on the simulation.
 fn by_rows<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -1,26 +1,19 @@
-//! Starting point of a rollout.
-
 use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{ManifestRow, Realisation};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef, row_of};
 use pyo3::prelude::*;
 use serde::Deserialize;
 use sim::episode::NO_OP;
 use sim::{Conditions, Environment, ReadyScene, Reset};
 
-use crate::error::{invalid, simulation};
+use crate::error::{invalid, simulation, value};
 
-/// Starting point of a rollout.
 pub(crate) enum Start {
-    /// Start of a manifest row.
     Row(Box<ManifestRow>),
-    /// Placement by LIBERO's samplers.
     Sampled(Sampled),
-    /// Start as in the original LIBERO's environments, from a seed and an optional state.
     Legacy(Legacy),
 }
 
-/// Start like the original's `OffScreenRenderEnv`: `seed`, reset, optionally `set_init_state`,
-/// and settling steps.
+/// Start of the original's `OffScreenRenderEnv`: `seed`, reset, `set_init_state`, settling.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Legacy {
@@ -35,13 +28,11 @@ pub(crate) struct Legacy {
     state: Option<Vec<f64>>,
 }
 
-/// Placement by LIBERO's samplers, and settling steps.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Sampled {
     /// Seed of NumPy's legacy generator.
     sampled: u32,
-    /// Control steps without action.
     settle_steps: u32,
     /// Row whose perturbations are applied. Its initial state is ignored, and fixtures are
     /// placed as in campaigns.
@@ -49,8 +40,7 @@ pub(crate) struct Sampled {
     perturbed: Option<Box<ManifestRow>>,
 }
 
-/// Number of times that the original has loaded its model once an environment has been constructed,
-/// seeded and reset. A reset draws one round of joint samples per load.
+/// The original has loaded its model once at construction and once at the reset.
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
@@ -176,4 +166,29 @@ fn not_a_row(error: serde_json::Error) -> PyErr {
 
 fn require_initial_states(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {
     ready.ok_or_else(|| invalid("begin at an initial state: give Scene its init_file"))
+}
+
+#[pyfunction]
+pub(crate) fn task(name: &str) -> PyResult<(&'static str, u8, &'static str, String, u32)> {
+    let task: TaskRef = name.parse().map_err(value)?;
+    let suite = task.suite();
+    Ok((suite.name(), task.index(), task.name(), task.instruction(), suite.max_steps()))
+}
+
+#[pyfunction]
+pub(crate) fn configuration_row(id: &str) -> PyResult<String> {
+    let id: RolloutId = id.parse().map_err(value)?;
+    row_of(id).map_err(value).map(|row| json(&row))
+}
+
+#[pyfunction]
+pub(crate) fn nominal_row(task: &str, initial_state: u16) -> PyResult<String> {
+    let task: TaskRef = task.parse().map_err(value)?;
+    let id = RolloutId::clean(task, initial_state);
+    let row = ManifestRow::new(id, initial_state, initial_state, Default::default());
+    Ok(json(&row))
+}
+
+fn json(row: &ManifestRow) -> String {
+    serde_json::to_string(row).expect("a row is JSON")
 }

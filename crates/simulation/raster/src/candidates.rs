@@ -1,21 +1,18 @@
 //! Selects the triangles of a cluster that may cover a sample: those that face the camera
 //! and do not lie between samples.
 
-use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{I, Ints as _, LANES, Mask};
 use crate::mesh::{CLUSTER, Cluster, Mesh};
+use crate::raster::Drawing;
 use crate::setup::{extent, is_large, owns_samples, winding_order};
 
-/// A cluster's triangles that may cover a sample.
 pub(crate) struct Candidates {
     pub(crate) count: usize,
-    /// Indices of the triangles in the cluster.
     pub(crate) triangles: [u8; ROOM],
     /// Rows of the corners among the positions, in winding order.
     pub(crate) corners: [[u8; ROOM]; 3],
-    /// Bit per triangle, by its index in the cluster: set if a part of it lies outside the view
-    /// frustum.
+    /// Bit per triangle of the cluster: a part of it lies outside the view frustum.
     pub(crate) needs_clipping: u64,
 }
 
@@ -66,9 +63,8 @@ impl Candidates {
             }
             let (x, y) = corners.snapped();
             let ([x0, x1], [y0, y1]) = (extent(&x), extent(&y));
-            // Columns and rows of samples are a quarter of a pixel (64 subpixel units) apart, and
-            // the first is at 32 units. Each row of a pixel contains one sample, and so does each
-            // column.
+            // Columns and rows of samples are 64 subpixel units apart, the first at 32. Each row
+            // and each column of a pixel contains one sample.
             let (column0, column1) =
                 (((x0 + splat(31)) >> 6i32).max(left), ((x1 - splat(32)) >> 6i32).min(right));
             let (row0, row1) =
@@ -109,8 +105,7 @@ impl Candidates {
     }
 }
 
-/// Largest span of a small triangle, in columns and rows of samples: two adjacent pixels. Each
-/// column of a pixel, and each row, contains one sample.
+/// Largest span in columns and rows of samples: two adjacent pixels.
 const SMALL: [i32; 2] = [8, 4];
 
 /// Returns the column of a row's sample within a pixel. The constant has two bits per row.

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::backdrop::{Backdrop, Start};
 use crate::error::DrawError;
+use crate::fill::FIRST_SAMPLE;
 use crate::instance::{self, View};
 use crate::lanes::{f32x4, i32x4};
 use crate::light::{EyeLight, Lighting};
@@ -28,7 +29,6 @@ pub struct Canvas {
     last_frame: u64,
 }
 
-/// A frame of some canvas, which the canvas's next frame continues.
 #[derive(Default)]
 struct Frame {
     /// Number of the frame, unique in the process. If the canvas has drawn its last frame on
@@ -40,7 +40,6 @@ struct Frame {
     rgb: Vec<u8>,
 }
 
-/// Buffers of one thread for all canvases that it draws.
 #[derive(Default)]
 struct Scratch {
     /// The last frames of the canvases drawn most recently, the latest at the end.
@@ -61,8 +60,7 @@ thread_local! {
 }
 
 impl Scratch {
-    /// Removes and returns the frame with this number, or else a new or the oldest frame, to be
-    /// overwritten.
+    /// Takes out the frame with this number, else a new or the oldest one, to be overwritten.
     fn take(&mut self, number: u64) -> Frame {
         let found = self.frames.iter().position(|frame| frame.number == number);
         match found {
@@ -79,10 +77,9 @@ impl Canvas {
         Self::default()
     }
 
-    /// Draws a frame of `size`, width and height in pixels. Returns red, green and blue of every
-    /// pixel, row by row from the bottom. The model must be the same for all frames of a canvas;
-    /// `largest_levels` holds the bytes that the model's textures were made from, which are their
-    /// largest mipmap levels.
+    /// `size` is in pixels. Returns red, green and blue of every pixel, row by row from the bottom.
+    /// All frames of a canvas must be of one model; `largest_levels` holds the bytes that its
+    /// textures were made from.
     pub fn draw(
         &mut self,
         model: &Model,
@@ -110,7 +107,6 @@ impl Canvas {
         })
     }
 
-    /// Draws a frame, and returns the result of `read`.
     fn frame<T>(
         &mut self,
         model: &Model,
@@ -220,7 +216,6 @@ impl Frame {
         self.dirty = picture.visible.touched;
     }
 
-    /// Adds reflections and translucent geoms.
     fn draw_reflections_and_glass(
         &mut self,
         pass: Pass<'_>,
@@ -240,7 +235,6 @@ impl Frame {
         self.dirty = Window::union(self.dirty, changed);
     }
 
-    /// Averages the samples of each pixel in a window.
     fn resolve(&mut self, window: Window) {
         let (width, stride) = (self.picture.visible.width, self.picture.visible.stride);
         let rows = window.rows(stride).zip(window.rows(width));
@@ -259,7 +253,6 @@ impl Frame {
     }
 }
 
-/// Returns the mean of four samples, channel by channel.
 #[inline(always)]
 fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
     let [a, b, c, d] = samples.map(|sample| {
@@ -271,7 +264,6 @@ fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
     rounded.to_array().map(|part| part as u8)
 }
 
-/// Checks the frame size, the camera, the references of geoms and sky, and the size of shadow maps.
 pub(crate) fn check(
     model: &Model,
     scene: &Scene,
@@ -335,4 +327,42 @@ pub(crate) fn check(
         }
         _ => Ok(()),
     }
+}
+
+/// The visible geom at the centre of every pixel, row by row from the bottom, as in MuJoCo's
+/// segmentation rendering, without lights, sky, mirrors and translucency; `None` where no geom with
+/// an id is visible. The size is in pixels.
+pub fn segments(
+    model: &Model,
+    scene: &Scene,
+    [width, height]: [usize; 2],
+) -> Result<Vec<Option<u32>>, DrawError> {
+    check(model, scene, width, height)?;
+    let mut view = View::new(&scene.camera, width, height);
+    // Each pixel's first sample then lies at the pixel's centre.
+    let [x, y] = FIRST_SAMPLE.map(|place| place - 0.5);
+    view.projection = view.projection.shifted([2.0 * x / width as f32, 2.0 * y / height as f32]);
+    let pass = Pass {
+        model,
+        largest_levels: &[],
+        view: &view,
+        light: Lighting::all(&[]),
+        window: Window::whole(width, height),
+    };
+    let mut picture = Picture::default();
+    picture.clear([width, height], pass.window);
+    for (index, geom) in scene.geoms.iter().enumerate() {
+        if geom.segment.is_some() {
+            instance::add(index, geom, &view, model, &mut picture.instances);
+        }
+    }
+    picture.rasterise(pass, 0, &mut Workspace::default());
+    let visible = &picture.visible;
+    let visible_segment = |pixel: usize| {
+        let record = visible.records.get(visible.ids[pixel * SAMPLES] as usize)?;
+        let instance = &picture.instances[record.instance as usize];
+        scene.geoms[instance.geom].segment
+    };
+    let rows = pass.window.rows(visible.stride);
+    Ok(rows.flatten().map(visible_segment).collect())
 }

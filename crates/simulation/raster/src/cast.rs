@@ -7,8 +7,7 @@ use crate::instance::{self, Instance, View};
 use crate::lanes::{F, Floats as _, I, LANES};
 use crate::mesh::{Cluster, Mesh};
 use crate::model::Model;
-use crate::place::sides_beyond;
-use crate::positions::{MAX_COORDINATE, SUBPIXELS};
+use crate::positions::{MAX_COORDINATE, SUBPIXELS, sides_beyond};
 use crate::scene::Scene;
 
 /// Width of the map's border around the viewport, texels. The border's texels stand for everything
@@ -16,21 +15,18 @@ use crate::scene::Scene;
 const BORDER: f32 = 1.0;
 /// Largest depth in the map, which has 24 bits.
 const FULL_DEPTH: f32 = 16_777_215.0;
-/// Offset of a triangle's depths away from the light: a multiple of the largest change of depth
-/// from one texel to the next, plus a constant. For the constant, MuJoCo passes four units to
-/// `glPolygonOffset`; llvmpipe takes each as two units of the map's depth.
+/// Offset away from the light: a multiple of the largest change of depth between texels, plus a
+/// constant. MuJoCo passes four units to `glPolygonOffset`, each two in llvmpipe.
 const OFFSET_FACTOR: f32 = -1.5;
 const OFFSET: f32 = -8.0 / FULL_DEPTH;
 /// Texels on a side of a cell, as a power of two.
 const CELL_SHIFT: i32 = 3;
 
-/// A lookup in the map.
 #[derive(Debug, Clone, Copy, Default)]
 struct Lookup {
     texel: [i32; 2],
     /// Depth of the fragment: 1 at the light's near plane, 0 at its far plane.
     depth: f32,
-    /// Index of the fragment.
     fragment: u32,
     is_dark: bool,
 }
@@ -39,7 +35,6 @@ struct Lookup {
 pub(crate) struct Lookups {
     /// Side of the map, texels.
     size: i32,
-    /// Cells on a side of the map.
     cells: usize,
     lookups: Vec<Lookup>,
     /// Per cell, row by row: index of its first lookup; ends with the number of lookups.
@@ -93,8 +88,7 @@ impl Lookups {
         Self { size: size as i32, cells, lookups, starts, sums }
     }
 
-    /// Returns true for each fragment that the light reaches: the fragment has a lookup that no
-    /// triangle darkens.
+    /// A fragment is lit if it has a lookup that no triangle darkens.
     pub(crate) fn lit(&self, fragments: usize) -> Vec<bool> {
         let mut lit = vec![false; fragments];
         for lookup in &self.lookups {
@@ -120,8 +114,7 @@ impl Lookups {
         (count > 0).then_some([[left, right], [below, above]])
     }
 
-    /// Darkens the lookups behind a triangle. A corner consists of a column and a row of the map,
-    /// texels, and a depth.
+    /// A corner is a column and a row of the map, texels, and a depth.
     fn darken(&mut self, corners: [[f32; 3]; 3]) {
         let snap = |at: f32| {
             let at = ((at - 0.5) * SUBPIXELS as f32).round_ties_even() as i32;
@@ -161,15 +154,13 @@ impl Lookups {
     }
 }
 
-/// A triangle in the map.
 struct Triangle {
     edges: [Edge; 3],
     depths: Depths,
 }
 
 impl Triangle {
-    /// Creates a triangle from its corners and their places in subpixel units; `None` if it is
-    /// degenerate.
+    /// `snapped` is in subpixel units. `None` if the triangle is degenerate.
     fn new(mut corners: [[f32; 3]; 3], mut snapped: [[i32; 2]; 3]) -> Option<Self> {
         let area = {
             let [a, b, c] = snapped.map(|corner| corner.map(i64::from));
@@ -202,8 +193,7 @@ struct Edge {
 }
 
 impl Edge {
-    /// Creates an edge between corners in subpixel units; see
-    /// [`owns_samples`](crate::setup::owns_samples).
+    /// Corners in subpixel units; see [`owns_samples`](crate::setup::owns_samples).
     fn new(from: [i32; 2], to: [i32; 2]) -> Self {
         let (from, to) = (from.map(i64::from), to.map(i64::from));
         let (dx, dy) = (from[1] - to[1], from[0] - to[0]);
@@ -249,7 +239,6 @@ impl Depths {
         }
     }
 
-    /// Returns the depth in the map, as a lookup reads it.
     fn at(&self, [x, y]: [i32; 2]) -> f32 {
         let along = self.per_texel[0].mul_add(x as f32, self.at_origin);
         let depth = self.per_texel[1].mul_add(y as f32, along);
@@ -257,7 +246,6 @@ impl Depths {
     }
 }
 
-/// Darkens the lookups behind any geom, as seen by the light.
 pub(crate) fn cast(scene: &Scene, light: &View, model: &Model, lookups: &mut Lookups) {
     let half = lookups.size as f32 * 0.5;
     let viewport = Viewport { scale: [half - BORDER; 2], middle: [half; 2] };
@@ -311,13 +299,10 @@ fn cast_cluster(
 /// Largest number of positions of a cluster; see [`positions`](crate::positions).
 const CAPACITY: usize = 256;
 
-/// Positions of a cluster in the map.
 struct Positions {
-    /// Columns, rows and depths.
     places: [[f32; CAPACITY]; 3],
     /// Bits of the sides of the light's frustum that each position lies beyond.
     beyond: [i32; CAPACITY],
-    /// True if any position lies beyond a side.
     is_beyond: bool,
     /// Bounds of the columns and rows, texels.
     low: [i32; 2],

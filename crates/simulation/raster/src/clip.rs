@@ -5,7 +5,6 @@ use crate::instance::Instance;
 use crate::lanes::{F, LANES};
 use crate::matrix::Vec3;
 
-/// A corner of a clipped triangle, with its interpolated values.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ClippedCorner<V> {
     /// Position in the picture, pixels, and depth.
@@ -21,15 +20,12 @@ pub(crate) struct ClippedTriangle {
     /// Index of the original triangle in its mesh, and first vertex of its cluster.
     pub(crate) triangle: u32,
     pub(crate) vertices: u32,
-    /// The clipping that produced the piece, and the piece's index.
     pub(crate) clipping: Clipping,
     pub(crate) piece: u32,
 }
 
-/// Clipping of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Clipping {
-    /// Bit per plane that the triangle extends beyond.
     pub(crate) beyond: i32,
     /// The mirror plane, which is the last clip plane; `None` outside reflections.
     pub(crate) plane: Option<[f32; 4]>,
@@ -39,30 +35,23 @@ pub(crate) struct Clipping {
 /// Transformation from normalised coordinates, -1 to 1, to a picture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Viewport {
-    /// Pixels per unit along x and y.
     pub(crate) scale: [f32; 2],
-    /// Middle of the viewport, pixels.
     pub(crate) middle: [f32; 2],
 }
 
 impl Viewport {
-    /// Returns the viewport of a whole picture.
     pub(crate) fn whole(size: [usize; 2]) -> Self {
         let half = size.map(|side| side as f32 * 0.5);
         Self { scale: half, middle: half }
     }
 }
 
-/// Number of values that vary over a triangle.
 pub(crate) const VARYING: usize = LANES;
 
-/// Values that vary over a triangle, as held by one corner.
 pub(crate) trait Values: Copy + Default {
-    /// Interpolates towards another corner's values by the fraction `share`.
     fn toward(self, other: Self, share: f32) -> Self;
 }
 
-/// For clipping without interpolated values.
 impl Values for () {
     fn toward(self, (): Self, _: f32) -> Self {}
 }
@@ -75,7 +64,6 @@ impl Values for F {
     }
 }
 
-/// A corner in clip space.
 #[derive(Clone, Copy, Default)]
 struct Corner<V> {
     pos: [f32; 4],
@@ -86,8 +74,7 @@ struct Corner<V> {
 
 /// Number of clip planes: the six of the view frustum, and a mirror's plane.
 const SIDES: usize = 7;
-/// Planes of the view frustum: right, left, upper, lower, and both ends of the depth. A corner is
-/// inside if its scalar product with the plane is not negative.
+/// Right, left, upper, lower, both ends of the depth. Inside, the scalar product is not negative.
 const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [-1.0, 0.0, 0.0, 1.0],
     [1.0, 0.0, 0.0, 1.0],
@@ -97,11 +84,9 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [0.0, 0.0, -1.0, 1.0],
 ];
 
-/// Largest number of corners after clipping by every plane: each plane adds one corner, and
-/// rounding may add another where a plane touches the polygon.
+/// Each plane adds one corner, and rounding may add another where a plane touches the polygon.
 const MAX_CORNERS: usize = 3 + SIDES + 2;
 
-/// Polygon that remains of a triangle after clipping.
 pub(crate) struct Polygon<V> {
     corners: [ClippedCorner<V>; MAX_CORNERS],
     count: usize,
@@ -121,7 +106,6 @@ impl<V: Values> Polygon<V> {
     }
 }
 
-/// Clips a triangle with its interpolated values.
 pub(crate) fn clip<V: Values>(
     instance: &Instance,
     corners: [Vec3; 3],
@@ -154,8 +138,7 @@ fn to_clip_space(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
     std::array::from_fn(|row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12])
 }
 
-/// Clips a convex polygon by a plane; returns the number of corners of the inner part. `None` if a
-/// distance from the plane is not finite, or the part has too many corners.
+/// Returns the number of corners inside; `None` if a distance is not finite, or there are too many.
 fn clip_by_plane<V: Values>(
     polygon: &[Corner<V>],
     plane: [f32; 4],
@@ -199,7 +182,6 @@ fn clip_by_plane<V: Values>(
     Some(count)
 }
 
-/// Interpolates between two corners by the fraction `share`.
 fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> {
     let mix = |from: f32, to: f32| from + share * (to - from);
     Corner {
@@ -209,8 +191,7 @@ fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> 
     }
 }
 
-/// Divides by w and applies the viewport transform. Mesa fuses the last operation only for corners
-/// of original triangles.
+/// Mesa fuses the last operation only for corners of original triangles.
 fn to_window<V: Values>(corner: &Corner<V>, viewport: &Viewport) -> ClippedCorner<V> {
     let Viewport { scale, middle } = viewport;
     let over_w = 1.0 / corner.pos[3];

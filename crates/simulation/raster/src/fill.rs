@@ -1,14 +1,13 @@
 //! Rasterisation of a triangle from its edges and depths to the covered samples: two pixels at a
 //! time, and block by block for large triangles.
 
-use crate::drawing::Drawing;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::SUBPIXELS;
+use crate::raster::Drawing;
 use crate::setup::Setup;
 use crate::visible::{BLOCK, Layer, PART, Ranks, Record, SAMPLES, Visible};
 
-/// Sample positions of two pixels side by side, in lattice points along x and along y from the
-/// corner of the first pixel.
+/// Samples of two pixels side by side, in lattice points from the first one's corner.
 const LANE_X: [i32; LANES] = [3, 7, 1, 5, 11, 15, 9, 13];
 const LANE_Y: [i32; LANES] = [1, 3, 5, 7, 1, 3, 5, 7];
 /// Position of the first pixel's first sample, in pixels along x and y.
@@ -17,8 +16,7 @@ pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
-/// Shifts that multiply by the number of lattice points across the width of a pair of pixels, and
-/// across the height of a row of pixels.
+/// Shifts that multiply by the lattice points across a pair of pixels, and across a row.
 const PAIR_SHIFT: i32 = (2 * POINTS_PER_PIXEL).ilog2() as i32;
 const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 
@@ -56,8 +54,7 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
 /// Inclusive ranges of pixels along x and y, and the triangle in them.
 type Area = ([i32; 2], [i32; 2], (Record, u32));
 
-/// Returns the blocks that overlap a range of pixels: the first pixel of each block, and its column
-/// and row among these blocks.
+/// The first pixel of each block, and its column and row among the blocks in the range.
 fn blocks(x: [i32; 2], y: [i32; 2]) -> impl Iterator<Item = ([i32; 2], [i64; 2])> {
     let [left, low] = [x[0], y[0]].map(|first| first / BLOCK);
     (low..=y[1] / BLOCK).flat_map(move |row| {
@@ -110,9 +107,8 @@ fn fill_medium(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>
     touched
 }
 
-/// Fills those parts of a block that the triangle reaches and that do not occlude it; `at` holds
-/// the edge values at the block's corner. An `INSIDE` block contains no edge. Returns true if the
-/// triangle is visible anywhere.
+/// Fills the parts that the triangle reaches and that do not occlude it; `at` holds the edge values
+/// at the block's corner. An `INSIDE` block contains no edge. Returns true if anything is visible.
 #[inline(always)]
 fn fill_parts<const INSIDE: bool>(
     lane: usize,
@@ -178,8 +174,7 @@ fn fill_parts<const INSIDE: bool>(
     touched
 }
 
-/// Returns upper bounds of the depths of a triangle's plane in the parts of a block, including
-/// rounding.
+/// Upper bounds, including rounding.
 #[inline(always)]
 fn max_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
     let real = |value: f32| F::splat(value);
@@ -220,32 +215,27 @@ impl LongEdge {
         }
     }
 
-    /// Returns the value at a block's corner, given the block's column and row.
     fn value_at(&self, [column, row]: [i64; 2]) -> i64 {
         self.value + column * self.along[0] + row * self.along[1]
     }
 
-    /// Returns true if a block lies entirely outside the edge.
     fn is_outside(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].max(0) + self.along[1].max(0) < 0
     }
 
-    /// Returns true if a block lies entirely inside the edge.
     fn is_inside(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].min(0) + self.along[1].min(0) >= 0
     }
 
-    /// Returns the value at a block's corner. A value that exceeds 32 bits is clamped, since the
-    /// block is far from the edge.
+    /// Value clamped to 32 bits, since the block is then far from the edge.
     fn at(&self, block: [i64; 2]) -> i32 {
         const FAR: i64 = 1 << 30;
         self.value_at(block).clamp(-FAR, FAR) as i32
     }
 }
 
-/// Fills the part of a triangle in a range of pixels; `edges` holds the edge values at the corner
-/// of the first even pixel. An `INSIDE` part contains no edge. Returns true if the triangle is
-/// visible anywhere.
+/// `edges` holds the values at the corner of the first even pixel. An `INSIDE` part contains no
+/// edge. Returns true if anything is visible.
 #[inline(always)]
 fn fill_block<const INSIDE: bool>(
     lane: usize,

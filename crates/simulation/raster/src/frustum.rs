@@ -1,8 +1,8 @@
 //! View frustum of a camera, with tests whether spheres lie inside or outside the frustum.
 
-use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::matrix::Vec3;
+use crate::raster::Drawing;
 
 /// Planes of the view frustum, in a mesh's frame.
 pub(crate) struct Frustum {
@@ -11,7 +11,6 @@ pub(crate) struct Frustum {
     lengths: [f32; 6],
     /// Planes of the whole picture, without a margin.
     frame: [[f32; 4]; 6],
-    /// True for an orthographic camera.
     pub(crate) orthographic: bool,
 }
 
@@ -54,7 +53,6 @@ impl Frustum {
         }
     }
 
-    /// Returns true if a sphere lies entirely inside the frustum of the whole picture.
     pub(crate) fn contains(&self, center: Vec3, radius: f32) -> bool {
         self.frame.iter().all(|side| {
             let (distance, slack) = distance(side, center);
@@ -62,8 +60,7 @@ impl Frustum {
         })
     }
 
-    /// Returns true if a sphere lies entirely outside one plane of the window, including a margin
-    /// for rounding.
+    /// Returns true if a sphere is outside a plane of the window, by more than rounding.
     pub(crate) fn excludes(&self, center: Vec3, radius: f32) -> bool {
         self.sides.iter().zip(&self.lengths).any(|(side, length)| {
             let (distance, slack) = distance(side, center);
@@ -72,15 +69,13 @@ impl Frustum {
     }
 }
 
-/// Returns the scaled distance of a point from a plane, positive inside, and the bound of its
-/// rounding error.
+/// Scaled distance, positive inside, and the bound of its rounding error.
 fn distance(side: &[f32; 4], [x, y, z]: Vec3) -> (f32, f32) {
     let parts = [side[0] * x, side[1] * y, side[2] * z, side[3]];
     let slack = 1e-5 * parts.iter().map(|part| part.abs()).sum::<f32>();
     (parts.iter().sum(), slack)
 }
 
-/// Returns the length of a plane's normal.
 fn length(side: &[f32; 4]) -> f32 {
     (side[0] * side[0] + side[1] * side[1] + side[2] * side[2]).sqrt()
 }

@@ -1,11 +1,11 @@
 //! Translucent geoms, blended over the geoms behind them: first from near to far, then again from
 //! far to near, as in MuJoCo.
 
-use crate::drawing::Drawing;
 use crate::instance::{self, Instance, View, is_behind, is_plane};
 use crate::matrix::{dot, minus};
 use crate::picture::{Pass, Picture, Workspace};
 use crate::raster;
+use crate::raster::Drawing;
 use crate::scene::{Geom, Scene, Shape};
 use crate::shade::{self, Content, Fragment, Lists};
 use crate::visible::{Layer, Layers, SAMPLES, Visible};
@@ -15,14 +15,12 @@ use crate::window::{BoundingWindow, Window};
 const OPAQUE_FROM: f64 = 0.995;
 /// Distance assumed for planes when sorting.
 const PLANE_DISTANCE: f32 = 1e10;
-/// Largest number of pixels and of layers that are blended at once. There is a layer for each
-/// triangle in each pair of pixels, and a mesh may have any number of overlapping triangles. The
-/// limits keep the memory of a frame to some hundred megabytes.
+/// Limits of what is blended at once. The number of layers, one for each triangle in each pair of
+/// pixels, has no bound; the limits keep a frame's memory to some hundred megabytes.
 const MAX_PIXELS: i32 = 1 << 17;
 const MAX_LAYERS: usize = 1 << 21;
 
-/// Returns the indices of the translucent geoms, which include planes seen from behind, nearest
-/// first.
+/// Translucent geoms, nearest first; includes planes seen from behind.
 pub(crate) fn translucent_geoms(scene: &Scene, view: &View) -> Vec<usize> {
     let mut found: Vec<(f32, usize)> = Vec::new();
     for (index, geom) in scene.geoms.iter().enumerate() {
@@ -120,7 +118,6 @@ fn paint_all(
         .collect()
 }
 
-/// Blends the painted fragments of each geom over a picture; returns the changed window.
 fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     let stride = picture.visible.stride;
     let mut window = None;
@@ -137,8 +134,7 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     window
 }
 
-/// Returns the fragments of a geom in front of the visible samples, in drawing order; `None` if the
-/// geom exceeds the limit of layers.
+/// Fragments in front of the visible samples, in drawing order; `None` beyond the limit of layers.
 fn paint(
     picture: &mut Picture,
     pass: Pass<'_>,

@@ -8,14 +8,12 @@ use crate::scene::{Camera, Geom, Shape, TextureUse};
 use crate::texture::TextureKind;
 use crate::window::Window;
 
-/// Transformations from the world to the picture.
 #[derive(Debug, Clone)]
 pub(crate) struct View {
     pub(crate) projection: Matrix,
     pub(crate) world_to_eye: Matrix,
     /// Position of the camera, world frame.
     pub(crate) head: Vec3,
-    /// True if left and right are swapped by a mirror.
     pub(crate) mirrored: bool,
     /// Clip-space plane beyond which geometry is clipped.
     pub(crate) clip: Option<[f32; 4]>,
@@ -46,8 +44,7 @@ impl View {
         }
     }
 
-    /// Returns the view through a mirror at `pos` with this normal; geometry behind the mirror is
-    /// clipped.
+    /// Geometry behind the mirror is clipped.
     pub(crate) fn in_mirror(&self, pos: Vec3, normal: Vec3) -> Self {
         let plane = [
             -normal[0],
@@ -63,7 +60,6 @@ impl View {
         }
     }
 
-    /// Transforms a plane from the world into clip space.
     fn plane_in_clip_space(&self, [a, b, c, d]: [f32; 4]) -> Option<[f32; 4]> {
         let view = &self.world_to_eye;
         let inverse = view.inverse_of_linear_part()?;
@@ -86,37 +82,27 @@ impl View {
     }
 }
 
-/// Mapping of a texture onto an instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Mapping {
-    /// No texture.
     None,
-    /// A flat texture, at the texture coordinates of the mesh's corners.
     Corners,
-    /// A flat texture over x and y, with this scale.
     Flat([f32; 2]),
     /// A cube texture in the direction from the centre, with this scale.
     Cube([f32; 3]),
-    /// A cube texture around the whole scene.
     Sky,
 }
 
-/// A mesh in a pass.
 #[derive(Debug, Clone)]
 pub(crate) struct Instance {
     pub(crate) mesh: MeshRef,
-    /// Index of the instance's geom in the scene; `usize::MAX` for the sky, and 0 for translucent
-    /// geoms while they are blended.
+    /// Index in the scene; `usize::MAX` for the sky, 0 for translucent geoms while blended.
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
     pub(crate) to_clip: Matrix,
-    /// Inverse of the upper left 3 × 3 part of `to_eye`, row by row; the identity if that part is
-    /// singular.
+    /// Inverse of the linear part of `to_eye`, row by row; the identity if that part is singular.
     pub(crate) normals: [f32; 9],
-    /// Position of the eye in the mesh's frame, or the viewing direction if the eye is
-    /// infinitely far away.
+    /// Position in the mesh's frame, or the viewing direction if infinitely far away.
     pub(crate) eye: Vec3,
-    /// True if front faces are wound counter-clockwise.
     pub(crate) counter_clockwise: bool,
     /// True if back faces are drawn instead of front faces.
     pub(crate) inside_out: bool,
@@ -128,8 +114,7 @@ pub(crate) struct Instance {
     pub(crate) shininess: f32,
     pub(crate) texture: Option<usize>,
     pub(crate) mapping: Mapping,
-    /// Distance of the instance's far end from the eye. Instances are drawn in the order of this
-    /// distance, nearest first.
+    /// Distance of the far end from the eye. Instances are drawn nearest first.
     pub(crate) distance: f32,
     /// Position in OpenGL's drawing order.
     pub(crate) rank: u32,
@@ -137,7 +122,6 @@ pub(crate) struct Instance {
     pub(crate) window: Option<Window>,
 }
 
-/// Reference to a mesh of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum MeshRef {
     Mesh(usize),
@@ -170,7 +154,6 @@ impl MeshRef {
 /// Ranks reserved for the meshes of each geom; a capsule has the most meshes, three.
 const MAX_PARTS: u32 = 4;
 
-/// Adds the instances of a geom.
 pub(crate) fn add(
     geom_index: usize,
     geom: &Geom,

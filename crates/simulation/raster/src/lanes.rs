@@ -7,7 +7,6 @@ use std::ops::{BitAnd, BitOr, Not};
 use bytemuck::cast;
 pub(crate) use wide::{f32x4, f32x8 as F, i16x16, i32x4, i32x8 as I};
 
-/// Number of lanes of a vector.
 pub(crate) const LANES: usize = 8;
 
 /// Truth value per lane: all bits set or none.
@@ -81,7 +80,6 @@ impl Not for Mask {
     }
 }
 
-/// Operations of [`F`] besides arithmetic.
 pub(crate) trait Floats: Sized {
     fn load(from: &[f32]) -> Self;
     fn store(self, to: &mut [f32]);
@@ -94,7 +92,6 @@ pub(crate) trait Floats: Sized {
     fn equals(self, other: Self) -> Mask;
     /// Rounds to the nearest integer, ties to even.
     fn round_to_int(self) -> I;
-    /// Truncates towards zero.
     fn truncate_to_int(self) -> I;
     fn to_signed_bits(self) -> I;
     fn from_signed_bits(bits: I) -> Self;
@@ -169,7 +166,6 @@ impl Floats for F {
     }
 }
 
-/// Operations of [`I`] besides arithmetic.
 pub(crate) trait Ints: Sized {
     fn store(self, to: &mut [i32]);
     fn load_unsigned(from: &[u32]) -> Self;

@@ -7,7 +7,6 @@ use crate::matrix::{Vec3, dot};
 use crate::scene::{Light, LightKind, MAX_LIGHTS, Scene};
 
 const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
-/// Largest exponent of a highlight.
 const MAX_SHININESS: f32 = 128.0;
 
 #[derive(Debug, Clone, Copy)]
@@ -16,8 +15,7 @@ pub(crate) struct EyeLight {
     place: Vec3,
     cone: Option<Cone>,
     is_directional: bool,
-    /// Constant, linear and quadratic attenuation with distance; `None` if the light does not get
-    /// weaker with distance.
+    /// Constant, linear and quadratic; `None` without attenuation.
     attenuation: Option<Vec3>,
     ambient: Vec3,
     diffuse: Vec3,
@@ -31,13 +29,11 @@ struct Cone {
     exponent: f32,
 }
 
-/// Light of a drawing pass.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Lighting<'a> {
     pub(crate) lights: &'a [EyeLight],
     /// Ambient light without a source.
     pub(crate) everywhere: f32,
-    /// True if surfaces emit light of their own.
     pub(crate) has_emission: bool,
 }
 
@@ -53,7 +49,6 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// Returns the light of a pass that adds one light to a picture.
     pub(crate) fn added_by(light: &'a EyeLight) -> Self {
         Self { lights: std::slice::from_ref(light), everywhere: 0.0, has_emission: false }
     }
@@ -105,7 +100,6 @@ impl EyeLight {
     }
 }
 
-/// Lights combined with an instance's material.
 #[derive(Debug, Clone)]
 pub(crate) struct Shading<'a> {
     lights: &'a [EyeLight],
@@ -177,8 +171,7 @@ fn subtract8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// Returns the colours of corners at `pos` with `normal`, both in the eye frame; `normal` may have
-/// any length.
+/// `pos` and `normal` are in the eye frame; `normal` may have any length.
 #[inline(always)]
 pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x8 {
     let splat = |value: f32| F::splat(value);
@@ -221,7 +214,6 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         } else {
             (facing, facing)
         };
-        // Invisible highlights add nothing.
         let highlight = if products[2] == [0.0; 3] {
             zero
         } else if has_highlights || attenuation.is_some() {
@@ -266,15 +258,13 @@ fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F>
     }
 }
 
-/// Mesa's approximation of the binary logarithm: coefficients of a polynomial in
-/// the square of (m − 1) / (m + 1), from the constant up.
+/// Mesa's binary logarithm: a polynomial in the square of (m − 1) / (m + 1), constant first.
 const LOG2: [f32; 5] = [2.885_39, 0.961_791_6, 0.577_440_3, 0.403_343_86, 0.406_718_05];
 /// Coefficients of Mesa's polynomial for the power of two of a fraction.
 const EXP2: [f32; 6] =
     [1.0, 0.693_153_1, 0.240_153_61, 0.055_826_318, 0.008_989_34, 0.001_877_576_7];
 
-/// Returns `base` to the power of `exponent` for a non-negative base; zero for a base of zero,
-/// whatever the exponent.
+/// Power of a non-negative base; zero for a base of zero, whatever the exponent.
 #[inline(always)]
 fn power(base: F, exponent: F) -> F {
     let splat = |value: f32| F::splat(value);

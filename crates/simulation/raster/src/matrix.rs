@@ -25,7 +25,6 @@ impl Matrix {
         Self(values)
     };
 
-    /// Returns the matrix product.
     pub(crate) fn times(&self, other: &Self) -> Self {
         let (a, b) = (&self.0, &other.0);
         Self(std::array::from_fn(|index| {
@@ -71,7 +70,6 @@ impl Matrix {
         self
     }
 
-    /// Creates a rotation from its rows, without translation.
     pub(crate) fn rotation(rows: &[f32; 9]) -> Self {
         let r = rows;
         Self([
@@ -97,8 +95,7 @@ impl Matrix {
         reversed_depth().times(&Self(m))
     }
 
-    /// Creates an orthographic projection with the conventions of
-    /// [`perspective`](Self::perspective).
+    /// Orthographic projection with the conventions of [`perspective`](Self::perspective).
     pub(crate) fn orthographic(
         [left, right]: [f32; 2],
         [bottom, top]: [f32; 2],
@@ -166,20 +163,17 @@ impl Matrix {
         ])
     }
 
-    /// Transforms a point.
     pub(crate) fn point(&self, [x, y, z]: Vec3) -> Vec3 {
         let m = &self.0;
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z + m[row + 12])
     }
 
-    /// Transforms a direction.
     pub(crate) fn direction(&self, [x, y, z]: Vec3) -> Vec3 {
         let m = &self.0;
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z)
     }
 
-    /// Returns the inverse of a matrix whose last row is (0, 0, 0, 1); the identity if the matrix
-    /// is singular, as in Mesa.
+    /// Inverse for a last row of (0, 0, 0, 1); the identity if singular, as in Mesa.
     pub(crate) fn inverse_of_affine(&self) -> Self {
         let Some(rows) = self.inverse_of_linear_part() else {
             return Self::IDENTITY;

@@ -13,8 +13,7 @@ use crate::values::{Blob, Values};
 
 /// Maximum number of triangles in a cluster, so that the indices of their corners fit in a byte.
 pub(crate) const CLUSTER: usize = 64;
-/// Weight of a difference in normals relative to a distance when triangles are split into clusters,
-/// in radii of the mesh.
+/// Weight of normals relative to a distance in splitting into clusters, in radii of the mesh.
 const FACING_WEIGHT: f32 = 0.35;
 
 /// A corner of a triangle.
@@ -46,8 +45,7 @@ pub struct Mesh {
     pub(crate) zs: Values<f32>,
     /// Vertices, cluster by cluster: position, normal and texture coordinates.
     pub(crate) vertices: Values<Vertex>,
-    /// Per triangle, cluster by cluster, padded to a multiple of eight: position indices of its
-    /// corners within the cluster.
+    /// Indices in the cluster, per triangle, cluster by cluster, padded to a multiple of eight.
     pub(crate) position_ids: [Values<u8>; 3],
     /// Vertex indices of the same triangles' corners within the cluster.
     pub(crate) corners: [Values<u8>; 3],
@@ -56,22 +54,18 @@ pub struct Mesh {
     pub(crate) bounds: Sphere,
 }
 
-/// Vertex in the layout of [`Mesh::vertices`].
 pub(crate) type Vertex = [f32; 8];
 
-/// A bounding sphere.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sphere {
     pub(crate) center: Vec3,
     pub(crate) radius: f32,
 }
 
-/// Up to [`CLUSTER`] neighbouring triangles.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
-    /// Axis of the cone that contains all normals, and the sine of the angle between the axis and
-    /// the farthest normal; see [`Cluster::faces_away_from`].
+    /// Axis of the cone of all normals; `sine` is that of the angle to the farthest one.
     axis: Vec3,
     sine: f32,
     pub(crate) first_position: u32,
@@ -91,8 +85,7 @@ impl Cluster {
         dot(to, self.axis) > (self.sine + 2e-3) * distance + 1.01 * self.bounds.radius
     }
 
-    /// Returns true if every triangle is back-facing for an infinitely distant eye with this
-    /// viewing direction.
+    /// Every triangle is back-facing for an infinitely distant eye with this viewing direction.
     pub(crate) fn faces_along(&self, forward: Vec3) -> bool {
         let length = dot(forward, forward).sqrt();
         dot(forward, self.axis) > (self.sine + 2e-3) * length
@@ -117,8 +110,7 @@ impl MeshBuilder {
         self.triangle([b, c, d]);
     }
 
-    /// Prepares the mesh. Triangles with a position that is not finite, or with two corners at the
-    /// same position, are invisible and left out.
+    /// Leaves out invisible triangles: a position is not finite, or two corners share one.
     pub fn build(self) -> Mesh {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
         let is_visible = |corners: &[Corner; 3]| {
@@ -148,7 +140,6 @@ impl MeshBuilder {
     }
 }
 
-/// A triangle to be assigned to a cluster.
 struct Piece {
     order: u32,
     pos: [Vec3; 3],
@@ -334,7 +325,6 @@ impl Sphere {
     }
 }
 
-/// Words in a serialised cluster.
 const WORDS: usize = 14;
 
 impl Cluster {
@@ -398,7 +388,6 @@ fn normal_cone(pieces: &[Piece]) -> (Vec3, f32) {
         }
     }
     let length = dot(sum, sum).sqrt();
-    // No cone is useful if the normals cancel or a triangle has no normal.
     if length.is_nan() || length <= 1e-3 || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
         return NO_CONE;
     }

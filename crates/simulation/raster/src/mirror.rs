@@ -13,8 +13,7 @@ use crate::shapes::is_upper_face;
 use crate::visible::{Ranks, SAMPLES};
 use crate::window::Window;
 
-/// Returns the index of the first opaque geom that mirrors; `None` if there is none, the camera is
-/// behind that geom's face, or the scene has no reflections.
+/// The first opaque geom that mirrors; `None` also if the camera is behind its face.
 pub(crate) fn find(scene: &Scene, view: &View, translucent: &[usize]) -> Option<usize> {
     let can_mirror = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
     let found = (0..scene.geoms.len()).find(|index| {
@@ -37,8 +36,7 @@ fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
     (pos, normal)
 }
 
-/// Adds the reflection to the samples at which the mirror face is visible; returns the changed
-/// window. The reflection is first drawn into `reflection`.
+/// Draws the reflection into `reflection` first; returns the changed window.
 pub(crate) fn add(
     picture: &mut Picture,
     reflection: &mut Picture,
@@ -79,7 +77,6 @@ pub(crate) fn add(
     Some(face.window)
 }
 
-/// Visible samples of the mirror face.
 struct Face {
     window: Window,
     /// Pixel indices, each with the bits of its visible samples.

@@ -1,16 +1,15 @@
 //! A picture being drawn: the visible surfaces of some instances, and the colours of their samples.
 
-use crate::drawing::Drawing;
 use crate::instance::{Instance, View};
 use crate::light::Lighting;
 use crate::model::Model;
 use crate::positions::Positions;
 use crate::raster;
+use crate::raster::Drawing;
 use crate::shade::{self, Content, Lists};
 use crate::visible::{SAMPLES, Visible};
 use crate::window::{BoundingWindow, Window};
 
-/// A picture being drawn.
 #[derive(Default)]
 pub(crate) struct Picture {
     pub(crate) instances: Vec<Instance>,
@@ -19,7 +18,6 @@ pub(crate) struct Picture {
     pub(crate) samples: Vec<[u32; SAMPLES]>,
 }
 
-/// Inputs of one drawing pass.
 #[derive(Clone, Copy)]
 pub(crate) struct Pass<'a> {
     pub(crate) model: &'a Model,
@@ -27,11 +25,9 @@ pub(crate) struct Pass<'a> {
     pub(crate) largest_levels: &'a [&'a [u8]],
     pub(crate) view: &'a View,
     pub(crate) light: Lighting<'a>,
-    /// Window outside which nothing is drawn.
     pub(crate) window: Window,
 }
 
-/// Buffers for intermediate results, reused from frame to frame.
 #[derive(Default)]
 pub(crate) struct Workspace {
     pub(crate) positions: Box<Positions>,
@@ -65,8 +61,7 @@ impl Picture {
         }
     }
 
-    /// Rasterises the instances from `first` on, keeping the nearest surface at each sample. Near
-    /// instances are rasterised first, since they occlude much of the distant instances.
+    /// Near instances come first, since they occlude much of the distant ones.
     pub(crate) fn rasterise(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         work.order.clear();
         work.order.extend(first..self.instances.len());
@@ -90,7 +85,6 @@ impl Picture {
         }
     }
 
-    /// Colours the samples at which a record from `first` on is visible.
     pub(crate) fn paint(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         let Some(window) = self.visible.touched else {
             return;

@@ -3,16 +3,31 @@
 
 use crate::candidates::Candidates;
 use crate::clip::{self, ClippedTriangle, Clipping, Viewport};
-use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
+use crate::instance::Instance;
 use crate::lanes::LANES;
 use crate::mesh::{Cluster, Mesh};
-use crate::place::{ClusterExtent, transform};
+use crate::model::Model;
+use crate::positions::{ClusterExtent, Positions, transform};
 use crate::setup::Setup;
-use crate::visible::{CLIPPED, Record};
+use crate::visible::{CLIPPED, Layers, Record, Visible};
+use crate::window::{BoundingWindow, Window};
 
-/// Rasterises an instance.
+pub(crate) struct Drawing<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) instances: &'a [Instance],
+    pub(crate) window: Window,
+    /// Clip-space plane beyond which geometry is clipped.
+    pub(crate) plane: Option<[f32; 4]>,
+    pub(crate) positions: &'a mut Positions,
+    pub(crate) visible: &'a mut Visible,
+    pub(crate) touched: BoundingWindow,
+    /// Receives every layer that is not behind a visible surface; without it, the nearest layer
+    /// becomes visible.
+    pub(crate) layers: Option<Layers<'a>>,
+}
+
 #[inline(always)]
 pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
     let instance = &drawing.instances[index];
@@ -75,7 +90,6 @@ fn draw_cluster(
     }
 }
 
-/// Clips those triangles of a cluster whose bits are set.
 #[inline(never)]
 fn clip_triangles(
     index: usize,

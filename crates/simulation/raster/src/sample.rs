@@ -9,18 +9,15 @@ use crate::texture::{Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL,
 /// Red, green, blue and opacity, 0 to 1.
 pub(crate) type Colour = [F; 4];
 const CHANNELS: usize = 4;
-/// Scale from 8 bits to the range 0 to 1.
 const OVER_255: f32 = 1.0 / 255.0;
 
-/// Eight places on a flat texture, or eight directions for a cube.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     pub(crate) at: [F; 3],
 }
 
-/// Samples a flat texture at eight places. `corner`, `right` and `above` are places of three pixels
-/// of the 2 × 2 quad that contains each place: the whole quad uses the level of detail of its first
-/// pixel.
+/// `corner`, `right` and `above` are places of three pixels of each place's 2 × 2 quad, which uses
+/// the level of detail of its first pixel.
 #[inline(always)]
 pub(crate) fn flat(
     texels: Texels<'_>,
@@ -37,9 +34,8 @@ pub(crate) fn flat(
     }
 }
 
-/// Samples a cube in eight directions. `beside` and `over` are the directions of the neighbours
-/// along x and y in each 2 × 2 quad: on a cube every pixel has its own level of detail. The sign of
-/// a difference does not matter, so a neighbour may be on either side.
+/// `beside` and `over` are the directions of the neighbours along x and y in each 2 × 2 quad, on
+/// either side: every pixel has its own level of detail.
 #[inline(always)]
 pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2]) -> Colour {
     let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - place.at[axis]));
@@ -64,13 +60,11 @@ fn footprint(texels: Texels<'_>, changes: [[F; 2]; 2]) -> F {
     a.max(b)
 }
 
-/// The two mipmap levels that eight places are sampled from.
 struct Levels {
     first: [u8; LANES],
     second: [u8; LANES],
     /// Weight of the second level, 0 to 1.
     share: F,
-    /// True if no place needs the second level.
     is_single: bool,
 }
 
@@ -79,8 +73,7 @@ impl Levels {
     #[inline(always)]
     fn choose(texels: Texels<'_>, square: F) -> Self {
         let int = |value: i32| I::splat(value);
-        // Half the binary logarithm of the square, which is approximated by the exponent plus the
-        // mantissa − 1.
+        // Half the binary logarithm, approximated by the exponent plus the mantissa − 1.
         let bits = square.to_signed_bits();
         let exponent = ((bits >> 23i32) & int(255)) - int(128);
         let mantissa = F::from_signed_bits((bits & int(0x007f_ffff)) | int(0x3f80_0000));
@@ -106,7 +99,6 @@ impl Levels {
     }
 }
 
-/// Sizes of the mipmap level of each of eight places.
 struct Sizes {
     width: I,
     height: I,
@@ -150,8 +142,7 @@ fn fetch(texels: Texels<'_>, at: I) -> I {
     I::new(texels.eight(&at.into()).map(u32::cast_signed))
 }
 
-/// Fetches two texels in each of eight rows; with `is_beside` the second texels directly follow the
-/// first.
+/// Two texels in each of eight rows; with `is_beside` the second ones follow the first.
 #[inline(always)]
 fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [I; 2] {
     let pairs = match is_beside {
@@ -164,8 +155,7 @@ fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [
     }
 }
 
-/// The four texels around each of eight places of a flat texture, and the weight of the
-/// second texel along each axis. `W` is the type of the weights.
+/// Texels around places of a flat texture, and the second texel's weight along each axis.
 struct Neighbours<W> {
     texels: [I; 4],
     shares: [W; 2],
@@ -251,8 +241,7 @@ impl Bytes {
     }
 }
 
-/// Returns the texel before a place of a repeating texture, and the place's distance from that
-/// texel in 256ths.
+/// The texel before a place of a repeating texture, and the distance from it in 256ths.
 #[inline(always)]
 fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
     let int = |value: i32| I::splat(value);
@@ -346,7 +335,6 @@ fn texel_and_share(at: F, size: I, is_power_of_two: bool) -> (I, F) {
     (texel, place - floor)
 }
 
-/// Intersections of directions with the faces of a cube.
 struct Face {
     number: I,
     s: F,
@@ -354,8 +342,7 @@ struct Face {
 }
 
 impl Face {
-    /// Returns the faces that directions meet, and the derivatives of the places on them for two
-    /// changes of direction.
+    /// Faces, and the derivatives of the places on them for two changes of direction.
     #[inline(always)]
     fn new(place: &Place, changes: &[[F; 3]; 2]) -> (Self, [[F; 2]; 2]) {
         let [x, y, z] = place.at;
@@ -434,7 +421,6 @@ fn sample_cube_level(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colo
     colour
 }
 
-/// A place on a cube near an edge of a face.
 struct EdgePlace<'a> {
     level: &'a Level,
     face: i32,
@@ -486,8 +472,7 @@ fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CH
     cube.at(at).to_le_bytes().map(|part| f32::from(part) * OVER_255)
 }
 
-/// Returns the face, column and row of the texel that lies beyond an edge of `face`, where `x` or
-/// `y` is out of range.
+/// Face, column and row of the texel beyond an edge of `face`, where `x` or `y` is out of range.
 fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
     // Coordinates across each face from -`side` to `side`, in half texels, clamped to the edge.
     let on_face = |index: i32| (2 * index + 1 - side).clamp(-side, side);
@@ -500,8 +485,7 @@ fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
         4 => [s, -t, edge],
         _ => [-s, -t, -edge],
     };
-    // The neighbouring face is on the axis, other than this face's own axis, whose coordinate is at
-    // the edge.
+    // It is on the other axis whose coordinate is at the edge.
     let is_own_axis = |axis: i32| face / 2 == axis;
     let (face, s, t) = if dx.abs() == side && !is_own_axis(0) {
         (i32::from(dx < 0), if dx < 0 { dz } else { -dz }, -dy)

@@ -1,18 +1,16 @@
 //! Triangle setup: edge functions, depths, and the range of pixels that a triangle may cover.
 
 use crate::clip::ClippedCorner;
-use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::{MAX_COORDINATE, SUBPIXELS};
+use crate::raster::Drawing;
 use crate::window::Window;
 
-/// Triangles of at least this extent, in subpixel units, are split into blocks, so that no product
-/// exceeds 32 bits.
+/// Extent, in subpixel units, from which blocks are needed, so that no product exceeds 32 bits.
 const LARGE: i32 = 32 * SUBPIXELS;
 
-/// Returns the winding order of a triangle's corners. Mesa swaps the first two corners of a
-/// triangle whose front is wound counter-clockwise.
+/// Mesa swaps the first two corners of a triangle whose front is wound counter-clockwise.
 #[inline(always)]
 pub(crate) fn winding_order(counter_clockwise: bool) -> [usize; 3] {
     match counter_clockwise {
@@ -21,30 +19,26 @@ pub(crate) fn winding_order(counter_clockwise: bool) -> [usize; 3] {
     }
 }
 
-/// Returns the least and the largest of three corners' coordinates along an axis.
 #[inline(always)]
 pub(crate) fn extent([a, b, c]: &[I; 3]) -> [I; 2] {
     [a.min(*b).min(*c), a.max(*b).max(*c)]
 }
 
-/// Returns the mask of triangles that are large enough to be split into blocks.
 #[inline(always)]
 pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     let [is_wide, is_high] = [x, y].map(|[least, most]| (most - least).ge(I::splat(LARGE)));
     is_wide | is_high
 }
 
-/// Returns the mask of the edges that own the samples exactly on them: true for left and lower
-/// edges. This is the top-left rule in a frame buffer object, whose first row is the lowest. `dx`
-/// is the difference of an edge's ends along y, and `dy` along x: each is named after the direction
-/// in which it changes the edge's value.
+/// True for edges that own the samples exactly on them: left and lower ones, the top-left rule in a
+/// frame buffer object, whose first row is the lowest. `dx` is the difference of an edge's ends
+/// along y, and `dy` along x: each is the direction in which it changes the edge's value.
 #[inline(always)]
 pub(crate) fn owns_samples(dx: I, dy: I) -> Mask {
     let zero = I::splat(0);
     dx.lt(zero) | dx.equals(zero) & dy.gt(zero)
 }
 
-/// Setup of eight triangles.
 #[derive(Default)]
 pub(crate) struct Setup {
     /// Per edge: value at the corner of the first pair of pixels; non-negative inside.
@@ -59,8 +53,7 @@ pub(crate) struct Setup {
     /// Inclusive ranges of pixels.
     pub(crate) x: [[i32; LANES]; 2],
     pub(crate) y: [[i32; LANES]; 2],
-    /// Bits of the triangles whose edge functions may exceed 32 bits, and the snapped corners of
-    /// all triangles.
+    /// Bits of the triangles whose edge functions may exceed 32 bits.
     pub(crate) large: u32,
     pub(crate) corners: [[[i32; LANES]; 2]; 3],
 }
@@ -105,8 +98,7 @@ impl Setup {
         per_y.store(&mut self.depth_y);
     }
 
-    /// Sets up one piece of a clipped triangle, in lane 0; returns false if it faces away, is
-    /// degenerate, or is in no pixel of the window.
+    /// Sets up lane 0; false if the piece faces away, is degenerate, or is outside the window.
     pub(crate) fn clipped(
         &mut self,
         instance: &Instance,
@@ -161,8 +153,7 @@ impl Setup {
     }
 }
 
-/// Coefficients for interpolating a value from three corners: eight triangles at once, with
-/// llvmpipe's order of operations.
+/// Coefficients that interpolate from three corners, with llvmpipe's order of operations.
 pub(crate) struct Slopes {
     x: F,
     y: F,
@@ -188,7 +179,6 @@ impl Slopes {
         }
     }
 
-    /// Broadcasts the coefficients of each triangle to all lanes.
     #[inline(always)]
     pub(crate) fn each(&self) -> [Self; LANES] {
         let Self { x, y, dx01, dy01, dx20, dy20 } = self;

@@ -6,8 +6,8 @@ use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
 use crate::light::{Lighting, Shading};
 use crate::model::Model;
-use crate::receiver::Receiver;
 use crate::sample::{self, Place};
+use crate::shadow::Receiver;
 use crate::surface::{
     self, COLOUR, COORDINATES, Interpolated, OPACITY, OVER_W, PLACE, Surface, SurfaceRequest,
     Vertices,
@@ -21,13 +21,11 @@ use crate::window::Window;
 pub(crate) struct Fragment {
     /// Column, row, and bits of the covered samples.
     place: u32,
-    /// Index of the triangle's surface.
     surface: u32,
 }
 
 /// Longest side of a frame, pixels.
 pub(crate) const MAX_SIDE: usize = 4096;
-/// Number of bits of a column or row number, which is below [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const _: () = assert!(MAX_SIDE.is_power_of_two(), "column and row numbers fit in their bits");
@@ -50,31 +48,26 @@ impl Fragment {
         (self.place >> SIDE_BITS & SIDE_MASK) as usize
     }
 
-    /// Returns the index of the triangle's surface.
     #[inline(always)]
     pub(crate) fn surface(&self) -> usize {
         self.surface as usize
     }
 
-    /// Returns the bits of the covered samples.
     #[inline(always)]
     pub(crate) fn samples(&self) -> usize {
         (self.place >> (2 * SIDE_BITS)) as usize & ((1 << SAMPLES) - 1)
     }
 }
 
-/// Lists of fragments and surfaces, reused from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
     /// Per record from `first` on: its surface, if listed.
     surfaces: Vec<Surface>,
     /// Per record from `first` on: its place in a shadow map, if listed.
     places: Vec<Surface>,
-    /// Index of the first record that may be listed.
     first: usize,
     /// Per record from `first` on: number of the list that holds its fragments, or [`NOTHING`].
     list_of: Vec<u32>,
-    /// Surfaces to compute in one cluster.
     requests: Vec<SurfaceRequest>,
     vertices: Box<Vertices>,
     /// Fragments by texture; the last list holds the fragments without a texture.
@@ -91,8 +84,7 @@ impl Lists {
         self.fragments.iter_mut().for_each(Vec::clear);
     }
 
-    /// Requests a record's surface; returns the surface's index, and the list for its
-    /// fragments.
+    /// Returns the surface's index, and the list for the record's fragments.
     #[inline(always)]
     pub(crate) fn request_surface(
         &mut self,
@@ -137,8 +129,7 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// Value of [`Listing::id`] before the first fragment. Differs from [`NOTHING`], so that pixels
-/// without a triangle do not match it.
+/// Differs from [`NOTHING`], so that pixels without a triangle do not match it.
 const NO_RECORD: u32 = NOTHING - 1;
 
 /// Appends fragments to the lists. Optimised for runs of fragments of the same triangle and list.
@@ -212,7 +203,6 @@ impl Listing<'_> {
     }
 }
 
-/// Values of surfaces to compute.
 #[derive(Clone, Copy)]
 pub(crate) enum Content<'a> {
     Colours(Lighting<'a>),
@@ -284,8 +274,7 @@ impl<'a> ShadingCache<'a> {
     }
 }
 
-/// Colours the fragments of every list and passes each to `paint` with its colour, red in the
-/// lowest byte.
+/// Passes each fragment to `paint` with its colour, red in the lowest byte.
 #[inline(always)]
 pub(crate) fn colour(
     model: &Model,
@@ -308,8 +297,7 @@ pub(crate) fn colour(
     }
 }
 
-/// Calls `visit` with every fragment, in the order of [`colour`], and its place in the shadow map
-/// of [`Content::Places`]: column and row as shares of the side, and depth.
+/// Visits in the order of [`colour`]; a place is column and row as shares of the side, and depth.
 #[inline(always)]
 pub(crate) fn visit_places(lists: &Lists, mut visit: impl FnMut(&Fragment, [f32; 3])) {
     for part in lists.fragments.iter().flat_map(|list| list.chunks(LANES)) {
@@ -331,7 +319,6 @@ pub(crate) fn visit_places(lists: &Lists, mut visit: impl FnMut(&Fragment, [f32;
     }
 }
 
-/// Returns the columns and rows of eight fragments.
 #[inline(always)]
 fn pixels(fragments: &[Fragment; LANES]) -> (I, I) {
     let places = I::new(fragments.each_ref().map(|fragment| fragment.place.cast_signed()));
@@ -339,7 +326,6 @@ fn pixels(fragments: &[Fragment; LANES]) -> (I, I) {
     (places & side, (places >> SIDE_BITS.cast_signed()) & side)
 }
 
-/// Returns the centres of pixels along an axis.
 #[inline(always)]
 fn centre(at: I) -> F {
     at.float() + F::splat(0.5)
@@ -354,7 +340,6 @@ struct Planes {
 }
 
 impl Planes {
-    /// Gathers every interpolated value of eight surfaces.
     #[inline(always)]
     fn gather(surfaces: &[&Surface; LANES]) -> [Self; VARYING] {
         let first = surfaces[0];
@@ -422,7 +407,6 @@ fn colour_eight(
                 sample::flat(texture, srgb, place, square)
             }
             TextureKind::Cube => {
-                // The neighbours along x and y in the 2 × 2 quad.
                 let last_bit = I::splat(1);
                 let neighbours = [at(centre(x ^ last_bit), py), at(px, centre(y ^ last_bit))];
                 sample::cube(texture, place, neighbours)

@@ -5,22 +5,20 @@
 
 use crate::cast::{self, Lookups};
 use crate::instance::View;
+use crate::lanes::F;
 use crate::light::{EyeLight, Lighting};
 use crate::matrix::{Matrix, Vec3, cross, dot, normalized};
 use crate::mirror::saturating_sum;
 use crate::picture::{Pass, Picture, Workspace};
-use crate::receiver::Receiver;
 use crate::scene::{Camera, Light, LightKind, Scene, Shadows};
 use crate::shade::{self, Content};
 use crate::visible::SAMPLES;
 
 /// Widest angle of a spot light's map, degrees.
 const WIDEST: f32 = 160.0;
-/// Least opacity of a fragment to which a light that casts shadows is added: 0.99 of 255, rounded
-/// up.
+/// Opacity from which a light that casts shadows is added: 0.99 of 255, rounded up.
 const LEAST_OPACITY: u32 = 253;
 
-/// Adds the lights that cast shadows to the opaque geoms of a picture.
 pub(crate) fn add_all(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -57,7 +55,6 @@ fn add(
     shade::compute_surfaces(pass.model, visible, instances, content, lists);
     let receiver = Receiver::new(pass.view, view);
     shade::compute_surfaces(pass.model, visible, instances, Content::Places(&receiver), lists);
-    // Fragments that the light cannot change are not looked up.
     let mut colours = Vec::new();
     shade::colour(pass.model, pass.largest_levels, lists, |fragment, colour| {
         let record = &visible.records[fragment.surface()];
@@ -122,4 +119,38 @@ fn upwards(dir: Vec3) -> Vec3 {
         true => across,
         false => cross(dir, [0.0, 1.0, 0.0]),
     })
+}
+
+/// Planes in the eye's frame. The distances from them are the coordinates in a shadow map: column,
+/// row, depth, and their divisor.
+#[derive(Debug)]
+pub(crate) struct Receiver([[f32; 4]; 4]);
+
+impl Receiver {
+    pub(crate) fn new(eye: &View, light: &View) -> Self {
+        let to_map = light.projection.times(&light.world_to_eye);
+        // Maps columns and rows from the range -1 to 1 to the range 0 to 1.
+        let shares = Matrix([
+            0.5, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0,
+        ]);
+        let to_map = shares.times(&to_map).0;
+        let from_eye = eye.world_to_eye.inverse_of_affine().0;
+        Self(std::array::from_fn(|row| {
+            std::array::from_fn(|column| {
+                let inverse = &from_eye[4 * column..][..4];
+                to_map[row] * inverse[0]
+                    + to_map[row + 4] * inverse[1]
+                    + to_map[row + 8] * inverse[2]
+                    + to_map[row + 12] * inverse[3]
+            })
+        }))
+    }
+
+    #[inline(always)]
+    pub(crate) fn place(&self, [x, y, z]: [F; 3]) -> [F; 4] {
+        self.0.map(|plane| {
+            let [a, b, c, d] = plane.map(F::splat);
+            d + z * c + y * b + x * a
+        })
+    }
 }

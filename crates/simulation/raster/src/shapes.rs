@@ -17,7 +17,6 @@ pub struct Quality {
     pub quads: usize,
 }
 
-/// The built-in shapes.
 #[derive(Debug)]
 pub(crate) struct Shapes {
     pub(crate) rectangle: Mesh,
@@ -30,8 +29,7 @@ pub(crate) struct Shapes {
     pub(crate) open_cylinder: Mesh,
 }
 
-/// Number of a cuboid's faces. For each cell of the faces' grids, the mesh lists the triangles of
-/// the upper face, then those of the other five faces.
+/// Faces: in each cell of their grids, the upper face's triangles precede those of the others.
 const CUBOID_FACES: u32 = 6;
 const TRIANGLES_PER_QUAD: u32 = 2;
 
@@ -109,7 +107,6 @@ fn cuboid(builder: &mut MeshBuilder, quads: usize) {
     }
 }
 
-/// Returns a slice's angle about the axis.
 fn azimuth(slice: usize, slices: usize) -> f32 {
     ((2.0 * PI * slice as f64) / f64::from(slices as f32)) as f32
 }

@@ -6,8 +6,8 @@ use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
 use crate::mesh::{CLUSTER, Mesh, Vertex};
-use crate::receiver::Receiver;
 use crate::setup::{Slopes, winding_order};
+use crate::shadow::Receiver;
 use crate::visible::{CLIPPED, Record, Visible};
 
 /// Index at which each value starts among the interpolated values, all of which are divided by w.
@@ -18,8 +18,7 @@ pub(crate) const OPACITY: usize = 7;
 /// Index at which the four coordinates of a place in a shadow map start.
 pub(crate) const PLACE: usize = 1;
 
-/// Interpolation planes of a triangle: values at the picture's corner and their changes per pixel
-/// along x and y.
+/// Values at the picture's corner and their changes per pixel along x and y.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(32))]
 pub(crate) struct Surface {
@@ -28,12 +27,10 @@ pub(crate) struct Surface {
     pub(crate) per_y: [f32; VARYING],
 }
 
-/// Values that a surface interpolates.
 #[derive(Clone, Copy)]
 pub(crate) enum Interpolated<'a> {
     /// Colour, texture coordinates and opacity; without shading, the colour is white.
     Colour(Option<&'a Shading<'a>>),
-    /// The place in a light's shadow map, from [`PLACE`] on.
     Place(&'a Receiver),
 }
 
@@ -44,7 +41,6 @@ pub(crate) struct SurfaceRequest {
     pub(crate) surface: u32,
 }
 
-/// Transformed and lit vertices of a cluster.
 #[derive(Debug)]
 pub(crate) struct Vertices {
     /// Per vertex: its index in `x`, `y` and `varying`, or [`UNLIT`].
@@ -54,8 +50,7 @@ pub(crate) struct Vertices {
     varying: [[f32; VARYING]; CAPACITY],
 }
 
-/// Largest number of vertices of a cluster: as many as a byte can index, so that indices need no
-/// bounds check. Includes padding, since vertices are computed eight at a time.
+/// Vertices that a byte can index, so that indices need no bounds check; includes padding to eight.
 const CAPACITY: usize = 256;
 const _: () =
     assert!(3 * CLUSTER + LANES <= CAPACITY, "a byte holds the index of every vertex, and UNLIT");
@@ -74,7 +69,6 @@ impl Default for Vertices {
 }
 
 impl Vertices {
-    /// Transforms and lights the vertices of these triangles.
     #[inline(always)]
     fn light(
         &mut self,
@@ -142,7 +136,6 @@ pub(crate) fn compute_cluster(
         }
         let slopes = Slopes::new(&x.map(F::new), &y.map(F::new)).each();
         for ((request, slots), slopes) in requests.iter().zip(slots).zip(slopes) {
-            // One lane per interpolated value.
             let values = slots.map(|slot| F::new(vertices.varying[usize::from(slot)]));
             let [at_corner, per_x, per_y] = slopes.plane(&values);
             into[request.surface as usize] = Surface {
@@ -189,7 +182,6 @@ impl Corners {
         }
     }
 
-    /// Returns all interpolated values, divided by w.
     #[inline(always)]
     fn values(
         &self,
@@ -240,8 +232,7 @@ impl Corners {
     }
 }
 
-/// Computes the surface of a clipped piece by clipping its triangle again with all interpolated
-/// values.
+/// Clips the triangle again, with all interpolated values.
 #[inline(never)]
 pub(crate) fn compute_clipped(
     instance: &Instance,
@@ -264,7 +255,6 @@ pub(crate) fn compute_clipped(
     let corners = winding_order(instance.counter_clockwise).map(|corner| corners[corner]);
     let place = |axis: usize| corners.map(|corner| F::splat(corner.window[axis]));
     let slopes = Slopes::new(&place(0), &place(1));
-    // One lane per interpolated value.
     let values = corners.map(|corner| corner.values * F::splat(corner.over_w));
     let [at_corner, per_x, per_y] = slopes.plane(&values);
     Surface { at_corner: at_corner.to_array(), per_x: per_x.to_array(), per_y: per_y.to_array() }

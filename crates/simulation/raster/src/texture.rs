@@ -7,7 +7,6 @@ use crate::error::ModelError;
 use crate::lanes::LANES;
 use crate::values::Values;
 
-/// Longest side of a texture, texels.
 const MAX_SIDE: usize = 1 << 14;
 
 /// Mapping of a texture.
@@ -35,7 +34,6 @@ pub struct Texture {
     smaller: Values<u8>,
 }
 
-/// A texture with the bytes of its largest level.
 #[derive(Clone, Copy)]
 pub(crate) struct Texels<'a> {
     pub(crate) texture: &'a Texture,
@@ -44,13 +42,11 @@ pub(crate) struct Texels<'a> {
 }
 
 impl<'a> Texels<'a> {
-    /// Combines a texture with the bytes that it was made from.
     pub(crate) fn new(texture: &'a Texture, largest: &'a [u8]) -> Self {
         Self { texture, largest, smaller: &texture.smaller }
     }
 
-    /// Returns red, green, blue and opacity, starting from the lowest byte. Texels are numbered
-    /// through all levels.
+    /// Red, green, blue and opacity, from the lowest byte. Texels are numbered through all levels.
     #[inline(always)]
     pub(crate) fn at(self, index: usize) -> u32 {
         const OPAQUE: u32 = 0xff00_0000;
@@ -61,7 +57,6 @@ impl<'a> Texels<'a> {
         };
         let four = match bytes.get(at..at + 4) {
             Some(four) => u32::from_le_bytes([four[0], four[1], four[2], four[3]]),
-            // The last texel of a texture with three channels.
             None => u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]),
         };
         match texture.channels {
@@ -72,8 +67,7 @@ impl<'a> Texels<'a> {
 }
 
 impl Texels<'_> {
-    /// Returns eight texels like [`Texels::at`]. Usually either all or none are of the largest
-    /// level, so that the byte slice is chosen once.
+    /// Usually all or none are of the largest level, so that the byte slice is chosen once.
     #[inline(always)]
     pub(crate) fn eight(self, at: &[i32; LANES]) -> [u32; LANES] {
         let largest = self.texture.largest as i32;
@@ -122,7 +116,6 @@ impl Texels<'_> {
             *texel = opaque
                 | match rest.first_chunk() {
                     Some(four) => u32::from_le_bytes(*four),
-                    // The last texel of a texture with three channels.
                     None => u32::from_le_bytes([rest[0], rest[1], rest[2], 0]),
                 };
         }
@@ -149,7 +142,6 @@ fn eight_pairs<const CHANNELS: usize>(
     Some(pairs)
 }
 
-/// One mipmap level of a texture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Level {
     pub(crate) width: usize,
@@ -203,7 +195,6 @@ impl Texture {
         }
     }
 
-    /// Creates a texture with the sizes of its levels, without the bytes of the smaller levels.
     fn with_sizes(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
         let first = Level::new(width, height / images, 0, images);
         let next = |last: &Level| last.next(images);
@@ -221,7 +212,6 @@ impl Texture {
         (end - self.largest) * self.channels + 1
     }
 
-    /// Returns the size of the largest level, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.largest * self.channels
     }
@@ -244,8 +234,7 @@ impl Texture {
 }
 
 impl Texels<'_> {
-    /// Returns the colour of a level at a point, 0 to 1 in both directions, as a texel of the next
-    /// smaller level.
+    /// Colour at a point, 0 to 1 in both directions, as a texel of the next smaller level.
     fn downsampled(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
         let first = level.start + image * level.image;
         let texel = |x: usize, y: usize| self.at(first + y * level.width + x).to_le_bytes();
@@ -285,12 +274,10 @@ impl Level {
         Self { width, height, start, image: if images == 1 { 0 } else { width * height } }
     }
 
-    /// Returns the index after the last texel of this level.
     fn end(&self, images: usize) -> usize {
         self.start + images * self.width * self.height
     }
 
-    /// Returns the next smaller level; `None` after the last level.
     fn next(&self, images: usize) -> Option<Self> {
         let half = |side: usize| (side / 2).max(1);
         let is_last = self.width == 1 && self.height == 1;
@@ -318,8 +305,7 @@ fn neighbours_in_256ths(at: f32, size: usize) -> (usize, usize, i32) {
     (first, (first + 1) % size, place & 255)
 }
 
-/// Like [`neighbours_in_256ths`], but the distance is a fraction, and the texels are clamped to the
-/// texture instead of repeated.
+/// Variant of [`neighbours_in_256ths`] with a fraction, and clamped instead of repeated.
 fn neighbours_clamped(at: f32, size: usize) -> (usize, usize, f32) {
     let place = at * size as f32 - 0.5;
     let floor = place.floor();
@@ -333,8 +319,7 @@ fn blend(from: u8, to: u8, weight: i32) -> u8 {
     (from + ((weight * (to - from) + 128) >> 8)) as u8
 }
 
-/// Coefficients of Mesa's polynomial for decoding sRGB values of 0 to 255, constant term first;
-/// small values are decoded linearly.
+/// Mesa's polynomial for decoding values of 0 to 255, constant first; small ones are linear.
 pub(crate) const SRGB_POLYNOMIAL: [f32; 4] =
     [0.0023, 0.0030 / 255.0, 0.6935 / (255.0 * 255.0), 0.3012 / (255.0 * 255.0 * 255.0)];
 /// Largest sRGB value that is decoded linearly, with [`SRGB_LINEAR_FACTOR`].
@@ -352,8 +337,7 @@ fn linear(value: u8) -> f32 {
     odd.mul_add(x, even)
 }
 
-/// Encodes sRGB like Mesa, which approximates the power by reciprocal square roots of low
-/// precision.
+/// Mesa approximates the power by reciprocal square roots of low precision.
 fn encoded(value: f32) -> u8 {
     let value = value.clamp(0.0, 1.0);
     let scaled = if value <= 0.003_130_8 {
@@ -367,9 +351,8 @@ fn encoded(value: f32) -> u8 {
     scaled.round_ties_even() as u8
 }
 
-/// Returns the reciprocal square root of a positive number as estimated by Intel's processors:
-/// evaluated at the centre of one of 1,024 intervals per octave, and rounded to 12 bits. Mipmap
-/// levels of sRGB textures equal Mesa's only with this estimate.
+/// Intel's estimate: at the centre of one of 1,024 intervals per octave, rounded to 12 bits. Mipmap
+/// levels of sRGB textures equal Mesa's only with it.
 fn reciprocal_sqrt(value: f32) -> f32 {
     /// Width of an interval, in units of the mantissa's last bit.
     const PART: u32 = 1 << 13;

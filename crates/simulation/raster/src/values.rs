@@ -5,7 +5,6 @@ use std::ops::Deref;
 use bytemuck::{AnyBitPattern, NoUninit};
 use bytes::Bytes;
 
-/// An array that is owned while it is being built, or shared.
 #[derive(Debug, Clone)]
 pub(crate) enum Values<T> {
     Owned(Vec<T>),
@@ -20,7 +19,6 @@ impl<T> Default for Values<T> {
 }
 
 impl<T> Values<T> {
-    /// Creates an empty array with capacity for `count` values.
     pub(crate) fn with_capacity(count: usize) -> Self {
         Self::Owned(Vec::with_capacity(count))
     }
@@ -68,7 +66,6 @@ impl<T: AnyBitPattern> Deref for Values<T> {
     }
 }
 
-/// Reader of serialised numbers and arrays.
 pub(crate) struct Blob {
     bytes: Bytes,
 }
@@ -87,7 +84,6 @@ impl Blob {
         Values::shared(self.bytes.split_to(length))
     }
 
-    /// Returns true if all bytes are consumed.
     pub(crate) fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }

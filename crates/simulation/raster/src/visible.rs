@@ -6,7 +6,6 @@ use crate::lanes::{F, Floats as _, LANES};
 use crate::model::Model;
 use crate::window::Window;
 
-/// Samples in a pixel.
 pub(crate) const SAMPLES: usize = 4;
 /// Side of the blocks for which depth bounds are tracked, pixels.
 pub(crate) const BLOCK: i32 = 16;
@@ -21,7 +20,6 @@ const WRITES_PER_UPDATE: u8 = 16;
 /// Marks a sample without a triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
 
-/// A triangle that may be visible.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Record {
     pub(crate) instance: u32,
@@ -34,19 +32,16 @@ pub(crate) struct Record {
 /// Value of [`Record::vertices`] that marks a piece of a clipped triangle.
 pub(crate) const CLIPPED: u32 = u32::MAX;
 
-/// Depth bounds of a block of the picture. Depths only grow while a picture is drawn, so bounds
-/// stay valid.
+/// Depths only grow while a picture is drawn, so bounds stay valid.
 #[derive(Debug, Clone, Copy)]
 struct Block {
     /// Per part: lower bound of its samples' depths.
     parts: [f32; LANES],
-    /// The smallest of these bounds.
     whole: f32,
     /// Number of writes since the bounds were computed.
     writes: u8,
 }
 
-/// Nearest triangle and depth of every sample.
 #[derive(Debug, Default)]
 pub(crate) struct Visible {
     pub(crate) width: usize,
@@ -67,10 +62,8 @@ pub(crate) struct Visible {
 }
 
 impl Visible {
-    /// Sets the size.
     pub(crate) fn resize(&mut self, [width, height]: [usize; 2]) {
-        // Widths are often powers of two; without padding, the rows of such a picture would compete
-        // for the same cache lines.
+        // Padding keeps rows whose width is a power of two from competing for cache lines.
         let stride = width.next_multiple_of(2) + 4;
         (self.width, self.height, self.stride) = (width, height, stride);
     }
@@ -107,15 +100,13 @@ impl Visible {
         self.blocks.resize(blocks, cleared);
     }
 
-    /// Returns the index of a pixel's block in `blocks`.
     #[inline(always)]
     fn block_of(&self, x: i32, y: i32) -> usize {
         let [x, y] = [x, y].map(|at| at.cast_unsigned() as usize / BLOCK as usize);
         y * self.blocks_in_row + x
     }
 
-    /// Adds `writes` to the write counts of the blocks that contain an inclusive range of pixels;
-    /// see [`WRITES_PER_UPDATE`].
+    /// The ranges of pixels are inclusive; see [`WRITES_PER_UPDATE`].
     #[inline(always)]
     pub(crate) fn mark_written(&mut self, x: [i32; 2], y: [i32; 2], writes: u8) {
         let mark = |block: &mut Block| block.writes = block.writes.saturating_add(writes);
@@ -132,8 +123,7 @@ impl Visible {
         }
     }
 
-    /// Returns lower bounds of the depths in the parts of the block with this first pixel, and in
-    /// the whole block.
+    /// Lower bounds in the parts of the block with this first pixel, and in the whole block.
     #[inline(always)]
     pub(crate) fn depth_bounds(&mut self, [x, y]: [i32; 2]) -> (F, f32) {
         let at = self.block_of(x, y);
@@ -144,8 +134,7 @@ impl Visible {
         (F::new(block.parts), block.whole)
     }
 
-    /// Computes the depth bounds of the block with this first pixel. Parts outside the picture
-    /// occlude everything.
+    /// Bounds of the block with this first pixel. Parts outside the picture occlude everything.
     #[inline(never)]
     fn bounds(&self, [x, y]: [usize; 2]) -> Block {
         let mut parts = [F::splat(f32::INFINITY); LANES];
@@ -157,8 +146,7 @@ impl Visible {
                 if left >= right {
                     continue;
                 }
-                // If the number of pixels is odd, includes one more, which can only lower the
-                // bound.
+                // One pixel more can only lower the bound.
                 let pixels = (right - left).next_multiple_of(2);
                 let first = ((y + row) * self.stride + left) * SAMPLES;
                 let samples = &self.depths[first..first + pixels * SAMPLES];
@@ -174,12 +162,10 @@ impl Visible {
     }
 }
 
-/// A triangle in two adjacent pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Layer {
     /// Indices of instance and triangle in drawing order.
     pub(crate) rank: (u32, u32),
-    /// Index of the triangle's record.
     pub(crate) id: u32,
     pub(crate) x: u16,
     pub(crate) y: u16,
@@ -213,8 +199,7 @@ impl Ranks<'_> {
         (instance.rank, mesh.order[triangle as usize])
     }
 
-    /// Returns those samples of `ties` that this triangle loses, because their current triangle
-    /// comes later in the drawing order.
+    /// Samples whose current triangle comes later in the drawing order.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
         let rank = self.rank(record);

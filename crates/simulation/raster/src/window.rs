@@ -1,5 +1,3 @@
-//! Rectangles of pixels in a picture.
-
 use std::ops::Range;
 
 /// Rectangle of pixels in a picture; the ends are inclusive.
@@ -9,7 +7,6 @@ pub(crate) struct Window {
     pub(crate) y: [i32; 2],
 }
 
-/// Accumulates the bounding window of pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BoundingWindow {
     low: [i32; 2],
@@ -27,7 +24,6 @@ impl BoundingWindow {
         *high = [high[0].max(x[1]), high[1].max(y[1])];
     }
 
-    /// Returns the bounding window; `None` if nothing was added.
     pub(crate) fn window(&self) -> Option<Window> {
         let Self { low, high } = *self;
         (low[0] <= high[0]).then_some(Window { x: [low[0], high[0]], y: [low[1], high[1]] })
@@ -35,23 +31,19 @@ impl BoundingWindow {
 }
 
 impl Window {
-    /// Returns the window of a whole picture.
     pub(crate) fn whole(width: usize, height: usize) -> Self {
         Self { x: [0, width as i32 - 1], y: [0, height as i32 - 1] }
     }
 
-    /// Returns the window of a single pixel.
     pub(crate) fn pixel(x: i32, y: i32) -> Self {
         Self { x: [x, x], y: [y, y] }
     }
 
-    /// Returns the smallest window that contains both windows.
     pub(crate) fn enclosing(self, other: Self) -> Self {
         let range = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self { x: range(self.x, other.x), y: range(self.y, other.y) }
     }
 
-    /// Returns the bounding window of two windows, of which either may be empty.
     pub(crate) fn union(first: Option<Self>, second: Option<Self>) -> Option<Self> {
         match (first, second) {
             (Some(first), Some(second)) => Some(first.enclosing(second)),
@@ -59,7 +51,6 @@ impl Window {
         }
     }
 
-    /// Returns the index ranges of the window's rows in a list of pixels.
     pub(crate) fn rows(self, stride: usize) -> impl Iterator<Item = Range<usize>> {
         let [left, right] = self.x.map(|x| x as usize);
         (self.y[0]..=self.y[1]).map(move |y| {

@@ -67,7 +67,6 @@ fn every_part_of_the_room_changes_the_frame() {
     }
 }
 
-/// Change between two frames.
 #[derive(Debug, Clone)]
 enum Change {
     Move(usize, [i8; 3]),
@@ -210,8 +209,7 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
     assert_eq!(draw(&empty, 8), Ok(8 * 8 * 3));
 }
 
-/// Draws the scenes in order on one canvas, each often enough to be cached, and compares every
-/// frame with the frame of a new canvas.
+/// Draws each scene often enough to be cached.
 fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     let model = model();
     let mut canvas = Canvas::new();
@@ -225,8 +223,7 @@ fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     }
 }
 
-/// A thread keeps the last frames of few canvases. The frame that it keeps of a canvas is outdated
-/// if another thread drew the canvas last.
+/// A kept frame is outdated if another thread drew the canvas last.
 #[test]
 fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_canvases() {
     let model = model();
@@ -238,7 +235,6 @@ fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_canvases() {
     let mut canvases: [(f32, Canvas); 4] = [0.0, 0.1, 0.2, 0.3].map(|ball| (ball, Canvas::new()));
     for step in 0..12 {
         for (at, (ball, canvas)) in canvases.iter_mut().enumerate() {
-            // The ball is at rest for some steps, so that it is cached, too.
             let scene = moved(step / 5, *ball);
             let expected =
                 Canvas::new().draw(&model, &largest_levels(), &scene, [64, 48]).expect("a frame");
@@ -265,8 +261,7 @@ fn zeros_of_both_signs_are_distinguished() {
     assert_equal_to_new_canvases(&[with_attenuation(0.0), with_attenuation(-0.0)], [32, 32]);
 }
 
-/// A translucent geom with more layers than are blended at once is drawn in parts. The expected
-/// digest belongs to a frame whose layers were all blended at once.
+/// The expected digest belongs to a frame whose layers were all blended at once.
 #[test]
 fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     let mut builder = MeshBuilder::default();

@@ -5,7 +5,6 @@ use std::borrow::Cow;
 
 use libero_family::plus::{CameraPose, problem_class};
 
-/// Workspace of one problem class.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arena {
     /// Problem class as in BDDL files, lower case.
@@ -14,7 +13,6 @@ pub struct Arena {
     pub file: Cow<'static, str>,
     /// Texture file that replaces the texture of the model's floor.
     pub floor_texture: Cow<'static, str>,
-    /// Texture file that replaces the texture of the model's walls.
     pub wall_texture: Cow<'static, str>,
     /// Category of the fixture that represents the workspace itself; no separate model is loaded
     /// for it.
@@ -29,12 +27,10 @@ pub struct Arena {
     pub workspace_offset: [f64; 3],
     /// Height of a placed fixture's underside over the workspace, m.
     pub fixture_z_offset: f64,
-    /// Table with legs to be resized, if the arena has one.
     pub table: Option<Table>,
     /// True if the whole radius of a sampled object must lie in its region, false if only the
     /// object's centre must.
     pub whole_object_in_region: bool,
-    /// Position of the robot's base, and its stand.
     pub robot: RobotStand,
     /// Cameras to set or add, in order.
     pub cameras: &'static [Camera],
@@ -57,7 +53,6 @@ pub enum RobotStand {
     Ground([f64; 3]),
 }
 
-/// A fixed camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     pub name: &'static str,

@@ -15,16 +15,11 @@ pub struct Problem {
     pub name: String,
     /// Instruction as in the file, lower case; empty if there is none.
     pub language: String,
-    /// Fixtures, in file order.
     pub fixtures: Vec<Declaration>,
-    /// Movable objects, in file order.
     pub objects: Vec<Declaration>,
-    /// Regions, in file order.
     pub regions: Vec<Region>,
     pub objects_of_interest: Vec<String>,
-    /// Predicates that hold at the start, in file order.
     pub init: Vec<Predicate>,
-    /// Predicates that must all hold at the end.
     pub goal: Vec<Predicate>,
 }
 
@@ -35,7 +30,6 @@ pub struct Declaration {
     pub category: String,
 }
 
-/// A named region on a target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     /// Full name: target, `_`, region.
@@ -53,9 +47,7 @@ pub struct Region {
 /// A rectangle, m: two corners as the file writes them (x, y, x, y).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rectangle {
-    /// First and second x.
     pub x: [f64; 2],
-    /// First and second y.
     pub y: [f64; 2],
 }
 
@@ -89,10 +81,8 @@ impl Problem {
         Ok(problem)
     }
 
-    /// Finds the region with this full name.
     pub fn region(&self, name: &str) -> Option<&Region> {
-        // hf-libero keeps regions in a dictionary; of two regions with the same
-        // name, the last one wins.
+        // The last of equal names wins, as in hf-libero's dictionary of regions.
         self.regions.iter().rev().find(|region| region.name == name)
     }
 

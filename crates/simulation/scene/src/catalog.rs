@@ -6,17 +6,13 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 use crate::rotation::{Axis, Rotation};
 
-/// A category of objects or fixtures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Category {
-    /// Name in BDDL files.
     pub name: &'static str,
-    /// Model file inside an asset pack.
     pub file: &'static str,
     /// Orientation that is sampled at placement; a fixture on the workspace has its region's yaw
     /// instead.
     pub rotation: Rotation,
-    /// Joint positions of articulated categories.
     pub articulation: Articulation,
 }
 
@@ -24,13 +20,10 @@ pub struct Category {
 /// ranges from which a task that starts in one of these states draws the position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Articulation {
-    /// No joint to open or turn on.
     None,
     /// Drawers and doors.
     OpenClose {
-        /// Threshold beyond which a drawer or door counts as open.
         open: Threshold,
-        /// Threshold beyond which a drawer or door counts as closed.
         close: Threshold,
         /// Range of the initial position of a drawer or door that starts open, m or rad.
         open_range: [f64; 2],
@@ -53,14 +46,11 @@ pub enum Articulation {
 /// One side of a joint's range.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Threshold {
-    /// Positions `q` strictly above the limit.
     Above(f64),
-    /// Positions `q` strictly below the limit.
     Below(f64),
 }
 
 impl Threshold {
-    /// Returns true if `q` is on this side of the limit.
     pub fn holds(self, q: f64) -> bool {
         match self {
             Self::Above(limit) => q > limit,
@@ -114,7 +104,6 @@ const X_MINUS_90_Y_MINUS_180_Z_180: Rotation = Rotation::InTurn(&[
     (Axis::Z, [PI, PI]),
 ]);
 
-/// Describes a category of LIBERO-Plus; all of them have the same orientation.
 const fn plus_object(name: &'static str, file: &'static str) -> Category {
     rigid(name, file, X_MINUS_90_Y_MINUS_180_Z_180)
 }

@@ -8,11 +8,10 @@ use sha2::{Digest, Sha256};
 
 use crate::arena::{Arena, arena, known_problems};
 use crate::bddl::Problem;
-use crate::catalog::{category, category_count};
+use crate::catalog::{Category, category, category_count};
 use crate::element::{Element, numbers};
 use crate::error::SceneError;
 use crate::goal;
-use crate::instance::{Instance, InstanceKind, RegionSite};
 use crate::object::{ObjectPart, load_object};
 use crate::pack::AssetPack;
 use crate::part::{Part, recolor_collision_geoms};
@@ -32,14 +31,42 @@ pub struct Scene {
     mjcf: String,
     /// Objects in BDDL order, then fixtures.
     pub instances: Vec<Instance>,
-    /// Regions with a site, in BDDL order.
     pub regions: Vec<RegionSite>,
-    /// Predicates that must hold for success.
     pub goal: Vec<Predicate>,
     /// Fixture poses in campaigns; they replace the poses in the model.
     pub fixture_poses: Vec<FixturePose>,
-    /// Samplers of a reset without an initial state.
     pub samplers: Samplers,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InstanceKind {
+    Object,
+    /// Fixture, whose base does not move, although its drawers and doors do.
+    Fixture,
+}
+
+#[derive(Debug, Clone)]
+pub struct Instance {
+    pub name: String,
+    pub kind: InstanceKind,
+    pub category: &'static Category,
+    pub root_body: String,
+    /// Names of the joints, in document order; an object's free joint is the last.
+    pub joints: Vec<String>,
+    pub contact_geoms: Vec<String>,
+    /// Site of a stove's burner, which is visible while the stove is on.
+    pub burner_site: Option<String>,
+}
+
+#[derive(Debug, Clone)]
+pub struct RegionSite {
+    pub name: String,
+    /// Half extents in the site's frame, m.
+    pub half_size: [f64; 3],
+    /// Instance that the site is attached to; `None` for a zone on the workspace.
+    pub parent: Option<String>,
+    /// Joints of the body that the site is attached to, such as a drawer's slide.
+    pub joints: Vec<String>,
 }
 
 impl Scene {
@@ -61,7 +88,6 @@ impl Scene {
         files.try_for_each(|file| root.verify(file, "file of the scene"))
     }
 
-    /// Returns the robot's meshes and textures that the MJCF references.
     pub fn robot_files(&self, sources: &Sources) -> Vec<PathBuf> {
         let root = sources.robosuite();
         self.files_below(&root).map(|file| root.path(file)).collect()
@@ -220,8 +246,7 @@ fn size_table(
     full_size: [f64; 3],
     friction: [f64; 3],
 ) -> Result<(), String> {
-    /// Distances of each leg from the table's edges along x and y, m: from the edge at positive x
-    /// or y if the number is positive, from the edge at negative x or y if it is negative.
+    /// Distances from the table's edges along x and y, m; from the negative edge if negative.
     const LEG_INSET: [[f64; 2]; 4] = [[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]];
     const LEG_RADIUS: f64 = 0.025;
     let half = full_size.map(|extent| extent / 2.0);
@@ -258,8 +283,6 @@ fn size_table(
     Ok(())
 }
 
-/// Adds the zones' sites to the workspace and finds the sites of other regions in objects and
-/// fixtures.
 fn find_regions(
     problem: &Problem,
     arena: &Arena,
@@ -318,7 +341,6 @@ fn find_regions(
     Ok(sites)
 }
 
-/// Checks that every argument of the goal is an instance or a region with a site.
 fn check_goal(scene: &Scene) -> Result<(), SceneError> {
     for predicate in &scene.goal {
         for argument in &predicate.arguments {

@@ -19,8 +19,7 @@ impl Element {
         Self { tag: tag.to_owned(), attributes: Vec::new(), children: Vec::new() }
     }
 
-    /// Parses a document. A syntax error has its position; an error about nesting or namespaces has
-    /// none.
+    /// The message has the position of a syntax error, but not of one about nesting or namespaces.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let document = roxmltree::Document::parse(text).map_err(|error| error.to_string())?;
         Self::from_node(document.root_element(), 0)
@@ -56,7 +55,6 @@ impl Element {
         }
     }
 
-    /// Sets an attribute unless the element already has it.
     pub(crate) fn set_default(&mut self, name: &str, value: &str) {
         if self.get(name).is_none() {
             self.set(name, value);
@@ -102,7 +100,6 @@ impl Element {
         self.descendants().into_iter().find(|e| e.tag == tag && e.name() == Some(name))
     }
 
-    /// Mutable variant of [`find`](Self::find).
     pub(crate) fn find_mut(&mut self, tag: &str, name: &str) -> Option<&mut Self> {
         if self.tag == tag && self.name() == Some(name) {
             return Some(self);
@@ -119,7 +116,6 @@ impl Element {
         all
     }
 
-    /// Calls `change` on this element and all its descendants, in document order.
     pub(crate) fn for_each_mut(&mut self, change: &mut impl FnMut(&mut Self)) {
         change(self);
         for child in &mut self.children {
@@ -167,7 +163,6 @@ pub(crate) fn numbers(values: &[f64]) -> String {
     words.join(" ")
 }
 
-/// Parses MJCF numbers.
 pub(crate) fn parse_numbers(text: &str) -> Option<Vec<f64>> {
     text.split_whitespace().map(|word| word.parse().ok()).collect()
 }

@@ -1,11 +1,8 @@
-//! Errors of reading and composing a scene.
-
 use std::path::PathBuf;
 
 use libero_family::para::FETCH;
 
-/// Reason why a scene could not be read or composed. Messages complete the phrase
-/// "failed to …" and, where known, name the file, the place in it and the remedy.
+/// Messages complete the phrase "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     #[error("read {what} {}: {remedy}", path.display())]
@@ -27,12 +24,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     #[error("parse {what} {}: {problem}", path.display())]
-    Malformed {
-        what: String,
-        path: PathBuf,
-        /// Defect, and its position if there is one.
-        problem: String,
-    },
+    Malformed { what: String, path: PathBuf, problem: String },
     #[error(
         "use {what} {}: the file is not LIBERO's ({difference}). Run `worker assets fetch`, which \
          replaces it, or `worker assets verify`, which lists everything that differs",

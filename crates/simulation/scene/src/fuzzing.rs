@@ -4,8 +4,8 @@
 use std::path::PathBuf;
 
 use crate::catalog::category;
+use crate::compose::InstanceKind;
 use crate::element::Element;
-use crate::instance::InstanceKind;
 use crate::object::build;
 use crate::part::Part;
 use crate::pickle::read_matrix;

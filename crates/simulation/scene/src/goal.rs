@@ -7,12 +7,10 @@ use crate::bddl::{Declaration, Problem};
 use crate::catalog::{Articulation, category};
 use crate::error::SceneError;
 
-/// Predicates that a goal may have, for messages.
 const KNOWN: &str = "(on OBJECT OBJECT-OR-REGION), (in OBJECT REGION), (open X), (close X), \
                      (turnon X), (turnoff X)";
 
-/// Checks that every predicate of the goal can be evaluated: its name, its number of arguments,
-/// and the kind and category of each argument.
+/// Checks each predicate's name, and the number, kind and category of its arguments.
 pub fn check_goal(problem: &Problem) -> Result<(), SceneError> {
     problem.goal.iter().try_for_each(|predicate| {
         let fault =
@@ -58,8 +56,7 @@ fn check(problem: &Problem, predicate: &Predicate) -> Result<(), String> {
     }
 }
 
-/// Returns true if a predicate about joints applies to an instance. The composition reports an
-/// unknown category.
+/// The composition reports an unknown category.
 fn supports(instance: &Declaration, predicate: &str) -> bool {
     let Some(category) = category(&instance.category) else {
         return true;

@@ -19,11 +19,8 @@ pub struct InitialStates {
     values: Vec<f64>,
 }
 
-/// Name of initial-state files in messages.
 const WHAT: &str = "initial states";
-/// Array name in LIBERO-PRO's files.
 const NPZ_MEMBER: &str = "states.npy";
-/// Remedy for a file of one's own.
 const SAVE: &str = "save states with `torch.save(numpy.array(states, dtype=\"float64\"), file)`";
 /// Limit on the size of a file; released files are far smaller.
 const MAX_FILE_BYTES: u64 = 64 << 20;
@@ -63,7 +60,6 @@ impl InitialStates {
         &self.path
     }
 
-    /// Returns the state with this index; `None` if the file has fewer states.
     pub fn get(&self, id: usize) -> Option<&[f64]> {
         let start = id.checked_mul(self.width)?;
         self.values.get(start..start.checked_add(self.width)?)
@@ -116,7 +112,6 @@ fn read_archive(mut reader: impl Read + Seek) -> Result<Matrix, String> {
     Ok(matrix)
 }
 
-/// Returns what a file is instead of states, if its start shows that.
 fn other_file(start: &[u8]) -> Option<&'static str> {
     match start.trim_ascii_start() {
         [] => Some("the file is empty; fetch or save it again"),

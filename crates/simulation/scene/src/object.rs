@@ -2,26 +2,22 @@
 //! robosuite 1.4.0's `MujocoXMLObject` does.
 
 use crate::catalog::Category;
+use crate::compose::{Instance, InstanceKind, RegionSite};
 use crate::element::{Element, parse_numbers};
 use crate::error::SceneError;
-use crate::instance::{Instance, InstanceKind, RegionSite};
 use crate::pack::AssetPack;
 use crate::part::{Part, add_prefix, is_collision_geom};
 
-/// A loaded object or fixture, before it is merged into a scene.
 #[derive(Debug, Clone)]
 pub(crate) struct ObjectPart {
     pub(crate) instance: Instance,
     /// The whole model. Its assets are merged into the scene, and its bodies hold the region sites.
     pub(crate) part: Part,
-    /// Body to insert into the scene.
     pub(crate) body: Element,
-    /// Sizes for the placement sampler, m.
     pub(crate) footprint: Footprint,
 }
 
-/// Horizontal radius of an object, and heights of its top and bottom above its origin, m:
-/// coordinates of three marker sites.
+/// Horizontal radius, and heights of top and bottom above the origin, m: three marker sites.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Footprint {
     pub(crate) radius: f64,
@@ -29,10 +25,8 @@ pub(crate) struct Footprint {
     pub(crate) bottom: f64,
 }
 
-/// Damping of an object's free joint in LIBERO.
 const FREE_JOINT_DAMPING: &str = "0.0005";
 
-/// Loads an instance of a category.
 pub(crate) fn load_object(
     pack: &AssetPack,
     name: &str,
@@ -50,7 +44,6 @@ pub(crate) fn load_object(
     })
 }
 
-/// Creates an instance from a category's model.
 pub(crate) fn build(
     mut part: Part,
     name: &str,
@@ -110,8 +103,7 @@ pub(crate) fn build(
     Ok(ObjectPart { instance, part, body, footprint })
 }
 
-/// Drops geoms that are neither in the collision group 0 nor in the visual group 1, and names
-/// unnamed geoms `g<i>`, counting all geoms.
+/// Keeps collision group 0 and visual group 1; names unnamed geoms `g<i>`, counting all geoms.
 fn filter_and_name_geoms(body: &mut Element) {
     fn visit(element: &mut Element, count: &mut usize) {
         element.children.retain_mut(|child| {
@@ -149,9 +141,8 @@ fn footprint(part: &Part, prefix: &str) -> Result<Footprint, String> {
 }
 
 impl ObjectPart {
-    /// Returns the site of a region; `None` if this object does not have the site. Like
-    /// LIBERO, visits the bodies in document order, takes the last body that contains the site,
-    /// and stops at the first body without any site.
+    /// Visits the bodies in document order like LIBERO, takes the last body that contains the
+    /// site, and stops at the first body without any site.
     pub(crate) fn region_site(&self, region: &str) -> Option<RegionSite> {
         let outer =
             self.part.worldbody().ok()?.children.iter().find(|child| child.tag == "body")?;

@@ -20,11 +20,8 @@ mod builtin {
     include!(concat!(env!("OUT_DIR"), "/primitives.rs"));
 }
 
-/// Name of the built-in pack.
 pub const PRIMITIVES: &str = "primitives";
-/// Name of LIBERO's assets.
 pub const LIBERO: &str = "libero";
-/// Name of every other pack.
 pub const CUSTOM: &str = "custom";
 
 #[derive(Debug, Clone)]
@@ -32,7 +29,6 @@ pub struct AssetPack {
     name: &'static str,
     dir: PathBuf,
     digest: String,
-    /// Verified files, if the pack is LIBERO's.
     verified: Option<Arc<VerifiedFolder>>,
     is_managed: bool,
     differences: Vec<String>,
@@ -40,10 +36,9 @@ pub struct AssetPack {
 }
 
 impl AssetPack {
-    /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack is unpacked
-    /// into the sources' folder on first use. The files of `libero` may still be missing. A folder
-    /// is opened as `libero` if it holds files of LIBERO and none of them is altered, else as
-    /// `custom`.
+    /// Opens `primitives`, `libero`, or a folder in LIBERO's layout, which counts as `libero` if it
+    /// holds files of LIBERO and none of them is altered, else as `custom`. The built-in pack is
+    /// unpacked into the sources' folder on first use. Files of `libero` may still be missing.
     pub fn open(name_or_path: &str, sources: &Sources) -> Result<Self, SceneError> {
         match name_or_path {
             PRIMITIVES => Self::unpack_primitives(&sources.dir().join("packs")),
@@ -56,8 +51,7 @@ impl AssetPack {
         }
     }
 
-    /// Opens a pack whose digest another process has already computed, so that a folder is not read
-    /// twice.
+    /// Opens a pack with the digest of another process, so that a folder is not read twice.
     pub fn open_known(
         name_or_path: &str,
         sources: &Sources,
@@ -110,8 +104,7 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// Opens a folder that has LIBERO's files and other files, such as LIBERO-PRO's models. The
-    /// pack's name is `custom`, and its digest covers all files.
+    /// A folder with LIBERO's and other files, such as LIBERO-PRO's models; the name is `custom`.
     pub fn open_whole(dir: &Path) -> Result<Self, SceneError> {
         let dir = existing_folder(dir)?;
         let digest = digest_of_folder(&dir)?;
@@ -123,23 +116,19 @@ impl AssetPack {
         Self { look, ..self }
     }
 
-    /// Returns the look of scenes that are composed with the pack.
     pub fn look(&self) -> Look {
         self.look
     }
 
-    /// Returns the name: `primitives`, `libero` or `custom`.
     pub fn name(&self) -> &str {
         self.name
     }
 
-    /// Returns the SHA-256 over the names and contents of all files, hex. An incomplete
-    /// `libero` pack has the digest of the complete pack.
+    /// SHA-256 over the names and contents of all files, hex, even if `libero` is incomplete.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// Returns the pack's folder on this machine.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
@@ -149,13 +138,11 @@ impl AssetPack {
         self.verified.as_ref()
     }
 
-    /// Returns true if the pack was opened as `libero`, so that its files are fetched on demand;
-    /// false for a given folder, even if it holds LIBERO's files.
+    /// True if opened as `libero`, so that files are fetched on demand; false for a given folder.
     pub fn is_managed(&self) -> bool {
         self.is_managed
     }
 
-    /// Returns descriptions of LIBERO's files that [`open`](Self::open) found altered in a folder.
     pub fn differences(&self) -> &[String] {
         &self.differences
     }
@@ -172,8 +159,7 @@ impl AssetPack {
         let digest = hex(&hash.finalize());
         let dir = packs.join(format!("{PRIMITIVES}-{}", &digest[..12]));
         if !dir.is_dir() {
-            // The pack is written to a temporary folder, which is then renamed, so that slots that
-            // start together never see an incomplete pack.
+            // Slots that start together never see an incomplete pack.
             let temporary = packs.join(format!(".{PRIMITIVES}-{}", std::process::id()));
             for (inside, bytes) in builtin::FILES {
                 let path = temporary.join(inside);
@@ -193,7 +179,6 @@ impl AssetPack {
     }
 }
 
-/// Returns the absolute path of a folder in LIBERO's layout.
 fn existing_folder(dir: &Path) -> Result<PathBuf, SceneError> {
     let arenas = dir.join("scenes");
     std::fs::metadata(&arenas).map_err(|source| SceneError::Read {

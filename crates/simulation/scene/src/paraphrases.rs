@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use assets::hex;
 use libero_family::para;
 use libero_family::protocol::Benchmark;
 use sha2::{Digest, Sha256};
@@ -17,8 +18,7 @@ use crate::sources::Sources;
 
 const BDDL_FILES: &str = "bddl_files";
 
-/// Verifies the sentences and the metadata of a checkout of LIBERO-Para, and copies the sentences
-/// beside LIBERO's task files. Returns the folder of the copies.
+/// Verifies a checkout's metadata, too. Returns the folder of the copies.
 pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, SceneError> {
     let refused = |problem: String| SceneError::Checkout { path: checkout.to_owned(), problem };
     let folder = Sources::family(sources.dir(), Benchmark::Para);
@@ -35,11 +35,7 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
         let file = File::open(checkout.join(&inside));
         match file.and_then(|file| read_limited(file, MAX_FILE_BYTES)) {
             Ok(bytes) => {
-                let digest = Sha256::digest(&bytes);
-                for byte in digest {
-                    let _ = write!(digests, "{byte:02x}");
-                }
-                let _ = writeln!(digests, "  {inside}");
+                let _ = writeln!(digests, "{}  {inside}", hex(&Sha256::digest(&bytes)));
                 files.extend(copy.map(|path| (path, bytes)));
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => missing.push(inside),
@@ -51,7 +47,7 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
         let count = missing.len();
         return Err(refused(format!("{count} of {all} files are missing, for example `{first}`")));
     }
-    let found: String = Sha256::digest(&digests).iter().map(|byte| format!("{byte:02x}")).collect();
+    let found = hex(&Sha256::digest(&digests));
     let expected = para::digest();
     if found != expected {
         return Err(refused(format!(

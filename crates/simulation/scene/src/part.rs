@@ -9,7 +9,6 @@ use crate::element::Element;
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, FileRef};
 
-/// Attributes that hold an element's name or a reference to an element.
 const NAMED_ATTRIBUTES: &[&str] = &[
     "class",
     "childclass",
@@ -41,13 +40,10 @@ const NAMED_ATTRIBUTES: &[&str] = &[
     "site",
 ];
 
-/// Sections whose children are concatenated in a merged model.
 const LIST_SECTIONS: &[&str] = &["actuator", "sensor", "tendon", "equality", "contact"];
 
-/// A loaded MJCF file.
 #[derive(Debug, Clone)]
 pub(crate) struct Part {
-    /// The `<mujoco>` element.
     pub(crate) root: Element,
 }
 
@@ -68,8 +64,7 @@ impl Part {
         })
     }
 
-    /// Checks that the referenced asset files exist. MuJoCo's own message would not name the model
-    /// that uses them.
+    /// MuJoCo's own message would not name the model that uses a missing file.
     pub(crate) fn check_files(&self, root: &AssetRoot, what: &str) -> Result<(), SceneError> {
         let mut names = HashSet::new();
         let assets = self.root.child("asset").into_iter();
@@ -117,8 +112,7 @@ impl Part {
         self.root.child_mut("worldbody")
     }
 
-    /// Merges another part: its assets, its lists, and its bodies as children of the body
-    /// `bodies_to`, or of the world body.
+    /// Bodies become children of `bodies_to`, or of the world body.
     pub(crate) fn merge(&mut self, other: &Part, bodies_to: Option<&str>) -> Result<(), String> {
         let bodies = other.worldbody()?.children.clone();
         let target = match bodies_to {
@@ -139,8 +133,7 @@ impl Part {
         Ok(())
     }
 
-    /// Appends those assets of `other` whose names no asset of this part has. As in robosuite, all
-    /// unnamed assets of one kind count as having the same name.
+    /// The first asset of a name stays. As in robosuite, unnamed assets of one kind share a name.
     pub(crate) fn merge_assets(&mut self, other: &Part) {
         let assets = self.root.child_mut("asset");
         let incoming = other.root.child("asset").map_or(&[][..], |section| &section.children);
@@ -156,7 +149,6 @@ impl Part {
     }
 }
 
-/// Adds a prefix to every name and reference in `element` that does not begin with the prefix yet.
 pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
     element.for_each_mut(&mut |element| {
         for attribute in NAMED_ATTRIBUTES {
@@ -175,8 +167,7 @@ pub(crate) fn is_collision_geom(element: &Element) -> bool {
     element.tag == "geom" && matches!(element.get("group"), None | Some("0"))
 }
 
-/// Sets one colour on every collision geom and removes its material, except on the geom named
-/// `except`.
+/// Removes the material, too; leaves out the geom named `except`.
 pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Option<&str>) {
     root.for_each_mut(&mut |element| {
         if is_collision_geom(element) && (except.is_none() || element.name() != except) {
@@ -186,8 +177,7 @@ pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Op
     });
 }
 
-/// Replaces `class="c"` by those attributes of default class `c` that the element does not set, and
-/// removes the `<default>` section.
+/// Attributes of default classes replace those that an element does not set.
 fn expand_defaults(root: &mut Element) -> Result<(), String> {
     let mut classes: HashMap<String, Vec<Element>> = HashMap::new();
     root.children.retain(|child| {

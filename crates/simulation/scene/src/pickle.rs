@@ -5,7 +5,6 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// A row-major matrix of doubles.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Matrix {
     pub(crate) rows: usize,
@@ -25,7 +24,6 @@ enum Value {
     Tuple(Rc<[Value]>),
     Global(Global),
     Array(Option<Array>),
-    /// Rows of a list.
     List(Vec<Array>),
     /// Number of bytes of each number.
     Dtype(usize),
@@ -43,7 +41,6 @@ enum Global {
     Tensor,
     /// A tensor's type of storage: number of bytes of each number.
     Storage(usize),
-    /// Hooks of a tensor, which are empty.
     OrderedDict,
 }
 
@@ -125,7 +122,6 @@ fn matrix_of(sizes: &[usize], of_row: usize) -> Result<[usize; 2], String> {
 }
 
 impl Value {
-    /// Returns the kind of the value, for messages.
     fn kind(&self) -> &'static str {
         match self {
             Self::None => "`None`",
@@ -147,10 +143,8 @@ impl Value {
 /// Limit on the number of opcodes: a list of states takes some 25 for each.
 const MAX_OPCODES: usize = 8_192;
 
-/// Reads a tensor's storage by its key.
 pub(crate) type ReadStorage<'a> = &'a mut dyn FnMut(&str) -> Result<Vec<u8>, String>;
 
-/// Unpickles a matrix.
 pub(crate) fn read_matrix(bytes: &[u8], read_storage: ReadStorage<'_>) -> Result<Matrix, String> {
     let (stack, memo, storages) = (Vec::new(), HashMap::new(), HashMap::new());
     let encodable = bytes.len();
@@ -172,7 +166,6 @@ pub(crate) fn read_matrix(bytes: &[u8], read_storage: ReadStorage<'_>) -> Result
     Ok(matrix)
 }
 
-/// Stack machine that executes a pickle's opcodes.
 struct Machine<'a> {
     input: &'a [u8],
     stack: Vec<Value>,
@@ -370,7 +363,6 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// Replaces the persistent id of a tensor's storage by the storage.
     fn storage(&mut self) -> Result<(), String> {
         let Value::Tuple(id) = self.pop()? else {
             return Err("a persistent id is not a tuple".to_owned());

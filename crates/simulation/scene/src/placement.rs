@@ -15,7 +15,6 @@ use crate::rotation::{Rotation, single_precision_matrix};
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixturePose {
-    /// Name of the fixture's outermost body.
     pub root_body: String,
     /// Position, world frame, m.
     pub pos: [f64; 3],
@@ -25,14 +24,10 @@ pub struct FixturePose {
 
 /// Number of attempts at placing one object, after which LIBERO draws the whole placement again.
 const MAX_ATTEMPTS: usize = 5000;
-/// Draws of the whole placement after which a scene counts as too crowded. LIBERO's wrapper of
-/// environments never gives up; a scene with enough room needs one or two draws.
+/// LIBERO's wrapper never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
-/// Number of arm joints. A reset draws one normal number for each joint as noise, even though
-/// LIBERO scales the noise by zero.
 const ARM_JOINTS: usize = 7;
-/// Rounds of joint samples in the first seeded reset: LIBERO has appended all joint samplers to its
-/// list twice by then, at construction and in the reset itself.
+/// LIBERO has appended all joint samplers twice by then: at construction and in the reset.
 const CAMPAIGN_JOINT_ROUNDS: usize = 2;
 
 /// Samplers of everything that a reset of a task draws at random, in the order of the draws.
@@ -46,17 +41,14 @@ pub struct Samplers {
 /// Samples one position for the joints of an instance that starts open, closed, on or off.
 #[derive(Debug, Clone)]
 pub struct JointSampler {
-    /// Joints, which all get the same position.
     pub joints: Vec<String>,
     /// Range of the position, m or rad.
     range: [f64; 2],
 }
 
-/// Samples a pose of an object or fixture.
 #[derive(Debug, Clone)]
 pub struct PoseSampler {
     instance: String,
-    /// Name of the region or object where the instance is placed, for messages.
     place: String,
     base: Base,
     /// Rectangles relative to the base, m, by their bounds in x and y.
@@ -64,22 +56,18 @@ pub struct PoseSampler {
     /// Height of the underside above the base, m.
     z_offset: f64,
     footprint: Footprint,
-    /// True if the instance must not overlap any instance that was placed before.
     avoids_others: bool,
     rotation: Rotation,
-    /// Object or fixture to move.
     pub target: PoseTarget,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PoseTarget {
     FreeJoint(String),
-    /// Body of a fixture; its pose in the model is changed.
     Body(String),
 }
 
-/// Origin of a sampled position. Other instances are referenced by their index among the pose
-/// samplers, and are placed earlier.
+/// Other instances are indices of earlier pose samplers.
 #[derive(Debug, Clone)]
 enum Base {
     /// A point in the world, m.
@@ -99,8 +87,7 @@ pub struct Pose {
 }
 
 impl Samplers {
-    /// Returns the joint samplers of one round. LIBERO appends all of them to its list again
-    /// whenever it loads its model: at construction and at every hard reset.
+    /// One round of samplers; LIBERO appends a round whenever it loads its model.
     pub fn joints(&self) -> &[JointSampler] {
         &self.joints
     }
@@ -109,22 +96,19 @@ impl Samplers {
         &self.poses
     }
 
-    /// Returns the sites whose positions [`sample_poses`](Self::sample_poses) needs.
     pub fn sites(&self) -> &[String] {
         &self.sites
     }
 
-    /// Draws and discards the normal numbers that robosuite draws first, as noise on the arm's
-    /// joints that LIBERO scales by zero.
+    /// Robosuite's noise on the arm's joints, drawn first, which LIBERO scales by zero.
     pub fn skip_arm_noise(rng: &mut LegacyRng) {
         for _ in 0..ARM_JOINTS {
             rng.randn();
         }
     }
 
-    /// Draws all poses, in the order of [`poses`](Self::poses). `site_positions` are the positions
-    /// of [`sites`](Self::sites), world frame, m, after the joints were set and before anything was
-    /// placed.
+    /// Draws in the order of [`poses`](Self::poses). `site_positions` of [`sites`](Self::sites) are
+    /// in the world frame, m, after the joints were set and before anything was placed.
     pub fn sample_poses(
         &self,
         rng: &mut LegacyRng,
@@ -149,8 +133,7 @@ impl Samplers {
         Ok(poses)
     }
 
-    /// Reproduces one seeded reset to get the fixtures' poses, which the released initial states do
-    /// not contain.
+    /// The released initial states do not contain the fixtures' poses, so a reset is reproduced.
     pub(crate) fn campaign_fixtures(&self, env_seed: u32) -> Result<Vec<FixturePose>, SceneError> {
         let mut rng = LegacyRng::seed(env_seed);
         let mut rounds = CAMPAIGN_JOINT_ROUNDS;
@@ -158,8 +141,7 @@ impl Samplers {
             if let Ok(fixtures) = self.draw_fixtures(&mut rng, rounds) {
                 return Ok(fixtures);
             }
-            // LIBERO reloads its model, which appends all joint samplers again, before each new
-            // attempt.
+            // LIBERO reloads its model before each new attempt.
             rounds += 1;
         }
         self.draw_fixtures(&mut rng, rounds)
@@ -208,8 +190,7 @@ impl JointSampler {
 }
 
 impl PoseSampler {
-    /// Samples a pose around `origin` + `site`; with `avoids_others`, one that overlaps no instance
-    /// placed before. `placed` holds the poses that the first samplers in `samplers` have sampled.
+    /// Samples around `origin` + `site`; `placed` are the poses of the first of `samplers`.
     fn sample(
         &self,
         rng: &mut LegacyRng,
@@ -221,8 +202,7 @@ impl PoseSampler {
         let attempts = if self.ranges.is_empty() { 0 } else { MAX_ATTEMPTS };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // Some ranges were shortened by the object's radius at both ends. If the radius exceeds
-            // half of the range, the bounds are in reverse order; LIBERO still draws between them.
+            // A radius above half of the range reverses the shortened bounds; LIBERO still draws.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],
@@ -244,7 +224,6 @@ impl PoseSampler {
         })
     }
 
-    /// Returns true if the instance at `pos` does not overlap an obstacle.
     fn is_clear(&self, pos: [f64; 3], obstacle_pos: [f64; 3], obstacle: Footprint) -> bool {
         let distance = (pos[0] - obstacle_pos[0]).hypot(pos[1] - obstacle_pos[1]);
         let is_beside = distance > obstacle.radius + self.footprint.radius;

@@ -1,17 +1,16 @@
-//! Fetches the files of a task's scene on first use.
-
 use std::ops::ControlFlow;
 use std::thread;
 
-use assets::{AssetsError, Bar, Fetch, Fetched, FileFacts, Origin, Report};
+use assets::{AssetsError, Bar, Fetch, Fetched, FileFacts, Origin, Report, Table};
 
+use crate::arena::{arena, known_problems};
+use crate::bddl::Problem;
+use crate::catalog::{category, category_count};
 use crate::error::SceneError;
-use crate::needs::needed_files;
 use crate::pack::AssetPack;
 use crate::task::TaskFiles;
 
 impl AssetPack {
-    /// Returns the files of LIBERO's assets that the scenes of tasks require, sorted by path.
     pub fn files_of_tasks(tasks: &[TaskFiles]) -> Result<Vec<&'static FileFacts>, SceneError> {
         let mut files: Vec<&FileFacts> = Vec::new();
         for task in tasks {
@@ -29,9 +28,8 @@ impl AssetPack {
         self.verified().is_some() && !self.is_managed() && !tasks.all(is_of_libero)
     }
 
-    /// Verifies the files of tasks, and fetches missing or altered files from the origin that the
-    /// environment variables name, or from PyPI. Does nothing for a pack that is not managed, since
-    /// its owner provides the files.
+    /// Fetches missing or altered files from the environment's origin, or from PyPI. Does nothing
+    /// for a pack that is not managed: its owner provides the files.
     pub fn provide(
         &self,
         tasks: &[TaskFiles],
@@ -44,7 +42,6 @@ impl AssetPack {
         Ok(self.fetch(&files, &Origin::of_environment()?, report)?)
     }
 
-    /// As [`AssetPack::provide`], with progress on standard error.
     pub fn provide_with_bar(&self, tasks: &[TaskFiles]) -> Result<Fetched, SceneError> {
         let mut bar = Bar::default();
         let provided = self.provide(tasks, &mut |report| {
@@ -55,7 +52,6 @@ impl AssetPack {
         provided
     }
 
-    /// Fetches missing or altered files of LIBERO's assets; does nothing for other packs.
     pub fn fetch(
         &self,
         files: &[&FileFacts],
@@ -68,4 +64,44 @@ impl AssetPack {
         let mut fetch = Fetch { origin, into, pause: &mut thread::sleep, progress: report };
         fetch.run(files)
     }
+}
+
+const TEXTURES: &str = "textures";
+
+/// Files of LIBERO's assets that a scene requires, sorted by path. The asset table lists the files
+/// that each model references, so no model has to be read.
+pub fn needed_files(problem: &Problem) -> Result<Vec<&'static FileFacts>, SceneError> {
+    let arena = arena(&problem.name).ok_or_else(|| SceneError::UnknownProblem {
+        problem: problem.name.clone(),
+        known: known_problems(),
+    })?;
+    let textures = [&arena.floor_texture, &arena.wall_texture];
+    let mut models = vec![&*arena.file];
+    for declaration in problem.objects.iter().chain(&problem.fixtures) {
+        if declaration.category == arena.workspace_category {
+            continue;
+        }
+        let category =
+            category(&declaration.category).ok_or_else(|| SceneError::UnknownCategory {
+                category: declaration.category.clone(),
+                instance: declaration.name.clone(),
+                known: category_count(),
+            })?;
+        models.push(category.file);
+    }
+    let table = Table::libero();
+    let mut paths: Vec<String> = textures.map(|name| format!("{TEXTURES}/{name}")).into();
+    for model in models {
+        paths.push(model.to_owned());
+        let references = table.references(model).iter();
+        paths.extend(references.map(|path| (*path).to_owned()));
+    }
+    paths.sort();
+    paths.dedup();
+    let files = paths.iter().map(|path| {
+        table.get(path).ok_or_else(|| {
+            SceneError::Inconsistent(format!("LIBERO's assets have no file `{path}`"))
+        })
+    });
+    files.collect()
 }

@@ -64,8 +64,7 @@ fn single_precision_product(q1: [f64; 4], q0: [f64; 4]) -> [f64; 4] {
     .map(|value| f64::from(value as f32))
 }
 
-/// Returns the rotation matrix of a quaternion w x y z, row by row, computed in single precision
-/// like robosuite's `quat2mat`: off by up to 1e-7.
+/// Matrix of w x y z, row by row, in single precision like `quat2mat`: off by up to 1e-7.
 pub fn single_precision_matrix(quat: [f64; 4]) -> [[f64; 3]; 3] {
     let mut q = quat.map(|value| value as f32);
     let square: f64 = q.iter().map(|value| f64::from(value * value)).sum();

@@ -51,26 +51,21 @@ impl Sources {
         Self::in_cache()
     }
 
-    /// Returns `rollout/sources` in the user's cache folder.
     fn in_cache() -> PathBuf {
         terminal::cache_folder().join("sources")
     }
 
-    /// Returns the folder into which LIBERO's assets are fetched: `packs/libero` in the sources. A
-    /// release archive's folder may be read-only, so its assets are fetched into the user's cache
-    /// folder, unless the archive already contains `packs/libero`.
+    /// Folder of LIBERO's fetched assets: `packs/libero` in the sources or, since a release archive
+    /// may be read-only, in the user's cache folder unless the archive contains it.
     pub fn fetched_pack(dir: &Path) -> PathBuf {
         Self::fetched(dir, "packs/libero")
     }
 
-    /// Returns the folder into which the task files of a LIBERO-family benchmark are fetched: in
-    /// the sources or, as for [`fetched_pack`](Self::fetched_pack), in the cache.
+    /// Folder of a benchmark's task files, chosen like [`fetched_pack`](Self::fetched_pack).
     pub fn family(dir: &Path, benchmark: Benchmark) -> PathBuf {
         Self::fetched(dir, benchmark.name())
     }
 
-    /// Returns the folder of a suite file's task files: in the sources or, as for
-    /// [`fetched_pack`](Self::fetched_pack), in the cache.
     pub fn suite_folder(dir: &Path, folder: &str) -> PathBuf {
         Self::fetched(dir, folder)
     }
@@ -87,7 +82,6 @@ impl Sources {
         in_dir
     }
 
-    /// Returns `share/rollout/sources` beside the `bin` folder of this program, if it exists.
     fn release_dir() -> Option<PathBuf> {
         let program = std::env::current_exe().ok()?.canonicalize().ok()?;
         let dir = program.parent()?.with_file_name("share/rollout/sources");
@@ -98,12 +92,10 @@ impl Sources {
         &self.dir
     }
 
-    /// Returns the path of a task's BDDL file; `suite` is the full name of the suite.
     pub fn bddl_file(&self, suite: &str, stem: &str) -> PathBuf {
         self.dir.join("libero/bddl_files").join(suite).join(format!("{stem}.bddl"))
     }
 
-    /// Returns the path of a task's released initial states; `suite` is the full name of the suite.
     pub fn init_file(&self, suite: &str, stem: &str) -> PathBuf {
         self.dir.join("libero/init_files").join(suite).join(format!("{stem}.pruned_init"))
     }
@@ -113,7 +105,6 @@ impl Sources {
     }
 }
 
-/// Kind of asset folder: the asset pack, or robosuite's models.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RootKind {
     Pack,
@@ -123,8 +114,7 @@ pub(crate) enum RootKind {
 impl RootKind {
     const ALL: [Self; 2] = [Self::Pack, Self::Robosuite];
 
-    /// Returns the placeholder for the folder in composed MJCF, which makes the text and the
-    /// scene's digest independent of the machine.
+    /// Makes composed MJCF, and so the scene's digest, independent of the machine.
     fn token(self) -> &'static str {
         match self {
             Self::Pack => "@pack",
@@ -133,7 +123,6 @@ impl RootKind {
     }
 }
 
-/// A folder that MJCF files and assets are read from.
 #[derive(Debug, Clone)]
 pub(crate) struct AssetRoot {
     pub(crate) kind: RootKind,
@@ -151,14 +140,12 @@ impl AssetRoot {
         self.dir.join(file)
     }
 
-    /// Strips the folder's placeholder from a file name of composed MJCF; `None` if the file is in
-    /// a folder of the other kind.
+    /// Strips the placeholder; `None` if the file is in a folder of the other kind.
     pub(crate) fn inside<'a>(&self, file: &'a str) -> Option<&'a str> {
         file.strip_prefix(self.kind.token())?.strip_prefix('/')
     }
 
-    /// Verifies a file against LIBERO's table, if the pack is named `libero`. Accepts a missing or
-    /// unreadable file: the caller's attempt to read the file fails.
+    /// Accepts an unreadable file: the caller's attempt to read it fails.
     pub(crate) fn verify(&self, inside: &str, what: &str) -> Result<(), SceneError> {
         let Some(verified) = &self.verified else {
             return Ok(());
@@ -217,7 +204,6 @@ impl fmt::Display for FileRef {
     }
 }
 
-/// Replaces the folder placeholders of composed MJCF by this machine's folders.
 pub(crate) fn locate_files(mjcf: &str, roots: [&AssetRoot; 2]) -> String {
     let mut text = mjcf.to_owned();
     for kind in RootKind::ALL {

@@ -13,13 +13,11 @@ use crate::bddl::Problem;
 use crate::error::SceneError;
 use crate::sources::{REMEDY, Sources};
 
-/// Kind of file in messages.
 const BDDL: &str = "BDDL file";
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskFiles {
     pub bddl: PathBuf,
-    /// File of the initial states.
     pub init: PathBuf,
 }
 
@@ -28,7 +26,6 @@ pub struct TaskFiles {
 pub type FileStamps = [Option<(u64, SystemTime)>; 2];
 
 impl TaskFiles {
-    /// Returns the current stamps of both files.
     pub fn stamps(&self) -> FileStamps {
         [&self.bddl, &self.init].map(|path| {
             let metadata = path.metadata().ok()?;
@@ -36,14 +33,12 @@ impl TaskFiles {
         })
     }
 
-    /// Returns the files of one of the 40 evaluation tasks.
     pub fn of_task(sources: &Sources, task: TaskRef) -> Self {
         let (suite, stem) = (task.suite().name(), task.name());
         Self { bddl: sources.bddl_file(suite, stem), init: sources.init_file(suite, stem) }
     }
 
-    /// Returns the files of a LIBERO-Plus variant: LIBERO's own or, where the variant differs, the
-    /// files that `worker assets fetch --suite libero-plus` fetched.
+    /// LIBERO's own files or, where the variant differs, fetched ones.
     pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
         let libero_files = Self::of_task(sources, variant.task);
         let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
@@ -59,8 +54,6 @@ impl TaskFiles {
         Self { bddl, init }
     }
 
-    /// Returns the files of a LIBERO-PRO task, which `worker assets fetch --suite libero-pro` has
-    /// put beside LIBERO's.
     pub fn of_pro_task(sources: &Sources, suite: ProSuite, task: TaskRef) -> Self {
         let (folder, name) = (Sources::family(sources.dir(), Benchmark::Pro), task.name());
         Self {
@@ -69,8 +62,6 @@ impl TaskFiles {
         }
     }
 
-    /// Returns the files of a sentence of LIBERO-Para: its BDDL file, which `worker assets fetch
-    /// --suite libero-para` has put beside LIBERO's, and LIBERO's initial states.
     pub fn of_paraphrase(sources: &Sources, paraphrase: &Paraphrase) -> Self {
         let folder = Sources::family(sources.dir(), Benchmark::Para);
         Self {
@@ -97,8 +88,7 @@ impl TaskFiles {
         Ok(instruction)
     }
 
-    /// Returns the sentence of the BDDL file with its capital letters, as LIBERO-Para's scripts
-    /// read it.
+    /// Sentence of the BDDL file with its capital letters, as LIBERO-Para's scripts read it.
     pub fn sentence(&self) -> Result<String, SceneError> {
         let text = self.text()?;
         let mut lines = text.lines().map(str::trim);

@@ -19,7 +19,6 @@ pub(crate) const DISABLE_CONSTRAINT: i32 = 1;
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
 /// `mjDSBL_NATIVECCD`: makes MuJoCo 3.3.7 detect collisions like the benchmark's MuJoCo 2.3.7.
 pub(crate) const DISABLE_NATIVE_CCD: i32 = 1 << 17;
-/// Body whose orientation is observed.
 const HAND_BODY: &str = "robot0_right_hand";
 
 /// A scene's unperturbed model, with ids that were looked up once.
@@ -31,7 +30,6 @@ pub struct CompiledScene {
     pub(crate) resets: Resets,
     pub(crate) hand_body: usize,
     pub(crate) grip_site: usize,
-    /// Data for the software renderer, prepared when the scene is first drawn.
     prepared: OnceLock<Arc<Prepared>>,
     preparation: Preparation,
 }
@@ -43,14 +41,12 @@ pub(crate) struct Burner {
     /// Indices of the stove's joint positions in qpos.
     pub(crate) knobs: Vec<usize>,
     pub(crate) on_threshold: f64,
-    /// Current opacity.
     pub(crate) opacity: f32,
     pub(crate) observed_opacity: f32,
 }
 
 impl CompiledScene {
-    /// Compiles a scene and places its fixtures at the scene's poses. If this machine has compiled
-    /// the scene before, maps the stored model into memory instead.
+    /// Maps the stored model into memory if this machine has compiled the scene before.
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let compile = || {
             scene.verify_files(pack)?;
@@ -90,7 +86,6 @@ impl CompiledScene {
         &self.model
     }
 
-    /// Returns meshes and textures for the software renderer.
     pub(crate) fn prepared(&self) -> Result<Arc<Prepared>, SimError> {
         if let Some(prepared) = self.prepared.get() {
             return Ok(Arc::clone(prepared));
@@ -109,8 +104,7 @@ impl CompiledScene {
     }
 }
 
-/// Hides the sites of the robot, the objects and the fixtures by negating their opacity, like
-/// robosuite; sites of zones on the workspace stay visible.
+/// Negates opacities, like robosuite; zones' sites on the workspace stay visible.
 pub(crate) fn hide_marker_sites(scene: &Scene, model: &mut Model) {
     let mut prefixes = vec!["robot0_".to_owned(), "mount0_".to_owned(), "gripper0_".to_owned()];
     prefixes.extend(scene.instances.iter().map(|instance| format!("{}_", instance.name)));

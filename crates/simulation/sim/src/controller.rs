@@ -12,10 +12,8 @@ use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
 
 pub const ARM_JOINTS: usize = 7;
-/// Controlled site, between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";
-/// Angles of the arm's joints at a reset, rad (`MountedPanda.init_qpos`). Robots of LIBERO-Plus
-/// have other angles.
+/// Angles at a reset, rad (`MountedPanda.init_qpos`). Robots of LIBERO-Plus have others.
 pub const RESET_JOINTS: [f64; ARM_JOINTS] =
     [0.0, -1.61037389e-01, 0.00, -2.44459747e00, 0.00, 2.22675220e00, std::f64::consts::FRAC_PI_4];
 /// Simulation steps of 2 ms per control step: actions are executed at 20 Hz.
@@ -34,7 +32,6 @@ const GRIPPER_RAMP: f64 = 0.01;
 type ArmVector = SVector<f64, ARM_JOINTS>;
 type ArmMatrix = SMatrix<f64, ARM_JOINTS, ARM_JOINTS>;
 
-/// Interpretation of the first six numbers of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ActionFrame {
     /// Displacement, as a fraction of the largest displacement: 0.05 m, 0.5 rad (`use_delta`).
@@ -44,14 +41,12 @@ pub enum ActionFrame {
     Absolute,
 }
 
-/// Controllers of the arm and of the gripper, with their state between steps.
 #[derive(Clone)]
 pub struct Controller {
     site: usize,
     torque_limits: [[f64; 2]; ARM_JOINTS],
     finger_range: [[f64; 2]; 2],
-    /// The arm at the reset pose, which robosuite still uses in the first simulation step after an
-    /// initial state is loaded.
+    /// Robosuite still uses this in the first simulation step after an initial state is loaded.
     reset_arm: ArmState,
     uses_reset_arm: bool,
     last_pose: (Vector3<f64>, Matrix3<f64>),
@@ -69,7 +64,6 @@ struct Buffers {
     jacobian_rot: Vec<f64>,
 }
 
-/// State of the end-effector and the arm that the controller reads.
 #[derive(Clone)]
 struct ArmState {
     pos: Vector3<f64>,
@@ -82,8 +76,7 @@ struct ArmState {
 }
 
 impl Controller {
-    /// Creates the controllers for a model. `reset` is the model's state at the reset pose, after
-    /// [`Data::forward`].
+    /// `reset` is the model's state at the reset pose, after [`Data::forward`].
     pub fn new(model: &Model, reset: &Data) -> Result<Self, SimError> {
         let site = model.id(ObjectKind::Site, GRIP_SITE)?;
         for index in 0..ARM_JOINTS {
@@ -112,15 +105,13 @@ impl Controller {
         })
     }
 
-    /// Returns the end-effector's pose that the controller read last: position, m, and rotation
-    /// matrix, row by row, in the world frame.
+    /// Position, m, and rotation matrix, row by row, in the world frame.
     pub fn last_pose(&self) -> ([f64; 3], [f64; 9]) {
         let (pos, matrix) = &self.last_pose;
         let row_by_row = std::array::from_fn(|index| matrix[(index / 3, index % 3)]);
         ((*pos).into(), row_by_row)
     }
 
-    /// Resets the arm's controller and the ramp of the gripper.
     pub fn reset(&mut self) {
         self.reset_arm();
         self.gripper = [0.0; 2];
@@ -134,8 +125,7 @@ impl Controller {
         self.uses_reset_arm = true;
     }
 
-    /// Sets the goal from a new action. `data` must be the state after [`Data::step1`], in which
-    /// positions and velocities are up to date.
+    /// `data` must be the state after [`Data::step1`].
     pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], frame: ActionFrame) {
         if frame == ActionFrame::Absolute {
             let [x, y, z, axis_angle @ ..] = *action;
@@ -158,15 +148,13 @@ impl Controller {
         };
         self.goal_pos = pos + Vector3::new(delta[0], delta[1], delta[2]);
         let rotation = Vector3::new(delta[3], delta[4], delta[5]);
-        // An action without a rotation keeps the previous goal orientation, rather than the arm's
-        // current orientation.
+        // An action without a rotation keeps the previous goal rather than the arm's orientation.
         if rotation != Vector3::zeros() {
             self.goal_orientation = rotation_of(rotation) * orientation;
         }
     }
 
-    /// Computes the controls of one simulation step. `data` must be the state after
-    /// [`Data::step1`]. Returns false if a matrix of the control law has no inverse.
+    /// `data` must be the state after [`Data::step1`]. False if a matrix has no inverse.
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
         let arm = if std::mem::take(&mut self.uses_reset_arm) {
@@ -192,8 +180,7 @@ impl Controller {
         true
     }
 
-    /// Computes the joint torques by Khatib's operational-space law with decoupled position and
-    /// orientation, plus a null-space posture.
+    /// Khatib's operational-space law, position and orientation decoupled, plus a posture.
     fn torques(&self, arm: &ArmState) -> Option<ArmVector> {
         let damping = 2.0 * STIFFNESS.sqrt();
         let velocity = arm.jacobian * arm.joint_vel;
@@ -211,7 +198,6 @@ impl Controller {
         wrench.fixed_rows_mut::<3>(3).copy_from(&(lambda_rot * torque));
 
         let posture_damping = 2.0 * POSTURE_STIFFNESS.sqrt();
-        // The null-space term pulls the arm back to the reset posture.
         let posture_error = self.reset_arm.joint_pos - arm.joint_pos;
         let posture =
             arm.inertia * (posture_error * POSTURE_STIFFNESS - arm.joint_vel * posture_damping);
@@ -279,9 +265,8 @@ fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }
 
-/// Returns the rotation about `vector` by its length, rad. The quaternion and its products are in
-/// single precision like robosuite's (`transform_utils.quat2mat`), which moves goals by up to
-/// 1e-7 rad.
+/// Rotation about `vector` by its length, rad, in single precision like robosuite's
+/// `transform_utils.quat2mat`, which moves goals by up to 1e-7 rad.
 fn rotation_of(vector: Vector3<f64>) -> Matrix3<f64> {
     let angle = vector.dot(&vector).sqrt();
     let axis = vector / angle;

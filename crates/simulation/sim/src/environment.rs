@@ -14,19 +14,13 @@ use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
 
-/// Index of the fingers' first position in qpos.
 const FINGERS: usize = ARM_JOINTS;
-/// Substep of a control step, from 0, whose kinematics an observation shows after a state was
-/// loaded.
+/// Substep, from 0, whose kinematics are observed after a state was loaded.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
-/// Smallest width and height of frame buffers, pixels.
 const CANVAS_SIZE: u32 = 256;
 
-/// A simulation of a compiled scene, with its own model.
-///
-/// Observations show the *observed instant*: like LIBERO's, they lag behind the end of a control
-/// step. In control steps after [`load`](Self::load), frames and poses lag by 4 ms, joint readings
-/// by 2 ms.
+/// Observations show the *observed instant*, which lags behind the end of a control step like
+/// LIBERO's: in steps after [`load`](Self::load), frames and poses by 4 ms, joints by 2 ms.
 pub struct Environment {
     pub(crate) compiled: Arc<CompiledScene>,
     canvas: Option<Canvas>,
@@ -34,7 +28,6 @@ pub struct Environment {
     pub(crate) data: Data,
     /// Positions, without velocities, at the observed instant.
     pub(crate) observed: Data,
-    /// True if the poses in `observed` were computed from its positions.
     pub(crate) has_observed_poses: bool,
     pub(crate) observed_joints: JointReadings,
     /// Substep of a control step, from 0, whose kinematics the observation shows.
@@ -54,12 +47,10 @@ pub(crate) struct JointReadings {
 }
 
 impl Environment {
-    /// Creates an environment with its own compiled scene.
     pub fn new(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         Self::from_compiled(Arc::new(CompiledScene::compile(scene, pack, sources)?))
     }
 
-    /// Creates an environment of a compiled scene, which other environments may share.
     pub fn from_compiled(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let mut environment = Self::before_load(compiled)?;
         let Self { model, data, .. } = &mut environment;
@@ -69,9 +60,8 @@ impl Environment {
         Ok(environment)
     }
 
-    /// Creates an environment that must be loaded or reset before use. Computes the home pose of
-    /// the arm but no contacts: unplaced objects overlap, and solving their contacts would take
-    /// most of the time and allocate megabytes that the environment keeps.
+    /// Requires loading or a reset before use. Leaves out contacts: unplaced objects overlap, and
+    /// solving their contacts would take most of the time and megabytes.
     pub fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
@@ -92,9 +82,8 @@ impl Environment {
         })
     }
 
-    /// Changes the arm's posture at resets, for the robots of LIBERO-Plus. The controller keeps
-    /// this posture even when a state is loaded afterwards. The environment must be loaded or reset
-    /// before use.
+    /// Posture of LIBERO-Plus' robots. The controller keeps it even when a state is loaded
+    /// afterwards. The environment must be loaded or reset before use.
     pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
         if joints != self.reset_joints {
             self.data.reset(&self.model);
@@ -109,7 +98,6 @@ impl Environment {
         &self.compiled.scene
     }
 
-    /// Returns the compiled scene, which other environments may share.
     pub fn compiled(&self) -> &Arc<CompiledScene> {
         &self.compiled
     }
@@ -123,7 +111,6 @@ impl Environment {
         &mut self.model
     }
 
-    /// Returns the simulation state.
     pub fn data(&self) -> &Data {
         &self.data
     }
@@ -133,8 +120,7 @@ impl Environment {
         (&self.model, &mut self.data)
     }
 
-    /// Loads a state vector (time, qpos, qvel), resets the controller and restores the unperturbed
-    /// model.
+    /// Loads time, qpos and qvel, and restores the unperturbed model.
     ///
     /// # Panics
     /// If the vector does not have 1 + nq + nv numbers. Callers check the length when they read the
@@ -166,13 +152,11 @@ impl Environment {
         self.has_observed_poses = false;
     }
 
-    /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
-    /// after the step.
+    /// 50 ms in 25 simulation steps. Returns true if the goal holds after the step.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }
 
-    /// As [`step`](Self::step). Depending on `frame`, the action is a displacement or a pose.
     pub fn step_in(&mut self, action: &[f64; 7], frame: ActionFrame) -> Result<bool, SimError> {
         // Discards warnings of a failed step of any environment on this thread.
         mujoco::take_warnings();
@@ -241,8 +225,7 @@ impl Environment {
         }
     }
 
-    /// Returns the pose of a body at the observed instant of the last step: position, m, and
-    /// orientation, x y z w, in the world frame.
+    /// Pose at the observed instant: position, m, orientation, x y z w, in the world frame.
     ///
     /// # Panics
     /// If the model has no body with this id.
@@ -265,9 +248,8 @@ impl Environment {
         Ok(Frame { camera: camera.to_owned(), width, height, rgb })
     }
 
-    /// Renders a camera's depths at the observed instant of the last step, as in OpenGL: 0 at the
-    /// near plane, 1 at the far plane, hyperbolic in between; rows from bottom to top. Translucent
-    /// geoms are ignored.
+    /// Depths at the observed instant as in OpenGL: 0 at the near plane, 1 at the far, hyperbolic
+    /// in between; rows from bottom to top. Translucent geoms are ignored.
     pub fn depth(
         &mut self,
         drawer: &Drawer,
@@ -288,7 +270,6 @@ impl Environment {
         self.render(drawer, camera, size, Canvas::segmentation)
     }
 
-    /// Renders the observed instant of the last step.
     fn render<T>(
         &mut self,
         drawer: &Drawer,
@@ -337,7 +318,6 @@ impl Environment {
         self.observed_joints.vel.copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
-    /// Computes the observed poses from the observed positions, unless that was already done.
     fn pose_observed(&mut self) {
         if !self.has_observed_poses {
             self.observed.kinematics(&self.model);
@@ -359,8 +339,7 @@ impl Environment {
         Err(SimError::Unstable { control_step: self.control_steps, problem })
     }
 
-    /// Updates the burners like LIBERO: the opacity of a burner that disagrees with its knob
-    /// becomes 1 minus the previous opacity.
+    /// Sets the opacity of a burner that disagrees with its knob to 1 minus it, like LIBERO.
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {

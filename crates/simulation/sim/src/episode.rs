@@ -19,7 +19,6 @@ use crate::render::LazyDrawer;
 use crate::variant::{Noise, VariantStart};
 use crate::{Environment, perturb};
 
-/// Action that moves nothing and keeps the gripper open.
 pub const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 /// Clips every number of an action to [-1, 1].
 pub fn clip(action: &[f64; 7]) -> [f64; 7] {
@@ -42,8 +41,7 @@ pub struct Digests {
     pub init_state: String,
 }
 
-/// Perturbations in effect during one rollout: the realised values, and the stages for actions and
-/// frames. Campaigns and the Python environments both step through [`Conditions::step`], so that a
+/// Campaigns and the Python environments both step through [`Conditions::step`], so that a
 /// perturbed rollout has the same bits in both.
 #[derive(Clone)]
 pub struct Conditions {
@@ -52,7 +50,6 @@ pub struct Conditions {
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
     actuation: Option<ActuationStage>,
-    /// Corruption of a LIBERO-family variant.
     noise: Option<Noise>,
     settle_steps: u32,
     policy_steps: u32,
@@ -66,8 +63,6 @@ pub struct Episode<'a> {
 }
 
 impl Conditions {
-    /// Loads a row's initial state into an environment of the row's scene, and perturbs the
-    /// environment.
     pub fn begin(
         ready: &ReadyScene,
         environment: &mut Environment,
@@ -78,8 +73,7 @@ impl Conditions {
         Self::begin_at(state, ready, environment, row, realisation)
     }
 
-    /// As [`begin`](Self::begin), but loads `state` (time, qpos, qvel) instead of the row's initial
-    /// state.
+    /// `state` (time, qpos, qvel) replaces the row's initial state.
     pub fn begin_at(
         mut state: Vec<f64>,
         ready: &ReadyScene,
@@ -95,7 +89,6 @@ impl Conditions {
         };
         let ik = perturbation.robot.map(|shift| displaced_arm(environment, &state, &shift));
         if let Some(ik) = &ik {
-            // The state starts with the time and then the positions, of which the arm's come first.
             state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
             realise(Axis::Robot, ik.joints.as_slice().to_vec());
         }
@@ -131,8 +124,7 @@ impl Conditions {
         })
     }
 
-    /// Resets the environment to the start of a LIBERO-family variant. Uses only the row's initial
-    /// state and number of settling steps, and ignores its perturbation.
+    /// Uses only the row's initial state and number of settling steps; ignores its perturbation.
     pub fn begin_variant(
         ready: &ReadyScene,
         environment: &mut Environment,
@@ -160,11 +152,10 @@ impl Conditions {
         Ok(())
     }
 
-    /// Returns the robot's command for a policy's action, before the actuation axis distorts it.
-    /// The command is clipped into -1..1, except in the reference realisation, which like
-    /// LIBERO-CTRL's released code distorts the unclipped action and clips afterwards. Without an
-    /// actuation axis both realisations give the same step, because the controller clips. The
-    /// function is idempotent, so recorded commands can be simulated again.
+    /// The command before the actuation axis distorts it. It is clipped into -1..1, except in the
+    /// reference realisation, which like LIBERO-CTRL's released code clips the distorted action;
+    /// without an actuation axis both give the same step, because the controller clips.
+    /// The function is idempotent, so recorded commands can be simulated again.
     pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
         match self.realisation {
             Realisation::Matched => clip(policy_action),
@@ -172,7 +163,6 @@ impl Conditions {
         }
     }
 
-    /// Simulates one control step with the policy's action, which the actuation axis distorts.
     /// Returns true if the goal holds after the step.
     pub fn step(
         &mut self,
@@ -197,9 +187,8 @@ impl Conditions {
         environment.step_in(&action, frame)
     }
 
-    /// Corrupts a frame with the sensor perturbation of the frame's camera. Frames of cameras that
-    /// policies do not receive stay unchanged. For a given camera and size, the corruption depends
-    /// only on the control step.
+    /// Leaves cameras that policies do not receive unchanged. For a given camera and size, the
+    /// corruption depends only on the control step.
     pub fn corrupt(&mut self, frame: &mut Frame) {
         if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
             stage.apply(&mut perturb::Frame {
@@ -214,7 +203,6 @@ impl Conditions {
 }
 
 impl<'a> Episode<'a> {
-    /// Loads the initial state into the current scene and perturbs it.
     pub(crate) fn begin(
         ready: &ReadyScene,
         environment: &'a mut Environment,
@@ -235,41 +223,34 @@ impl<'a> Episode<'a> {
         Ok(Self { environment, drawer, digests, conditions })
     }
 
-    /// Returns the digests of the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
         &self.digests
     }
 
-    /// Returns the perturbed axes with their realised values.
     pub fn realised(&self) -> &Realised {
         &self.conditions.realised
     }
 
-    /// Returns the solution for the perturbed posture, if the robot axis is perturbed.
     pub fn ik(&self) -> Option<&IkSolution> {
         self.conditions.ik.as_ref()
     }
 
-    /// Lets the scene settle, since objects float in the released states.
     pub fn settle(&mut self) -> Result<(), SimError> {
         self.conditions.settle(self.environment)
     }
 
-    /// Returns the robot's command for a policy's action: see [`Conditions::command`].
     pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
         self.conditions.command(policy_action)
     }
 
-    /// Simulates one control step with a policy's action, or with the command derived from the
-    /// action. Returns true if the goal holds after the step.
+    /// Takes a policy's action or its command; returns true if the goal holds after the step.
     pub fn step(&mut self, policy_action: &[f64; 7]) -> Result<bool, SimError> {
         let conditions = &mut self.conditions;
         conditions.step(self.environment, policy_action, ActionFrame::Relative)
     }
 
-    /// Removes the perturbations: from now on the policy sees the nominal scene, and its actions
-    /// reach the robot unchanged. Effects that the perturbations have had on the state remain,
-    /// including a displaced arm.
+    /// Lets the policy see the nominal scene, and its actions reach the robot unchanged.
+    /// Past effects on the state remain, including a displaced arm.
     pub fn lift(&mut self) {
         self.environment.restore_appearance();
         self.conditions.sensor = None;
@@ -286,8 +267,7 @@ impl<'a> Episode<'a> {
         let (model, data) = self.environment.model_and_data();
         let jacobian = arm_state(model, data, site).jacobian;
         let jacobian = jacobian.fixed_rows::<3>(0).into_owned();
-        // The damping makes the matrix invertible in every posture, and is negligible beside the
-        // matrix's elements.
+        // Invertible in every posture; the damping is negligible beside the matrix's elements.
         let damped = jacobian * jacobian.transpose() + Matrix3::identity() * NUDGE_DAMPING;
         let inverse = damped.try_inverse().expect("positive definite");
         let change = jacobian.transpose() * inverse * nalgebra::Vector3::new(0.0, 0.0, NUDGE_M);
@@ -296,9 +276,8 @@ impl<'a> Episode<'a> {
         }
     }
 
-    /// Returns the policy's current observation, including the effects of all perturbations. Draws
-    /// only the requested frames. For a given camera and size, the pixels depend only on the
-    /// control step, not on how often and at which sizes the scene was drawn before.
+    /// Includes the effects of all perturbations. For a given camera and size, the pixels depend
+    /// only on the control step, not on how often and at which sizes the scene was drawn before.
     pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
         let mut frames = Vec::with_capacity(request.cameras.len());
         for camera in &request.cameras {
@@ -317,7 +296,6 @@ impl<'a> Episode<'a> {
         Ok(Observation { frames, robot: self.environment.robot_state(), privileged })
     }
 
-    /// Returns the environment, for inspection.
     pub fn environment(&mut self) -> &mut Environment {
         self.environment
     }
@@ -331,7 +309,6 @@ fn frame_source(camera: &str) -> Result<FrameSource, SimError> {
     }
 }
 
-/// Moves the camera; returns its realised pose.
 fn apply_camera(
     ready: &ReadyScene,
     environment: &mut Environment,
@@ -346,7 +323,6 @@ fn apply_camera(
     Ok([x, y, z, qw, qx, qy, qz])
 }
 
-/// Changes the lights; returns their realised values.
 fn apply_lighting(
     ready: &ReadyScene,
     environment: &mut Environment,
@@ -387,7 +363,6 @@ fn apply_lighting(
     realised
 }
 
-/// Solves for the arm's joints with a displaced end-effector, starting from a state.
 fn displaced_arm(environment: &mut Environment, state: &[f64], shift: &RobotShift) -> IkSolution {
     environment.load(state);
     let nominal = perturb::JointVector::from_column_slice(&state[1..=ARM_JOINTS]);

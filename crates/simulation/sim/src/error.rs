@@ -1,9 +1,6 @@
-//! Errors of the simulation of a rollout.
-
 use crate::mujoco::ObjectKind;
 
-/// Reason why a rollout could not be simulated. None of these errors is a failure of the policy,
-/// so the rollout is retried.
+/// None of these errors is a failure of the policy, so the rollout is retried.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     #[error(transparent)]
@@ -56,8 +53,7 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Returns true if this machine causes the error, for example by missing files, and another
-    /// machine could simulate the rollout.
+    /// True if another machine could simulate the rollout, for example when files are missing.
     pub fn is_machine_fault(&self) -> bool {
         matches!(
             self,

@@ -23,8 +23,7 @@ const STEPS: u32 = 150;
 const ARM_JOINTS: usize = 7;
 /// Amplitude of the motors' torques, N·m.
 const AMPLITUDE: f64 = 6.0;
-/// Increase of frequency from one motor to the next, as a share of the first motor's 20 rad/s. It
-/// keeps any two joints from moving alike.
+/// Share of the first motor's 20 rad/s by which each next one is faster; no two joints move alike.
 const DETUNING: f64 = 0.37;
 /// Cameras of the frames, with widths and heights, pixels.
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
@@ -39,7 +38,6 @@ pub fn fingerprint(drawer: &Drawer, look: Look) -> Result<String, SimError> {
     Ok(digest(look, &numbers, &frames))
 }
 
-/// Returns all numbers of the motion, of the controller's algebra and of the C library's functions.
 fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     let hand = model.id(ObjectKind::Site, "hand")?;
     let mut numbers = Vec::new();
@@ -62,7 +60,6 @@ fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     Ok(numbers)
 }
 
-/// Computes the algebra of the arm's controller.
 fn operational_space(model: &Model, data: &Data, hand: usize) -> Vec<f64> {
     let nv = model.nv();
     let mut inertia = vec![0.0; nv * nv];
@@ -141,7 +138,6 @@ mod tests {
     use super::*;
     use crate::render::Renderer;
 
-    /// Simulates the motion; returns the model, its last state and the numbers of the motion.
     fn simulate() -> (Model, Data, Vec<f64>) {
         let mut model = Model::compile(SCENE).expect("a model");
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);

@@ -7,7 +7,6 @@
 //! [`mujoco`], in the OpenGL calls and thread-bound values of [`render`], and in the mapping of
 //! scene files. It is behind safe types, and every block states why it is sound.
 
-mod captured_view;
 mod compiled_scene;
 pub mod controller;
 pub mod environment;
@@ -28,7 +27,6 @@ pub mod simulator;
 mod state;
 mod variant;
 
-pub use captured_view::CapturedView;
 pub use compiled_scene::CompiledScene;
 pub use controller::ActionFrame;
 pub use environment::Environment;
@@ -43,5 +41,5 @@ pub use render::{Drawer, GlDevice, Renderer};
 pub use reset::Reset;
 pub use scene_files::{SceneFileError, SceneFolder};
 pub use simulator::{Simulator, SimulatorConfig};
-pub use state::Snapshot;
+pub use state::{CapturedView, Snapshot};
 pub use variant::{Start, VariantStart};

@@ -7,7 +7,6 @@ mod data;
 mod image;
 mod model;
 mod own;
-mod slices;
 mod visual_scene;
 
 use std::cell::RefCell;
@@ -25,12 +24,10 @@ pub use model::{Model, ObjectKind};
 pub use visual_scene::Segment;
 pub(crate) use visual_scene::VisualScene;
 
-/// Exit status of a process whose simulator reported a fatal error: MuJoCo's
-/// error handler must not return, and C frames cannot be unwound.
+/// MuJoCo's error handler must not return, and C frames cannot be unwound.
 pub const FATAL_EXIT_STATUS: i32 = 86;
 
-/// Maximum number of warnings stored between two calls of [`take_warnings`]. A single warning
-/// already ends the rollout.
+/// A single warning already ends the rollout.
 const MAX_WARNINGS: usize = 8;
 
 thread_local! {
@@ -38,15 +35,13 @@ thread_local! {
     static WARNINGS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Returns the version of the loaded library, for example `3.3.7`.
 pub fn version() -> String {
     // SAFETY: returns a static NUL-terminated string.
     let text = unsafe { CStr::from_ptr(c::mj_versionString()) };
     text.to_string_lossy().into_owned()
 }
 
-/// Replaces MuJoCo's error and warning handlers, once per process. The default handlers write a log
-/// file into the current folder, and errors end the process with an unspecific exit status.
+/// The default handlers write a log file into the current folder and exit unspecifically.
 pub(crate) fn install_handlers() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -93,4 +88,16 @@ unsafe extern "C" fn on_warning(message: *const c_char) {
             warnings.push(message);
         }
     });
+}
+
+/// Returns a slice of `count` values; empty for a null pointer, which empty arrays may have.
+///
+/// # Safety
+/// The pointer is null, or points at `count` values that outlive `'a`.
+unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
+    if pointer.is_null() || count <= 0 {
+        return &[];
+    }
+    // SAFETY: the caller promises that the pointer points at `count` values.
+    unsafe { std::slice::from_raw_parts(pointer, count as usize) }
 }

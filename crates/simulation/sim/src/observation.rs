@@ -1,12 +1,9 @@
-//! Observations of a policy, and requests for them.
-
 use libero_ctrl::Privileged;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ObservationRequest {
     /// Frames to render, in this order.
     pub cameras: Vec<CameraRequest>,
-    /// True to include the simulator's own state.
     pub privileged: bool,
 }
 
@@ -14,9 +11,7 @@ pub struct ObservationRequest {
 pub struct CameraRequest {
     /// `agentview` or `robot0_eye_in_hand`; other cameras are refused.
     pub name: String,
-    /// Width, pixels.
     pub width: u32,
-    /// Height, pixels.
     pub height: u32,
 }
 
@@ -27,22 +22,18 @@ pub struct Observation {
     /// Frames in the order of the request, with sensor perturbations applied.
     pub frames: Vec<Frame>,
     pub robot: RobotState,
-    /// The simulator's own state, if requested.
     pub privileged: Option<Privileged>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
     pub camera: String,
-    /// Width, pixels.
     pub width: u32,
-    /// Height, pixels.
     pub height: u32,
     /// Red, green, blue, 8 bits each, row by row; row 0 is the picture's bottom.
     pub rgb: Vec<u8>,
 }
 
-/// The robot's readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobotState {
     /// Position of the site between the fingertips, world frame, m.
@@ -55,17 +46,13 @@ pub struct RobotState {
     pub eef_rotation: [f64; 9],
     /// Positions of the arm joints, rad.
     pub joint_pos: [f64; 7],
-    /// Velocities of the arm joints, rad/s.
     pub joint_vel: [f64; 7],
-    /// Positions of the finger joints, m.
     pub gripper_pos: [f64; 2],
-    /// Velocities of the finger joints, m/s.
     pub gripper_vel: [f64; 2],
 }
 
-/// Converts a unit quaternion x y z w to axis times angle, rad. The angle is twice the arc cosine
-/// of w, and so exceeds π if w is negative (robosuite's `quat2axisangle`, with which policies were
-/// trained).
+/// Axis times angle, rad. The angle is twice the arc cosine of w, and so exceeds π if w is
+/// negative (robosuite's `quat2axisangle`, with which policies were trained).
 pub fn axis_angle_of(quat_xyzw: [f64; 4]) -> [f64; 3] {
     let [x, y, z, w] = quat_xyzw;
     let w = w.clamp(-1.0, 1.0);

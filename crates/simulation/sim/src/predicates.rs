@@ -20,27 +20,13 @@ pub struct Goal {
 
 enum Check {
     /// An object on another object or a fixture.
-    OnObject {
-        upper: ObjectRef,
-        lower: ObjectRef,
-    },
-    /// An object on a region. The object must touch `parent`, the instance that has the region;
-    /// `None` for a zone on the workspace.
-    OnSite {
-        object: ObjectRef,
-        site: Site,
-        parent: Option<usize>,
-    },
-    InSite {
-        object: ObjectRef,
-        site: Site,
-    },
+    OnObject { upper: ObjectRef, lower: ObjectRef },
+    /// The object must touch `parent`, the region's instance; `None` for a zone on the workspace.
+    OnSite { object: ObjectRef, site: Site, parent: Option<usize> },
+    /// An object in a region.
+    InSite { object: ObjectRef, site: Site },
     /// Joints beyond a threshold: one of them or all of them.
-    Joints {
-        addresses: Vec<usize>,
-        condition: JointCondition,
-        quantifier: Quantifier,
-    },
+    Joints { addresses: Vec<usize>, condition: JointCondition, quantifier: Quantifier },
 }
 
 #[derive(Clone, Copy)]
@@ -135,8 +121,7 @@ impl Goal {
 }
 
 impl Site {
-    /// Returns true if an object at `position` is on the site. Rotates the offset by the site's
-    /// matrix rather than its transpose, like LIBERO.
+    /// Rotates the offset by the site's matrix rather than its transpose, like LIBERO.
     fn supports(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let offset = self.offset(model, data, position);
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
@@ -151,7 +136,6 @@ impl Site {
             && along(1).abs() < half_y
     }
 
-    /// Returns true if an object at `position` is in the site.
     fn contains(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
         let centre = vector(data.site_xpos(model), self.id);

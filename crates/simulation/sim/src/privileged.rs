@@ -7,13 +7,9 @@ use crate::controller::{ARM_JOINTS, GRIP_SITE};
 use crate::environment::Environment;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
-
-/// `mjJNT_FREE`.
-const FREE_JOINT: i32 = 0;
+use crate::ready_scene::FREE_JOINT;
 
 impl Environment {
-    /// Returns the current poses of instances, regions and gripper, the joints of the instances,
-    /// and the goal.
     pub fn privileged(&self) -> Result<Privileged, SimError> {
         let (scene, model, data) = (self.scene(), self.model(), self.data());
         let instances =

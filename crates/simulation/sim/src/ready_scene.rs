@@ -1,5 +1,3 @@
-//! A task that is ready for rollouts.
-
 use std::sync::Arc;
 
 use libero_ctrl::presets::ENV_SEED;
@@ -13,18 +11,15 @@ use crate::error::SimError;
 use crate::mujoco::ObjectKind;
 use crate::perturb::{CameraPose, look_at_point};
 
-/// Camera that the camera axis moves.
 pub(crate) const PERTURBED_CAMERA: &str = "agentview";
 /// `mjJNT_FREE`.
-const FREE_JOINT: i32 = 0;
+pub(crate) const FREE_JOINT: i32 = 0;
 
-/// A task's compiled scene with its initial states, and data computed once for all rollouts. Shared
-/// by environments.
+/// Data computed once for all rollouts, shared by environments.
 pub struct ReadyScene {
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) states: InitialStates,
     pub(crate) digest: String,
-    /// Nominal pose of the perturbed camera, and its look-at point.
     pub(crate) camera: CameraPose,
     pub(crate) look_at: [f64; 3],
     /// Pose of the perturbed camera as written in the arena, before MuJoCo normalises it.
@@ -39,8 +34,7 @@ impl ReadyScene {
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, SimError> {
-        // The stamps are taken before the files are read, so that a change of a file during the
-        // reading is noticed later.
+        // Stamps precede the reading, so that a change during the reading is noticed later.
         let stamps = files.stamps();
         let problem = files.problem()?;
         let states = InitialStates::read(&files.init)?;
@@ -72,12 +66,10 @@ impl ReadyScene {
         })
     }
 
-    /// Returns the compiled scene, which environments share.
     pub fn compiled(&self) -> &Arc<CompiledScene> {
         &self.compiled
     }
 
-    /// Returns the task's released initial states.
     pub fn states(&self) -> &InitialStates {
         &self.states
     }

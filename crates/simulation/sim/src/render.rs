@@ -9,7 +9,6 @@ mod prepare;
 mod software;
 #[allow(unsafe_code, reason = "other threads may move the value but never use it")]
 mod thread_bound;
-mod view;
 
 use std::fmt;
 use std::rc::Rc;
@@ -21,17 +20,15 @@ pub use gl_context::{GlContext, GlDevice};
 pub(crate) use prepare::{Prepared, PreparedBytes, digest_of_texture};
 use software::SoftwareCanvas;
 use thread_bound::ThreadBound;
-pub(crate) use view::View;
 
 use crate::error::SimError;
-use crate::mujoco::{Model, Segment};
+use crate::mujoco::{Data, Model, Segment};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Renderer {
     /// Software renderer of this project: the same bits on every machine, without OpenGL.
     #[default]
     Software,
-    /// MuJoCo's renderer, through OpenGL on a device.
     Gl(GlDevice),
 }
 
@@ -73,7 +70,6 @@ impl FromStr for Renderer {
 /// be dropped at any time.
 pub enum Drawer {
     Software,
-    /// MuJoCo's renderer.
     Gl(Rc<GlContext>),
 }
 
@@ -85,8 +81,7 @@ impl Drawer {
         }
     }
 
-    /// Returns the name of the renderer with its version: `rollout-raster 2`, or the driver's name
-    /// for OpenGL, for example `llvmpipe (…)`.
+    /// Name with version: `rollout-raster 2`, or the driver's, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {
             Self::Software => raster::NAME,
@@ -95,7 +90,6 @@ impl Drawer {
     }
 }
 
-/// A renderer that is opened on first use.
 pub(crate) struct LazyDrawer {
     renderer: Renderer,
     drawer: Option<Drawer>,
@@ -115,16 +109,13 @@ impl LazyDrawer {
     }
 }
 
-/// A renderer's state for drawing one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
-    /// State of OpenGL, which only a renderer on the same thread can use.
     Gl(ThreadBound<GlCanvas>),
 }
 
 impl Canvas {
-    /// Creates a canvas for a model and for pictures up to this size, pixels. `prepared` returns
-    /// the software renderer's data of the model.
+    /// Creates a canvas for pictures up to this size, pixels.
     pub(crate) fn new(
         drawer: &Drawer,
         model: &mut Model,
@@ -151,8 +142,6 @@ impl Canvas {
         }
     }
 
-    /// Returns true if this canvas was made for the renderer and has room for a picture of this
-    /// size.
     pub(crate) fn is_usable_for(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
@@ -171,8 +160,7 @@ impl Canvas {
         }
     }
 
-    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL; rows from bottom to
-    /// top.
+    /// Renders depths as in OpenGL: 0 near, 1 far; rows from bottom to top.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         match self {
             Self::Software(canvas) => canvas.depth(view),
@@ -192,6 +180,14 @@ impl Canvas {
     }
 }
 
+pub(crate) struct View<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) data: &'a mut Data,
+    pub(crate) camera: usize,
+    /// Width and height, pixels.
+    pub(crate) size: [u32; 2],
+}
+
 #[cfg(test)]
 mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -201,7 +197,6 @@ mod tests {
 
     const SCENE: &str = include_str!("fingerprint.mjcf");
 
-    /// Returns a canvas of 64 × 48 pixels.
     fn canvas(drawer: &Drawer, model: &mut Model) -> Canvas {
         let prepare = |model: &Model| Prepared::from_model(model).map(Arc::new);
         Canvas::new(drawer, model, prepare, [64, 48]).expect("a canvas")

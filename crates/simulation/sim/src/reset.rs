@@ -40,7 +40,6 @@ enum Target {
 }
 
 impl Resets {
-    /// Resolves the samplers of a scene in its compiled model.
     pub(crate) fn resolve(samplers: &Samplers, model: &Model) -> Result<Self, SimError> {
         let address = |joint: &String| {
             let id = model.id(ObjectKind::Joint, joint)?;
@@ -75,7 +74,6 @@ impl Resets {
         Ok(Self { joints, targets, sites, compiled_fixtures })
     }
 
-    /// Restores the compiled poses of the fixtures.
     pub(crate) fn restore_fixtures(&self, model: &mut Model) {
         for (body, pos, quat) in &self.compiled_fixtures {
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(pos);
@@ -83,8 +81,7 @@ impl Resets {
         }
     }
 
-    /// Makes one attempt at placing all objects and fixtures, starting from the fixtures' current
-    /// poses.
+    /// One attempt, starting from the fixtures' current poses.
     pub(crate) fn place(
         &self,
         samplers: &Samplers,

@@ -32,9 +32,7 @@ use crate::error::SimError;
 use crate::mujoco::{self, Model, STRUCTURE};
 use crate::render::{Prepared, PreparedBytes};
 
-/// Version of the file format.
 const FORMAT: u32 = 1;
-/// Length of a [`Name`].
 const NAME_DIGITS: usize = 32;
 /// Value of `ROLLOUT_SCENES` and `--scenes` that disables scene files.
 const OFF: &str = "off";
@@ -42,26 +40,20 @@ const OFF: &str = "off";
 /// Name of a scene or texture: hexadecimal digits.
 type Name = [u8; NAME_DIGITS];
 
-/// A scene's model and its rendering data, from a file or just compiled.
 pub(crate) struct LoadedScene {
     pub(crate) model: Model,
     pub(crate) prepared: Preparation,
 }
 
-/// Rendering data of a model for the software renderer.
 pub(crate) enum Preparation {
-    /// The data has not been prepared yet.
     Missing,
-    /// The data is in this process's memory.
     InMemory(Arc<Prepared>),
-    /// The data is in a scene file.
     InFile(PreparedBytes),
 }
 
 impl SceneFolder {
-    /// Returns the scene folder of this process: the argument of [`SceneFolder::choose`], else
-    /// `$ROLLOUT_SCENES`, else `rollout/scenes` in the user's cache folder. `None` if scene files
-    /// are disabled.
+    /// The argument of [`SceneFolder::choose`], else `$ROLLOUT_SCENES`, else `rollout/scenes` in
+    /// the user's cache folder. `None` if scene files are disabled.
     pub fn of_process() -> Option<&'static Self> {
         let chosen = CHOSEN_FOLDER.get_or_init(|| {
             let setting = std::env::var_os("ROLLOUT_SCENES");
@@ -135,21 +127,18 @@ impl SceneFolder {
 }
 
 impl LoadedScene {
-    /// Wraps a model in the memory of this process.
     pub(crate) fn in_memory(model: Model) -> Self {
         Self { model, prepared: Preparation::Missing }
     }
 }
 
-/// Returns the file name of a scene: a digest of the scene's MJCF, of the files that the MJCF
-/// references, and of the program's [`layout`].
+/// A digest of the MJCF, of the files that it references, and of the program's [`layout`].
 pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) -> Name {
     let mut hash = Sha256::new();
     hash.update(layout());
     hash.update(pack.digest());
-    // Unlike the pack's files, the robot's files have no stored digest, and reading them would take
-    // longer than everything else. Size and modification time suffice, since the robot's files are
-    // written only at installation.
+    // The robot's files have no stored digest and would take long to read. They are written only at
+    // installation, so size and modification time suffice.
     for file in scene.robot_files(sources) {
         if let Ok(metadata) = fs::metadata(&file) {
             for number in [metadata.len() as i64, metadata.mtime(), metadata.mtime_nsec()] {
@@ -161,8 +150,7 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
     digits(&hash.finalize())
 }
 
-/// Describes everything that the layout of scene files depends on: the machine, MuJoCo, and the
-/// renderer's code that prepares meshes and textures.
+/// Parts that a layout depends on: machine, MuJoCo, and the code that prepares meshes and textures.
 fn layout() -> String {
     let endian = if cfg!(target_endian = "big") { "big" } else { "little" };
     let (mujoco, raster) = (mujoco::version(), raster::SOURCES);

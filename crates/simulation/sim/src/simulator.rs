@@ -19,11 +19,9 @@ use crate::variant::VariantStart;
 pub struct SimulatorConfig {
     /// Folder of robot models, BDDL files and initial states.
     pub sources: Sources,
-    /// Asset pack with models of objects and arenas, and the look of scenes.
     pub pack: AssetPack,
     pub renderer: Renderer,
-    /// Number of compiled scenes kept in memory; each takes 0.8 to 1.3 GB with LIBERO's assets,
-    /// unless it is in a scene file.
+    /// Scenes in memory; each takes 0.8 to 1.3 GB with LIBERO's assets, unless it is in a file.
     pub cached_scenes: usize,
 }
 
@@ -37,7 +35,6 @@ pub struct Simulator {
 }
 
 impl Simulator {
-    /// Creates a simulator without scenes. The renderer is opened on first use.
     pub fn new(config: SimulatorConfig) -> Self {
         Self {
             drawer: LazyDrawer::new(config.renderer),
@@ -47,7 +44,6 @@ impl Simulator {
         }
     }
 
-    /// Returns the folder of robot models, BDDL files and initial states.
     pub fn sources(&self) -> &Sources {
         &self.config.sources
     }
@@ -96,8 +92,7 @@ impl Simulator {
         self.begin_episode(files, row, realisation, None)
     }
 
-    /// Prepares a rollout of a LIBERO-family variant up to the state in which it starts to settle.
-    /// Uses only the row's initial state and number of settling steps.
+    /// Prepares the start of settling; of the row, uses initial state and number of settling steps.
     pub fn begin_variant(
         &mut self,
         files: TaskFiles,
@@ -127,8 +122,7 @@ impl Simulator {
             self.scenes[..=index].rotate_right(1);
             return Ok(());
         }
-        // The least recently used scene is evicted before the new one is compiled, so that the
-        // buffers of both are not allocated at once.
+        // Evicts first, so that the buffers of two scenes are not allocated at once.
         self.scenes.truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;
         let environment = Environment::before_load(Arc::clone(scene.compiled()))?;

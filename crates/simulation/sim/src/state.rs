@@ -11,8 +11,7 @@ use crate::error::SimError;
 use crate::mujoco::{self, Data, Model};
 use crate::reset::Reset;
 
-/// Everything that an environment's next step depends on. Environments of one compiled scene can
-/// exchange snapshots.
+/// Environments of one compiled scene can exchange snapshots.
 pub struct Snapshot {
     pub(crate) model: Model,
     pub(crate) data: Data,
@@ -62,7 +61,6 @@ impl Environment {
             rounds += u32::from(reset == Reset::Hard);
         }
         data.forward(model);
-        // A burner that is turned on becomes visible only in the first step.
         hide_marker_sites(&compiled.scene, model);
         for burner in &mut self.burners {
             burner.opacity = model.site_rgba()[burner.site * 4 + 3];
@@ -88,8 +86,7 @@ impl Environment {
         state
     }
 
-    /// Sets time, positions and velocities from a vector of [`Self::state`], without computing
-    /// derived values: controllers and observations stay unchanged.
+    /// Does not compute derived values: controllers and observations stay unchanged.
     ///
     /// # Panics
     /// If the vector does not have 1 + nq + nv numbers.
@@ -107,7 +104,6 @@ impl Environment {
         self.data.forward(&self.model);
     }
 
-    /// Updates the burners from the state.
     pub fn post_process(&mut self) {
         self.update_burners();
     }
@@ -119,13 +115,11 @@ impl Environment {
         self.record_all();
     }
 
-    /// Returns the end-effector's pose that the controller read last: position, m, and rotation
-    /// matrix, row by row, in the world frame.
+    /// Pose that the controller read last: position, m, and matrix, row by row, world frame.
     pub fn controller_pose(&self) -> ([f64; 3], [f64; 9]) {
         self.controller.last_pose()
     }
 
-    /// Captures everything that the next step depends on.
     pub fn snapshot(&self) -> Result<Snapshot, SimError> {
         let copy = |source: &Data| {
             let mut data = Data::new(&self.model)?;
@@ -144,7 +138,6 @@ impl Environment {
         })
     }
 
-    /// Restores a snapshot.
     ///
     /// # Panics
     /// If the snapshot is from another compiled scene.
@@ -158,5 +151,49 @@ impl Environment {
         self.controller.clone_from(&snapshot.controller);
         self.burners.clone_from(&snapshot.burners);
         self.control_steps = snapshot.control_steps;
+    }
+}
+
+/// State of a few kilobytes from which every environment of the scene renders the same bits later.
+pub struct CapturedView {
+    model: Model,
+    positions: Box<[f64]>,
+    burner_opacities: Box<[f32]>,
+}
+
+impl Environment {
+    pub fn capture(&self) -> CapturedView {
+        let opacities = self.burners.iter().map(|burner| burner.observed_opacity);
+        CapturedView {
+            model: self.model.share(),
+            positions: self.observed.qpos(&self.model).into(),
+            burner_opacities: opacities.collect(),
+        }
+    }
+
+    /// Runs `render` at a captured instant; restores the environment afterwards.
+    ///
+    /// # Panics
+    /// If the capture is from another compiled scene.
+    pub fn with_captured<T>(
+        &mut self,
+        captured: &CapturedView,
+        render: impl FnOnce(&mut Self) -> T,
+    ) -> T {
+        let current = self.capture();
+        self.restore_view(captured);
+        let result = render(self);
+        self.restore_view(&current);
+        result
+    }
+
+    fn restore_view(&mut self, captured: &CapturedView) {
+        self.model.copy_own(&captured.model);
+        let positions = self.observed.qpos_mut(&self.model);
+        positions.copy_from_slice(&captured.positions);
+        for (burner, opacity) in self.burners.iter_mut().zip(&captured.burner_opacities) {
+            burner.observed_opacity = *opacity;
+        }
+        self.has_observed_poses = false;
     }
 }

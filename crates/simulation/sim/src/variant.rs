@@ -15,17 +15,14 @@ use crate::reset::Reset;
 
 /// Rounds of joint samplers: the model has been loaded at construction and by the first reset.
 const ROUNDS: u32 = 2;
-/// Side of the pictures in the benchmark's environments, pixels. It determines how many numbers
-/// glass blur draws from the generator.
+/// Side of the benchmark's pictures, pixels; determines how many numbers glass blur draws.
 const BENCHMARK_SIDE: usize = 256;
 
-/// State in which a rollout starts to settle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
     /// The row's initial state, loaded after a reset. The controllers stay as the reset left them,
     /// so the hand turns back to its orientation at the reset while the scene settles.
     InitialState,
-    /// The state after the reset.
     Reset,
 }
 
@@ -36,16 +33,13 @@ pub struct VariantStart {
     /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
     pub posture: Option<[f64; ARM_JOINTS]>,
     pub seed: u32,
-    /// Number of resets with the same generator before the reset of this rollout: the resets of the
-    /// preceding trials, since harnesses seed only once.
+    /// Resets with the same generator for the preceding trials, since harnesses seed only once.
     pub earlier_resets: u32,
-    /// State in which the rollout starts to settle.
     pub start: Start,
     /// Corruption of pictures from `agentview`.
     pub corruption: Option<Corruption>,
 }
 
-/// Corruption of a rollout's pictures, and its progress in the random numbers.
 #[derive(Clone)]
 pub(crate) struct Noise {
     corruption: Corruption,
@@ -56,8 +50,6 @@ pub(crate) struct Noise {
 }
 
 impl VariantStart {
-    /// Resets an environment of the variant's scene to its start. Returns the corruption of its
-    /// pictures.
     pub(crate) fn begin(
         &self,
         ready: &ReadyScene,
@@ -89,8 +81,7 @@ impl VariantStart {
 }
 
 impl Environment {
-    /// Moves `agentview` until a hard reset or [`load`](Self::load). The orientation is normalised,
-    /// as when `MuJoCo` compiles a model.
+    /// Moves `agentview` until a hard reset or [`load`](Self::load); normalises like `MuJoCo`.
     pub fn place_camera(&mut self, pose: CameraPose) -> Result<(), SimError> {
         let length = pose.quat.iter().map(|part| part * part).sum::<f64>().sqrt();
         let model = self.model_mut();
@@ -104,9 +95,8 @@ impl Environment {
 }
 
 impl Noise {
-    /// Corrupts a picture of `agentview` that is rendered after this number of control steps;
-    /// leaves other cameras' pictures unchanged. Draws the random numbers of all earlier pictures
-    /// too, even if these were not requested.
+    /// `step` counts control steps before the picture. Leaves other cameras' pictures unchanged.
+    /// Draws the numbers of all earlier pictures too.
     pub(crate) fn corrupt(
         &mut self,
         frame: &mut Frame,

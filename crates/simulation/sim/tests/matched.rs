@@ -25,8 +25,7 @@ const PICTURE_PX: usize = 24;
 const PICTURED_STEPS: [u32; 3] = [0, 1, 40];
 const ACTIONS: usize = 30;
 
-/// Realised perturbation of a row: the part stored in the result and, per axis, the bits of every
-/// number that affects the rollout.
+/// Stored part of a result, and per axis the bits of every number that affects the rollout.
 #[derive(Debug)]
 struct Realised {
     stored: rollout_types::Realised,
@@ -136,7 +135,6 @@ fn any_level() -> impl Strategy<Value = Level> {
 }
 
 prop_compose! {
-    /// Generates a design with one task, one configuration, and the axes to combine in it.
     fn any_design()(
         axes in subsequence(Axis::METRIC.to_vec(), 2..=5),
         task in select(TaskRef::all().collect::<Vec<_>>()),
@@ -160,9 +158,7 @@ prop_compose! {
     }
 }
 
-/// Calls `compare` for each axis of every condition with one or two axes. The arguments of
-/// `compare` are the axis, the perturbation realised in that condition, and the perturbation
-/// realised in the combination.
+/// Compares each axis of every condition with one or two axes with the combination.
 fn each_axis(
     design: &Design,
     mode: Realisation,

@@ -10,9 +10,7 @@ use openh264::encoder::{
 };
 use openh264::formats::YUVBuffer;
 
-/// Width and height of one camera's frame, pixels.
 pub const PANE_SIDE: usize = 256;
-/// Frames per second: one per control step.
 pub const FRAMES_PER_SEC: f64 = 20.0;
 
 const WIDTH: usize = 2 * PANE_SIDE;
@@ -24,14 +22,10 @@ const QUANTISER: u8 = 26;
 /// Frames between key frames, to which players can seek: two seconds.
 const KEYFRAME_EVERY: u32 = 40;
 
-/// Reason why a video could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
-    PaneSize {
-        /// Size of the given frame, bytes.
-        given: usize,
-    },
+    PaneSize { given: usize },
     #[error("encode a video: OpenH264 fails with code {code}")]
     Encode { code: i64 },
     #[error("write a video as MP4")]
@@ -45,7 +39,6 @@ impl From<openh264::Error> for VideoError {
     }
 }
 
-/// Encodes one video in memory, frame by frame.
 pub struct VideoEncoder {
     encoder: Encoder,
     muxer: Muxer<Vec<u8>>,
@@ -89,7 +82,6 @@ impl VideoEncoder {
         Ok(())
     }
 
-    /// Finishes the video and returns the MP4 file.
     pub fn finish(mut self) -> Result<Vec<u8>, VideoError> {
         self.muxer.finish_in_place()?;
         Ok(self.muxer.into_writer())
@@ -146,7 +138,6 @@ mod tests {
 
     use super::*;
 
-    /// Builds one pane: `top` in its upper half, `bottom` in its lower one.
     fn pane(top: [u8; 3], bottom: [u8; 3]) -> Vec<u8> {
         let rows = PANE_SIDE * PANE_SIDE / 2;
         let mut pixels = bottom.repeat(rows);
@@ -230,7 +221,6 @@ mod tests {
         u32::from_be_bytes(bytes[at..at + 4].try_into().expect("4 bytes")) as usize
     }
 
-    /// Returns the samples of a file in which they are contiguous.
     fn mp4_samples(mp4: &[u8]) -> Vec<&[u8]> {
         let sizes = find(mp4, b"stsz");
         let mut rest = find(mp4, b"mdat");

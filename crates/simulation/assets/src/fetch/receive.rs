@@ -17,14 +17,11 @@ use crate::origin::{Member, Origin, Parcel, Stream};
 use crate::progress::{Progress, Report};
 use crate::verify::{VerifiedFolder, hex};
 
-/// Number of failed tries after which a fetch is given up.
 pub(super) const MAX_TRIES: u32 = 5;
 /// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
-/// Size of a read, bytes.
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Callback with the progress; returns whether to continue.
 type ProgressCallback<'a> = dyn FnMut(Report) -> ControlFlow<()> + 'a;
 
 pub(super) struct Receiver<'a> {
@@ -32,12 +29,10 @@ pub(super) struct Receiver<'a> {
     parcel: &'a Parcel<'a>,
     into: &'a VerifiedFolder,
     incoming: &'a Path,
-    /// Number of files that were verified and have their final names.
     done: usize,
     /// False once the server has answered a range request with the whole parcel.
     supports_ranges: bool,
     received_bytes: u64,
-    /// Number of corrupted receptions, by file.
     corruptions: HashMap<&'static str, u32>,
 }
 
@@ -64,12 +59,10 @@ impl<'a> Receiver<'a> {
         self.done == self.parcel.members.len()
     }
 
-    /// Returns the number of bytes received so far.
     pub(super) fn received_bytes(&self) -> u64 {
         self.received_bytes
     }
 
-    /// Sends one request and stores the files that its answer contains.
     pub(super) fn stream(
         &mut self,
         progress: &mut Progress,
@@ -96,7 +89,6 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
-    /// Returns the end of the contiguous range of files that starts with the next file.
     fn end_of_contiguous_range(&self) -> u64 {
         if !self.supports_ranges {
             return self.parcel.bytes;
@@ -113,7 +105,6 @@ impl<'a> Receiver<'a> {
         end
     }
 
-    /// Appends the missing bytes of a member to its partially received file.
     fn fill(
         &mut self,
         member: &Member<'_>,
@@ -143,7 +134,6 @@ impl<'a> Receiver<'a> {
         outcome
     }
 
-    /// Reads `count` bytes and passes them on to `take`, block by block.
     fn read(
         &self,
         stream: &mut Stream,
@@ -175,7 +165,6 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
-    /// Verifies a completely received file and gives it its final name.
     fn finish(
         &mut self,
         member: &Member<'_>,
@@ -206,8 +195,7 @@ impl<'a> Receiver<'a> {
         send_progress(on_progress, *progress)
     }
 
-    /// Counts a corrupted reception of a file; the error is permanent after [`MAX_TRIES`], and at
-    /// once if the origin is a local folder.
+    /// Permanent after [`MAX_TRIES`], and at once for a local folder.
     fn count_corruption(&mut self, member: &Member<'_>, problem: String) -> RequestError {
         let tries = self.corruptions.entry(member.file.path).or_default();
         *tries += 1;
@@ -223,15 +211,13 @@ impl<'a> Receiver<'a> {
         })
     }
 
-    /// Returns the path of a partially received file.
     fn partial_path(&self, member: &Member<'_>) -> PathBuf {
         let kind = if member.is_deflated { "deflated" } else { "plain" };
         self.incoming.join(format!("{}-{kind}.part", member.file.sha256))
     }
 }
 
-/// Unpacks a received file; returns a description of the file's difference from the table, or
-/// `None` if the file matches the table.
+/// Returns the difference from the table, if there is one.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
     let source = OpenOptions::new().read(true).custom_flags(no_links()).open(part);
     let source = source.map_err(|source| AssetsError::Read { path: part.to_owned(), source })?;
@@ -240,8 +226,7 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
         false => Box::new(source),
     };
     let failed = |source| write_error(whole, source);
-    // A fetch that was killed may have left this file. A symbolic link at this path is not
-    // followed.
+    // A fetch that was killed may have left this file, or another user a symbolic link.
     let _ = fs::remove_file(whole);
     let mut file = File::create_new(whole).map_err(failed)?;
     let mut hash = Sha256::new();
@@ -279,8 +264,7 @@ fn send_progress(
     }
 }
 
-/// Returns the flag that refuses symbolic links: another user with write access to the folder could
-/// make a link point to a file of this user.
+/// A link by another user could point to a file of this user.
 pub(super) fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }
@@ -290,7 +274,6 @@ pub(super) fn no_links() -> i32 {
 fn received_size(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
         Ok(metadata) if !metadata.is_file() => {
-            // If the removal fails, opening the file fails, too.
             let _ = fs::remove_file(path);
             0
         }

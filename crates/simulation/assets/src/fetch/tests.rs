@@ -1,5 +1,3 @@
-//! Fetches from a test index, over real sockets.
-
 mod test_index;
 
 use std::env;
@@ -23,7 +21,6 @@ const WANTED: [&str; 3] = [LARGE, SMALL, IN_SECOND_WHEEL];
 const INDEX_VARIABLE: &str = "FETCH_TEST_INDEX";
 const FOLDER_VARIABLE: &str = "FETCH_TEST_FOLDER";
 
-/// Outcome of a fetch, the number of its pauses, and its last progress report.
 struct Done {
     outcome: Result<Fetched, AssetsError>,
     pauses: usize,
@@ -86,7 +83,6 @@ fn temporary_pack() -> (TempDir, PathBuf) {
     (folder, into)
 }
 
-/// Returns the files below a folder, sorted.
 fn files(folder: &Path) -> Vec<String> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -114,7 +110,6 @@ fn check_complete(into: &Path) {
     assert_eq!(files(into), WANTED, "the folder holds other files, too");
 }
 
-/// Checks that every file under its final name is complete.
 fn check_no_incomplete_file(into: &Path) {
     for path in files(into) {
         if !path.starts_with(INCOMING) {
@@ -461,8 +456,7 @@ fn a_folder_of_wheels_needs_no_network() {
     check_no_incomplete_file(&into);
 }
 
-/// Returns the command that starts this program as a fetching child process, after the shell
-/// commands `before`.
+/// Runs this program as a fetching child after the shell commands `before`.
 fn start_fetching(before: &str, index: &str, into: &Path) -> Command {
     let mut shell = Command::new("sh");
     let program = env::current_exe().expect("a program");

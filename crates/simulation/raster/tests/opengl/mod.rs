@@ -7,8 +7,7 @@ use raster::{Camera, Canvas, Geom, Light, LightKind, Scene, Shadows, Shape, Text
 
 use crate::scenes::{geom, largest_levels, model};
 
-/// Returns a scene of geoms on an empty background, seen from above and orthographically, without
-/// lights. A pixel of a picture with this side is one unit wide; the origin is in its middle.
+/// Scene seen orthographically, without lights; a pixel is one unit, the origin in the middle.
 fn from_above(side: usize, geoms: Vec<Geom>) -> Scene {
     let middle = side as f32 / 2.0;
     Scene {
@@ -52,7 +51,6 @@ fn red_of_glowing(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
     red(side, &from_above(side, geoms))
 }
 
-/// Returns a white box centred at x, y.
 fn white_box(x: f32, y: f32, half: f32) -> Geom {
     geom(Shape::Box, [x, y, 0.0], [half, half, 0.5], [1.0; 4])
 }
@@ -65,8 +63,7 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
 /// in MuJoCo, the first row is the lowest.
 #[test]
 fn samples_on_left_and_lower_edges_are_inside_and_samples_on_other_edges_are_outside() {
-    // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
-    // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
+    // Every edge lies on samples: from 0.375 to 2.875, from 4.875 to 7.375 and from 4.625 to 7.125.
     let small =
         red_of_glowing(48, vec![white_box(1.625, 1.625, 1.25), white_box(6.125, 5.875, 1.25)]);
     assert_eq!(
@@ -93,8 +90,7 @@ fn samples_on_left_and_lower_edges_are_inside_and_samples_on_other_edges_are_out
     assert_eq!(part(&large, 42..44, 42..44), [[128, 0], [0, 0]]);
 }
 
-/// A flat texture has one level of detail per square of four pixels. A cube has one level of detail
-/// per pixel, because its faces are chosen per pixel.
+/// A flat texture has one per square of four pixels; a cube's faces are chosen per pixel.
 #[test]
 fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     const CUBE: usize = 3;
@@ -117,9 +113,8 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     );
 }
 
-/// Two lights cast shadows of a floating box on a larger box. The shadow of the directional light
-/// is short and to the right; the shadow of the spot light is below the floating box. The maps are
-/// so coarse that every texel shows.
+/// The directional light's shadow is short and to the right, the spot light's below the floating
+/// box. Every texel of the coarse maps shows.
 #[test]
 fn shadows_have_the_texels_of_the_lights_maps() {
     let light = |kind, dir, pos, diffuse| Light {

@@ -7,7 +7,6 @@ use raster::{
     Texture, TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
 };
 
-/// Identity rotation.
 pub(crate) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
 /// Returns a model with a bumpy mesh, a plane, and textures of each kind.
@@ -44,7 +43,6 @@ const TEXTURES: [(TextureKind, usize, usize); 5] = [
     (TextureKind::Cube, 8, 48),
 ];
 
-/// Returns the bytes of the largest level of each of the model's textures.
 pub(crate) fn largest_levels() -> Vec<&'static [u8]> {
     static BYTES: LazyLock<Vec<u8>> = LazyLock::new(|| {
         let byte = |byte: usize| (byte * 37 + byte / 7 * 11) as u8;
@@ -54,7 +52,6 @@ pub(crate) fn largest_levels() -> Vec<&'static [u8]> {
     sizes.map(|size| &BYTES[..size]).collect()
 }
 
-/// Returns a lit geom of a colour, without texture.
 pub(crate) fn geom(shape: Shape, pos: [f32; 3], size: [f32; 3], rgba: [f32; 4]) -> Geom {
     Geom {
         shape,
@@ -78,7 +75,6 @@ fn with_texture(mut geom: Geom, texture: usize, by_corner: bool) -> Geom {
     geom
 }
 
-/// Returns the room, with a mirror and translucent geoms.
 pub(crate) fn room() -> Scene {
     let white = [1.0, 1.0, 1.0, 1.0];
     let mut mirror = geom(Shape::Box, [0.3, 0.0, 0.1], [0.25, 0.3, 0.1], [0.4, 0.4, 0.5, 1.0]);
@@ -151,12 +147,10 @@ pub(crate) fn room() -> Scene {
     }
 }
 
-/// Returns a corner at a position, for special meshes.
 pub(crate) fn corner(pos: [f32; 3]) -> Corner {
     Corner { pos, normal: [0.0, 0.0, 1.0], st: [0.0; 2] }
 }
 
-/// Returns the quality of shadows with maps of this side, texels.
 pub(crate) fn shadows(size: usize) -> Shadows {
     Shadows { size, half_width: 2.0, cone_share: 0.6 }
 }

@@ -7,15 +7,14 @@ use super::{Base, JointSampler, PoseSampler, PoseTarget, Samplers};
 use crate::arena::Arena;
 use crate::bddl::{Problem, Rectangle, Region};
 use crate::catalog::Articulation;
+use crate::compose::{InstanceKind, RegionSite};
 use crate::error::SceneError;
-use crate::instance::{InstanceKind, RegionSite};
 use crate::object::ObjectPart;
 use crate::rotation::Rotation;
 
 /// Height of an object's underside above the workspace or another object, m.
 const OBJECT_Z_OFFSET: f64 = 0.01;
 
-/// Inputs of the plan, and the samplers planned so far.
 struct Plan<'a> {
     problem: &'a Problem,
     arena: &'a Arena,
@@ -33,7 +32,6 @@ enum Place<'a> {
 }
 
 impl Samplers {
-    /// Plans the samplers of a problem.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,
@@ -79,8 +77,7 @@ impl<'a> Plan<'a> {
         self.part(name).is_some_and(|part| part.instance.kind == kind)
     }
 
-    /// Returns the place that a statement of `:init` assigns to its first argument; `None` for
-    /// statements that place nothing, or that name an unknown region, which LIBERO ignores.
+    /// Place by a statement; `None` if it places nothing or names an unknown region, as in LIBERO.
     fn place(&self, predicate: &'a Predicate) -> Option<Place<'a>> {
         let [_, place] = predicate.arguments.as_slice() else {
             return None;
@@ -111,7 +108,6 @@ impl<'a> Plan<'a> {
                 let parent = site.parent.as_deref().unwrap_or_default();
                 (self.part(parent), &site.joints)
             }
-            // LIBERO ignores statements about unknown names.
             (None, None) => return Ok(()),
         };
         let articulation =
@@ -205,7 +201,6 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    /// Returns the base for a place on or in a region's site, and the site's half extents, m.
     fn site(
         &mut self,
         predicate: &Predicate,
@@ -245,7 +240,6 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Returns a rectangle's bounds, shrunk by `inset`.
 fn bounds(rectangle: &Rectangle, inset: f64) -> [[f64; 2]; 2] {
     [rectangle.x, rectangle.y].map(|[low, high]| [low + inset, high - inset])
 }

@@ -6,13 +6,11 @@ use mujoco_rs::mujoco_c::mjModel;
 
 /// A named array, converted to doubles.
 pub struct NamedArray {
-    /// Name of the field of `mjModel`.
     pub name: &'static str,
     /// Values in memory order.
     pub values: Vec<f64>,
 }
 
-/// An array in MuJoCo's element type.
 pub struct ModelArray {
     /// Length along the first axis: bodies, geoms, …
     pub rows: usize,
@@ -37,7 +35,6 @@ impl Values {
     }
 }
 
-/// Element types of `mjModel`'s arrays.
 trait Element: Copy {
     fn collect(values: &[Self]) -> Values;
 }
@@ -95,7 +92,6 @@ macro_rules! arrays {
     };
 }
 
-/// Returns all arrays of the table below.
 pub(super) fn all_arrays(model: &mjModel) -> Vec<NamedArray> {
     let named = |name: &&'static str| NamedArray {
         name,

@@ -1,10 +1,8 @@
-//! Mutable access to a model's own arrays: those that each model has a copy of, so that changing
-//! them does not affect other models of the same compilation.
+//! Mutable access to the arrays of which each model of a compilation has a copy.
 
 use super::model::Model;
 use super::own::each_own_array;
 
-/// Mutable slice of one of a model's own arrays.
 pub enum OwnArray<'a> {
     Double(&'a mut [f64]),
     Single(&'a mut [f32]),
@@ -25,11 +23,9 @@ impl<'a> From<&'a mut [f32]> for OwnArray<'a> {
 macro_rules! change {
     ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
         impl Model {
-            /// Names of the arrays that may be changed.
             pub const OWN_ARRAYS: &[&str] = &[$(stringify!($name),)*];
 
             $(
-                /// Mutable access to the array.
                 pub fn $method(&mut self) -> &mut [$kind] {
                     let model = self.raw_mut();
                     // SAFETY: the pointer points at this model's own copy, of this length; `&mut
@@ -43,8 +39,7 @@ macro_rules! change {
                 }
             )*
 
-            /// Returns one of [`OWN_ARRAYS`](Self::OWN_ARRAYS) by MuJoCo's name; `None` for any
-            /// other name.
+            /// Returns an array of [`OWN_ARRAYS`](Self::OWN_ARRAYS).
             pub fn own_array_mut(&mut self, name: &str) -> Option<OwnArray<'_>> {
                 match name {
                     $(stringify!($name) => Some(self.$method().into()),)*
@@ -87,8 +82,7 @@ mod tests {
         assert!(second.cam_pos().iter().all(|value| *value == 7.0));
         assert_ne!(first.headlight_ambient(), second.headlight_ambient());
         assert!(first.own_array_mut("geom_pos").is_none());
-        // The second model remains usable after the first is dropped: its names resolve, and a
-        // state made for the first fits it.
+        // Names still resolve after the first model is dropped, and a state made for it fits.
         let state = Data::new(&first).expect("a state");
         drop(first);
         assert_eq!(state.qpos(&second).len(), 7);

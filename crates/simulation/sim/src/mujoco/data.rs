@@ -1,17 +1,13 @@
-//! Simulation state of a model.
-
 use std::ptr::NonNull;
 
 use mujoco_rs::mujoco_c as c;
 
 use super::model::Model;
-use super::slices::values;
+use super::values;
 use crate::error::SimError;
 
-/// Owned simulation state of a model.
-///
-/// A state does not own its model, because an environment has two states of one model, which
-/// perturbations change. Methods take a model of the compilation that the state was made for.
+/// Simulation state of a model.
+/// Does not own its model: an environment has two states of one model, which perturbations change.
 ///
 /// # Panics
 /// Every method panics if it is given a model of another compilation.
@@ -26,7 +22,6 @@ unsafe impl Send for Data {}
 // SAFETY: `&self` only reads.
 unsafe impl Sync for Data {}
 
-/// Two geoms in contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     pub geoms: [i32; 2],
@@ -35,8 +30,7 @@ pub struct Contact {
 }
 
 macro_rules! slices {
-    ($($(#[$doc:meta])* $name:ident = $rows:ident * $columns:literal;)*) => {$(
-        $(#[$doc])*
+    ($($name:ident = $rows:ident * $columns:literal;)*) => {$(
         pub fn $name<'a>(&'a self, model: &Model) -> &'a [f64] {
             self.assert_made_for(model);
             // SAFETY: the data is of this model, so the field points at this many
@@ -47,8 +41,7 @@ macro_rules! slices {
 }
 
 macro_rules! slices_mut {
-    ($($(#[$doc:meta])* $method:ident: $name:ident = $rows:ident;)*) => {$(
-        $(#[$doc])*
+    ($($method:ident: $name:ident = $rows:ident;)*) => {$(
         pub fn $method<'a>(&'a mut self, model: &Model) -> &'a mut [f64] {
             self.assert_made_for(model);
             // SAFETY: as for the shared slices; `&mut self` makes the access exclusive.
@@ -74,7 +67,6 @@ macro_rules! stages {
 }
 
 impl Data {
-    /// Creates a state at the model's reference configuration.
     pub fn new(model: &Model) -> Result<Self, SimError> {
         // SAFETY: a live model; null on failure, checked.
         let raw = unsafe { c::mj_makeData(model.as_ptr()) };
@@ -90,7 +82,6 @@ impl Data {
         assert!(self.model == model.serial(), "this is a state of another model");
     }
 
-    /// Copies another state of the same model into this state.
     pub fn copy_from(&mut self, model: &Model, other: &Self) {
         self.assert_made_for(model);
         other.assert_made_for(model);
@@ -107,12 +98,10 @@ impl Data {
         unsafe { self.raw.as_ref() }
     }
 
-    /// Returns the simulated time, s.
     pub fn time_secs(&self) -> f64 {
         self.raw().time
     }
 
-    /// Sets the simulated time, s.
     pub fn set_time_secs(&mut self, secs: f64) {
         // SAFETY: owned and alive; `&mut self` makes the access exclusive.
         unsafe { self.raw.as_mut() }.time = secs;
@@ -126,8 +115,7 @@ impl Data {
         contacts.iter().map(|contact| Contact { geoms: contact.geom, distance: contact.dist })
     }
 
-    /// Returns the number of times that MuJoCo found the simulation unstable since this state was
-    /// created or last reset: bad positions, velocities or accelerations.
+    /// Bad positions, velocities or accelerations since this state was created or last reset.
     pub fn instabilities(&self) -> i32 {
         let warnings = &self.raw().warning;
         [
@@ -173,7 +161,6 @@ impl Data {
         reset = mj_resetData;
         /// Computes everything except the integration.
         forward = mj_forward;
-        /// Simulates one step.
         step = mj_step;
         /// First half of a step: everything that depends on positions and velocities.
         step1 = mj_step1;
@@ -187,47 +174,30 @@ impl Data {
         camlight = mj_camlight;
     }
 
+    // MuJoCo's arrays of these names: poses in the world frame, positions in m, quaternions w x y z,
+    // matrices row by row.
     slices! {
-        /// Joint positions.
         qpos = nq * 1;
-        /// Joint velocities.
         qvel = nv * 1;
-        /// Accelerations.
         qacc = nv * 1;
-        /// Controls.
         ctrl = nu * 1;
-        /// Bias forces: gravity, Coriolis, centrifugal.
         qfrc_bias = nv * 1;
-        /// Body positions, world frame, m.
         xpos = nbody * 3;
-        /// Body orientations, world frame, w x y z.
         xquat = nbody * 4;
-        /// Centres of mass of bodies, world frame, m.
         xipos = nbody * 3;
-        /// Body orientations, world frame, 3 × 3 row by row.
         xmat = nbody * 9;
-        /// Camera positions, world frame, m.
         cam_xpos = ncam * 3;
-        /// Camera orientations, world frame, 3 × 3 row by row.
         cam_xmat = ncam * 9;
-        /// Readings of all sensors, one after the other.
         sensordata = nsensordata * 1;
-        /// Geom positions, world frame, m.
         geom_xpos = ngeom * 3;
-        /// Geom orientations, world frame, 3 × 3 row by row.
         geom_xmat = ngeom * 9;
-        /// Site positions, world frame, m.
         site_xpos = nsite * 3;
-        /// Site orientations, world frame, 3 × 3 row by row.
         site_xmat = nsite * 9;
     }
 
     slices_mut! {
-        /// Mutable joint positions.
         qpos_mut: qpos = nq;
-        /// Mutable joint velocities.
         qvel_mut: qvel = nv;
-        /// Mutable controls.
         ctrl_mut: ctrl = nu;
     }
 }

@@ -9,17 +9,14 @@ use bytes::Bytes;
 use mujoco_rs::mujoco_c::mjModel;
 
 use super::model::{Compilation, MemoryOwner, Model};
-use super::slices::values;
+use super::values;
 
 /// Alignment of MuJoCo's arrays, bytes; required of the bytes that an image is restored from.
 pub(crate) const ALIGNMENT: usize = 64;
-/// Size of MuJoCo's structure, bytes.
 pub(crate) const STRUCTURE: usize = size_of::<mjModel>();
-/// Byte range of all pointers in the structure. They point into MuJoCo's buffer, the first one to
-/// the buffer's start.
+/// Byte range in the structure. They point into MuJoCo's buffer, the first one to its start.
 const POINTERS: std::ops::Range<usize> =
     offset_of!(mjModel, buffer)..offset_of!(mjModel, signature);
-/// Offset that represents a null pointer.
 const NULL: usize = usize::MAX;
 
 const _: () = assert!(
@@ -29,7 +26,6 @@ const _: () = assert!(
         && offset_of!(mjModel, mapD2M) + size_of::<usize>() == POINTERS.end
 );
 
-/// A serialised compiled model.
 pub(crate) struct ModelImage<'a> {
     /// MuJoCo's structure, with offsets in place of pointers.
     pub(crate) structure: Vec<u8>,
@@ -38,9 +34,8 @@ pub(crate) struct ModelImage<'a> {
 }
 
 impl Model {
-    /// Serialises the compiled model without its texels, which are most of the model and are stored
-    /// in texture files. `None` if the arrays do not have the expected layout, or the texels are
-    /// already missing.
+    /// Leaves out the texels, most of the model, which texture files hold. `None` if the arrays do
+    /// not have the expected layout, or the texels are already missing.
     pub(crate) fn image(&self) -> Option<ModelImage<'_>> {
         let compiled = self.compilation().structure();
         let (start, length) = (compiled.buffer as usize, compiled.nbuffer as usize);
@@ -54,8 +49,7 @@ impl Model {
             0 => length,
             _ => (compiled.tex_data as usize).checked_sub(start)?,
         };
-        // The removed length is a multiple of the alignment, so that the arrays behind it stay
-        // aligned.
+        // A multiple of the alignment, so that the arrays behind it stay aligned.
         let removed = texels / ALIGNMENT * ALIGNMENT;
         if cut + removed > length {
             return None;
@@ -87,9 +81,8 @@ impl Model {
         Some(ModelImage { structure, arrays: [&buffer[..cut], &buffer[cut + removed..]] })
     }
 
-    /// Restores a model whose arrays stay in `arrays`, which holds both parts of the image's arrays
-    /// one after the other. `None` if `arrays` is misaligned, the structure has another size,
-    /// or an offset in it exceeds `arrays`.
+    /// `arrays`, which stays in use, holds both parts of the image's arrays. `None` if it is
+    /// misaligned, the structure has another size, or an offset in it exceeds `arrays`.
     ///
     /// # Safety
     /// The bytes must come from [`Model::image`] of the same version of MuJoCo on the same kind of
@@ -122,7 +115,6 @@ impl Model {
         Some(Self::from_compilation(Arc::new(Compilation::new(raw, MemoryOwner::Shared(arrays)))))
     }
 
-    /// Returns true if the model has textures whose texels are not in memory.
     pub(crate) fn lacks_texels(&self) -> bool {
         let compiled = self.compilation().structure();
         compiled.ntexdata > 0 && compiled.tex_data.is_null()
@@ -133,7 +125,6 @@ impl Model {
         Bytes::from_owner(Texels(Arc::clone(self.compilation())))
     }
 
-    /// Provides texels to a model without them while `use_model` runs.
     pub(crate) fn with_texels<T>(
         &mut self,
         texels: &[u8],
@@ -147,7 +138,6 @@ impl Model {
     }
 }
 
-/// Keeps a compilation alive for its texels.
 struct Texels(Arc<Compilation>);
 
 impl AsRef<[u8]> for Texels {

@@ -1,5 +1,3 @@
-//! A compiled model.
-
 use std::ffi::{CStr, CString, c_char};
 use std::ops::Range;
 use std::ptr::NonNull;
@@ -11,22 +9,18 @@ use mujoco_rs::mujoco_c as c;
 
 use super::arrays::{self, ModelArray, NamedArray};
 use super::own::OwnArrays;
-use super::slices::values;
+use super::values;
 use crate::error::SimError;
 
-/// A compiled model. It owns the arrays that a rollout changes (`_own`) and shares
-/// everything else (meshes, textures and data computed from them) with the other models of its
-/// compilation.
+/// Owns the arrays that a rollout changes (`_own`) and shares everything else with the other
+/// models of its compilation.
 pub struct Model {
-    /// MuJoCo's structure: a copy of the compilation's, except for the pointers to the arrays in
-    /// `_own` and for options of this model.
+    /// A copy of the compilation's, except for pointers to `_own` and for options of this model.
     raw: Box<c::mjModel>,
-    /// Arrays that pointers in `raw` point to.
     _own: OwnArrays,
     compilation: Arc<Compilation>,
 }
 
-/// Immutable result of a MuJoCo compilation.
 pub(super) struct Compilation {
     raw: NonNull<c::mjModel>,
     owner: MemoryOwner,
@@ -36,14 +30,11 @@ pub(super) struct Compilation {
 }
 
 pub(super) enum MemoryOwner {
-    /// MuJoCo owns structure and arrays.
     Compiled,
-    /// A box owns the structure; the arrays are in these bytes.
     Shared(#[expect(dead_code, reason = "they are reached through the structure")] Bytes),
 }
 
 impl Compilation {
-    /// Takes ownership of a structure, which is freed on drop according to `owner`.
     pub(super) fn new(raw: NonNull<c::mjModel>, owner: MemoryOwner) -> Self {
         static COMPILED: AtomicU64 = AtomicU64::new(0);
         Self { raw, owner, serial: COMPILED.fetch_add(1, Ordering::Relaxed) }
@@ -93,12 +84,10 @@ impl ObjectKind {
     }
 }
 
-/// Longest compiler message, bytes.
 const ERROR_BYTES: usize = 1024;
 
 macro_rules! slices {
-    ($($(#[$doc:meta])* $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {$(
-        $(#[$doc])*
+    ($($name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {$(
         pub fn $name(&self) -> &[$kind] {
             let model = self.raw();
             // SAFETY: the field points at this many values while the model lives.
@@ -136,8 +125,7 @@ impl Model {
         Ok(Self::from_compilation(Arc::new(Compilation::new(raw, MemoryOwner::Compiled))))
     }
 
-    /// Returns another model of this compilation, whose own arrays are copies of this model's own
-    /// arrays.
+    /// Its own arrays are copies of this model's.
     #[must_use]
     pub fn share(&self) -> Self {
         let mut other = Self::from_compilation(Arc::clone(&self.compilation));
@@ -188,17 +176,14 @@ impl Model {
         self.raw.opt.disableflags |= flags;
     }
 
-    /// Returns the number of position coordinates.
     pub fn nq(&self) -> usize {
         self.raw().nq as usize
     }
 
-    /// Returns the number of degrees of freedom.
     pub fn nv(&self) -> usize {
         self.raw().nv as usize
     }
 
-    /// Returns the number of actuators.
     pub fn nu(&self) -> usize {
         self.raw().nu as usize
     }
@@ -231,7 +216,6 @@ impl Model {
         Some(name)
     }
 
-    /// Returns the id of a named element, or an error that names it.
     pub fn id(&self, kind: ObjectKind, name: &str) -> Result<usize, SimError> {
         let missing = || SimError::Missing { kind, name: name.to_owned() };
         let text = CString::new(name).map_err(|_| missing())?;
@@ -240,8 +224,6 @@ impl Model {
         usize::try_from(id).map_err(|_| missing())
     }
 
-    /// Returns the numeric arrays, without the contents of meshes, textures and height fields,
-    /// their search trees, and most arrays of skins and flexible bodies.
     pub fn arrays(&self) -> Vec<NamedArray> {
         arrays::all_arrays(self.raw())
     }
@@ -259,8 +241,7 @@ impl Model {
         self.raw.vis.headlight.ambient = rgb;
     }
 
-    /// Returns the model's extent, m, and the near and far planes of cameras, as multiples of the
-    /// extent.
+    /// Extent, m, and near and far planes as multiples of it.
     pub fn planes(&self) -> [f64; 3] {
         let raw = self.raw();
         let map = &raw.vis.map;
@@ -300,55 +281,35 @@ impl Model {
         Meshes(self.raw())
     }
 
+    // MuJoCo's arrays of these names: positions and sizes in m, in the frame of the parent or body;
+    // quaternions w x y z; -1 for no material or texture.
     slices! {
-        /// Geom types (`mjtGeom`).
         geom_type: i32 = ngeom * 1;
-        /// Geom sizes, m, whose meaning depends on the geom's type.
         geom_size: f64 = ngeom * 3;
-        /// Material of each geom, or -1.
         geom_matid: i32 = ngeom * 1;
-        /// Textures of each material by role, or -1.
         mat_texid: i32 = nmat * 10;
-        /// Repeats of a material's texture along x and y.
         mat_texrepeat: f32 = nmat * 2;
-        /// 1 if a material's texture repeats per metre, 0 if it repeats per geom.
         mat_texuniform: u8 = nmat * 1;
-        /// Joint types (`mjtJoint`).
         jnt_type: i32 = njnt * 1;
-        /// First position coordinate of each joint.
         jnt_qposadr: i32 = njnt * 1;
-        /// Body of each joint.
         jnt_bodyid: i32 = njnt * 1;
-        /// Joint ranges, m or rad.
         jnt_range: f64 = njnt * 2;
-        /// Body positions in their parents' frames, m.
         body_pos: f64 = nbody * 3;
-        /// Body orientations in their parents' frames, w x y z.
         body_quat: f64 = nbody * 4;
         geom_bodyid: i32 = ngeom * 1;
-        /// Bounding boxes in geom frames: centre, half extents, m.
         geom_aabb: f64 = ngeom * 6;
-        /// Camera positions in their bodies' frames, m.
         cam_pos: f64 = ncam * 3;
-        /// Camera orientations in their bodies' frames, w x y z.
         cam_quat: f64 = ncam * 4;
-        /// Light positions in their bodies' frames, m.
         light_pos: f64 = nlight * 3;
-        /// Light directions in their bodies' frames, unit vectors.
         light_dir: f64 = nlight * 3;
-        /// Light colours.
         light_diffuse: f32 = nlight * 3;
         light_specular: f32 = nlight * 3;
-        /// Site colours.
         site_rgba: f32 = nsite * 4;
-        /// Site half extents, m.
         site_size: f64 = nsite * 3;
-        /// Actuator control ranges.
         actuator_ctrlrange: f64 = nu * 2;
     }
 }
 
-/// A texture of a compiled model.
 pub(crate) struct TextureData {
     /// `mjtTexture`.
     pub(crate) kind: i32,
@@ -357,7 +318,6 @@ pub(crate) struct TextureData {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) channels: usize,
-    /// Index of the texture's first byte among the texels of all textures.
     start: usize,
 }
 
@@ -370,8 +330,7 @@ impl TextureData {
 
 pub(crate) struct Meshes<'a>(&'a c::mjModel);
 
-/// A mesh. Faces hold the indices of the vertices, normals and texture coordinates of their
-/// corners.
+/// Faces hold the indices of their corners' vertices, normals and texture coordinates.
 pub(crate) struct MeshData<'a> {
     pub(crate) vertices: &'a [f32],
     pub(crate) normals: &'a [f32],

@@ -5,10 +5,9 @@ use std::ptr::NonNull;
 
 use mujoco_rs::mujoco_c::mjModel;
 
-use super::slices::values;
+use super::values;
 
-/// Passes the list of arrays to a macro. Each entry has the method for mutable access, MuJoCo's
-/// name, the element type and the length.
+/// Entries: method for mutable access, MuJoCo's name, element type, length.
 macro_rules! each_own_array {
     ($use:ident) => {
         $use! {
@@ -57,7 +56,6 @@ macro_rules! define_own_arrays {
         }
 
         impl OwnArrays {
-            /// Copies a model's arrays and sets its pointers to the copies.
             pub(super) fn copy_of(model: &mut mjModel) -> Self {
                 $(
                     // SAFETY: the field points at this many values.
@@ -79,11 +77,9 @@ each_own_array!(define_own_arrays);
 mod tests {
     use super::*;
 
-    /// Defines arrays for a model, in which every number is unique, and functions that access them
-    /// through the model's pointers.
+    /// Every number is unique; functions access the arrays through the model's pointers.
     macro_rules! define_test_arrays {
         ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
-            /// The arrays that a model points at.
             #[derive(Debug, Default, PartialEq)]
             struct Arrays {
                 $($name: Vec<$kind>,)*
@@ -112,7 +108,6 @@ mod tests {
                 }
             }
 
-            /// Adds one to every value through the pointers.
             fn add_one(model: &mjModel) {
                 $(for index in 0..(model.$rows * $columns) as usize {
                     // SAFETY: the field points at this many values.
@@ -120,7 +115,6 @@ mod tests {
                 })*
             }
 
-            /// Reads every value through the pointers.
             fn read(model: &mjModel) -> Arrays {
                 Arrays {
                     // SAFETY: the fields point at this many values.

@@ -13,21 +13,17 @@ const MAX_GEOMS: i32 = 1000;
 /// Geom group of collision geometry, which is not drawn.
 const COLLISION_GROUP: usize = 0;
 
-/// Object in a pixel of a segmentation image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Segment {
     /// Kind of object (`mjtObj`); geoms are 5, sites 6.
     pub kind: i32,
-    /// Id among the objects of its kind.
     pub id: i32,
 }
 
-/// An abstract scene, made for one model.
 pub(crate) struct VisualScene {
     options: c::mjvOption,
     scene: Box<c::mjvScene>,
-    /// Serial number of the model's compilation. The scene has capacity for that model's skins and
-    /// flexible bodies.
+    /// Serial of the compilation, for whose skins and flexible bodies there is capacity.
     model: u64,
 }
 
@@ -55,8 +51,7 @@ impl VisualScene {
         &self.scene
     }
 
-    /// Returns the camera that pictures are drawn from: the mean of the left and the right eye's
-    /// camera.
+    /// Pictures are drawn from the mean of the left and the right eye's camera.
     pub(crate) fn eye(&self) -> c::mjvGLCamera {
         let [left, right] = &self.scene.camera;
         // SAFETY: the call reads the two cameras, and nothing else.
@@ -78,7 +73,6 @@ impl VisualScene {
         numbered.collect()
     }
 
-    /// Updates the scene to a state, for a camera of the model.
     ///
     /// # Panics
     /// If the state or this scene was made for another model.

@@ -13,7 +13,6 @@ const NEGLIGIBLE_NOISE: f64 = 1e-12;
 /// Number of action components for the arm: translation and rotation.
 const ARM: usize = 6;
 
-/// Distorts the actions of one rollout, with one call per control step.
 #[derive(Clone)]
 pub struct ActuationStage {
     gain: f64,
@@ -28,7 +27,6 @@ pub struct ActuationStage {
     fixed: FixedElements,
 }
 
-/// Random elements that are drawn once per rollout.
 #[derive(Clone, Copy)]
 struct FixedElements {
     bias_direction: [f64; ARM],
@@ -42,8 +40,7 @@ enum StepNoise {
 }
 
 impl ActuationStage {
-    /// Creates the stage at the start of a rollout. `demo_action_rms` is the suite's value
-    /// for translation and for rotation ([`libero_ctrl::Suite::demo_action_rms`]).
+    /// `demo_action_rms` ([`libero_ctrl::Suite::demo_action_rms`]) is for translation and rotation.
     pub fn new(
         distortion: &ActuationDistortion,
         demo_action_rms: [f64; 2],
@@ -72,8 +69,7 @@ impl ActuationStage {
         }
     }
 
-    /// Returns the action for the controller: gain, misalignment, bias, lag and noise are applied
-    /// in this order, then clipping to [−1, 1].
+    /// Gain, misalignment, bias, lag and noise in this order, then clipping to [−1, 1].
     pub fn apply(&mut self, action: &[f64; 7]) -> [f64; 7] {
         let translation = Vector3::new(action[0], action[1], action[2]) * self.gain;
         let rotation = Vector3::new(action[3], action[4], action[5]) * self.gain;
@@ -90,15 +86,13 @@ impl ActuationStage {
         output.map(|component| component.clamp(-1.0, 1.0))
     }
 
-    /// Returns the drawn elements to store with the result: bias direction, misalignment axis, and
-    /// the noise of the next step.
+    /// Elements stored with the result: bias direction, misalignment axis, noise of the next step.
     pub fn realised(&self) -> Vec<f64> {
         let noise = self.clone().next_noise();
         [self.fixed.bias_direction.as_slice(), &self.fixed.misalignment_axis, &noise].concat()
     }
 
-    /// Draws six standard normals; returns zeros without drawing if no component's noise exceeds
-    /// [`NEGLIGIBLE_NOISE`].
+    /// Draws nothing if no component's noise exceeds [`NEGLIGIBLE_NOISE`].
     fn next_noise(&mut self) -> [f64; ARM] {
         let step = self.step;
         self.step += 1;

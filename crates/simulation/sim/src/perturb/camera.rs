@@ -12,7 +12,6 @@ const NEAREST_DISTANCE_M: f64 = 0.2;
 /// Pose of a fixed camera, world frame. The camera looks along −z, and y is up in the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraPose {
-    /// Position, m.
     pub position: [f64; 3],
     /// Orientation, unit quaternion w x y z, as MuJoCo's `cam_quat`.
     pub quat_wxyz: [f64; 4],
@@ -35,11 +34,8 @@ pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64
     (position + distance * forward).into()
 }
 
-/// Returns the camera's perturbed pose.
-///
-/// The nominal position is converted to spherical coordinates about `look_at`. The shifted
-/// coordinates give the position about the shifted look-at point. The camera looks at the shifted
-/// point, with world z up.
+/// The nominal spherical coordinates about `look_at`, shifted, give the position about the shifted
+/// look-at point, at which the camera looks with world z up.
 pub fn shift_camera(nominal: &CameraPose, look_at: [f64; 3], shift: &CameraShift) -> CameraPose {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(nominal.position) - look_at;

@@ -13,7 +13,6 @@
 
 use super::dct::{self, Block};
 
-/// Side of a block, samples.
 const SIDE: usize = 8;
 
 /// Annex K, table K.1, row by row.
@@ -49,7 +48,6 @@ pub(super) fn round_trip(rgb: &mut [u8], width: usize, height: usize, quality: u
     }
 }
 
-/// One colour component.
 struct Plane {
     width: usize,
     height: usize,
@@ -65,8 +63,7 @@ impl Plane {
         &self.samples[y * self.stride..(y + 1) * self.stride]
     }
 
-    /// Transforms, quantises and transforms back, block by block. Blocks that extend beyond the
-    /// picture repeat the border.
+    /// Blocks that extend beyond the picture repeat the border.
     fn quantise(&mut self, steps: &[i32; 64]) {
         for top in (0..self.height).step_by(SIDE) {
             for left in (0..self.stride).step_by(SIDE) {
@@ -151,8 +148,7 @@ fn scaled(steps: &[u16; 64], quality: u8) -> [i32; 64] {
     steps.map(|step| ((i32::from(step) * percent + 50) / 100).clamp(1, 255))
 }
 
-/// Returns the multiple of `step` nearest to an eighth of a coefficient, since the forward
-/// transform scales by eight.
+/// The multiple of `step` nearest to an eighth of a coefficient: the transform scales by eight.
 fn quantised(coefficient: i32, step: i32) -> i32 {
     let divisor = 8 * step;
     let magnitude = (coefficient.abs() + divisor / 2) / divisor;

@@ -12,18 +12,15 @@ const OVERHEAD_M: f64 = 1e-9;
 /// One light of a scene, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// Position, m.
     pub position: [f64; 3],
     /// Unit direction of the light's beam.
     pub direction: [f64; 3],
-    /// Diffuse colour, red, green and blue.
     pub diffuse: [f64; 3],
     pub specular: [f64; 3],
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
-    /// Lights in the model's order.
     pub lights: Vec<Light>,
     pub headlight_ambient: [f64; 3],
 }
@@ -58,9 +55,8 @@ fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
     factors.map(|factor| factor / luminance)
 }
 
-/// Rotates a light's position about the look-at point, and its direction, by `angle` rad about the
-/// horizontal axis that is perpendicular to the light's offset from that point. A positive angle
-/// lowers the light.
+/// Rotates position and direction about the look-at point and the horizontal axis perpendicular to
+/// the light's offset, by `angle` rad; a positive angle lowers the light.
 fn elevate(light: &Light, look_at: [f64; 3], angle: f64) -> ([f64; 3], [f64; 3]) {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(light.position) - look_at;

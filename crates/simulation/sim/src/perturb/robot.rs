@@ -4,23 +4,18 @@
 use libero_ctrl::RobotShift;
 use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 
-/// Number of the arm's joints.
 pub const JOINTS: usize = 7;
 /// Damping λ of the least squares.
 const DAMPING: f64 = 0.08;
 /// Number of iterations after which the search stops with the last posture.
 const MAX_ITERATIONS: u32 = 200;
-/// Position error that counts as converged, m.
 const POSITION_TOLERANCE_M: f64 = 2e-4;
-/// Orientation error that counts as converged, rad.
 const ROTATION_TOLERANCE_RAD: f64 = 2e-3;
-/// Distance from a limit at which a joint counts as clamped, rad.
 const CLAMPED_RAD: f64 = 1e-6;
 
 /// Joint angles, rad.
 pub type JointVector = SVector<f64, JOINTS>;
-/// World-frame velocity of the end-effector per joint velocity: translation rows, then rotation
-/// rows.
+/// World-frame velocity per joint velocity: translation rows, then rotation rows.
 pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// Lower and upper limit of a joint, rad.
 pub type JointRange = [f64; 2];
@@ -32,29 +27,20 @@ pub struct ArmState {
     pub position: Vector3<f64>,
     /// Orientation, `world_from_site`.
     pub rotation: Matrix3<f64>,
-    /// Jacobian of position and orientation.
     pub jacobian: Jacobian,
 }
 
-/// Result of the search for a posture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IkSolution {
-    /// Posture of the arm.
     pub joints: JointVector,
-    /// Distance of the end-effector from its target, mm.
     pub residual_mm: f64,
-    /// Angle between the orientation of the end-effector and its target, degrees.
     pub residual_deg: f64,
-    /// Joints at their limits.
     pub clamped_joints: u32,
     pub iterations: u32,
 }
 
-/// Finds the posture whose end-effector pose is the pose at `nominal` displaced by `shift`:
-/// translated in the world frame, and rotated in place by a rotation vector applied on the left.
-///
-/// `kinematics` returns the end-effector at a posture. Joint limits may keep the solution from
-/// reaching the target; the residual is the remaining distance.
+/// Displaces the pose at `nominal` by `shift`: translated in the world frame, and rotated in place
+/// by a rotation vector applied on the left. Joint limits may leave a residual.
 pub fn solve_shifted_pose(
     mut kinematics: impl FnMut(&JointVector) -> ArmState,
     nominal: &JointVector,
@@ -123,8 +109,7 @@ fn damped_step(jacobian: &Jacobian, error: &Vector6<f64>) -> JointVector {
 }
 
 fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
-    // Converts through a quaternion, since the arc cosine of the trace loses half the digits of a
-    // small angle.
+    // The arc cosine of the trace would lose half the digits of a small angle.
     let rotation = Rotation3::from_matrix_unchecked(*rotation);
     UnitQuaternion::from_rotation_matrix(&rotation).scaled_axis()
 }

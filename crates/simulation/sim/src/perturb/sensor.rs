@@ -14,7 +14,6 @@ use super::jpeg;
 
 /// Picture size at which the parameters' lengths in pixels apply.
 const REFERENCE_PX: f64 = 128.0;
-/// Shortest motion blur that is applied, pixels.
 const SHORTEST_MOTION_PX: f64 = 1.5;
 /// Gaussian blur up to this standard deviation is not applied, pixels.
 const NEGLIGIBLE_BLUR_PX: f64 = 1e-3;
@@ -22,14 +21,11 @@ const NEGLIGIBLE_BLUR_PX: f64 = 1e-3;
 const NEGLIGIBLE_JPEG_LOG2: f64 = 1e-3;
 /// Noise up to this standard deviation is not applied, for values in [0, 1].
 const NEGLIGIBLE_NOISE: f64 = 1e-5;
-/// Cut-off of the Gaussian, standard deviations.
 const TRUNCATE_SIGMAS: f64 = 4.0;
 
-/// Camera of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FrameSource {
     Agentview,
-    /// `robot0_eye_in_hand`.
     Wrist,
 }
 
@@ -37,7 +33,6 @@ impl FrameSource {
     /// Cameras in the order in which they draw from NumPy's stream.
     pub const ALL: [Self; 2] = [Self::Agentview, Self::Wrist];
 
-    /// Returns the camera's lane in random streams.
     const fn lane(self) -> u32 {
         self as u32
     }
@@ -47,17 +42,13 @@ impl FrameSource {
 #[derive(Debug)]
 pub struct Frame<'a> {
     pub source: FrameSource,
-    /// Control step of the policy for which the picture was rendered, from 0.
     pub step: u32,
-    /// Pixels per row.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// `width` × `height` × 3 bytes.
     pub rgb: &'a mut [u8],
 }
 
-/// Corrupts the pictures of one rollout.
 #[derive(Clone)]
 pub struct SensorStage {
     corruption: SensorCorruption,
@@ -73,7 +64,6 @@ enum FrameNoise {
 }
 
 impl SensorStage {
-    /// Creates the stage at the start of a rollout.
     pub fn new(corruption: &SensorCorruption, randomness: &Randomness) -> Self {
         let (motion_angle, noise) = match *randomness {
             Randomness::Matched(stream) => {
@@ -190,7 +180,6 @@ impl NumpyFrames {
         Self { first: DefaultRng::seed(seed), starts: Vec::new(), values_per_frame: 0 }
     }
 
-    /// Returns the generator at the start of the picture with this index.
     fn generator_at(&mut self, index: usize, values_per_frame: usize) -> DefaultRng {
         if self.values_per_frame != values_per_frame {
             self.values_per_frame = values_per_frame;
@@ -237,13 +226,11 @@ impl Picture {
         }
     }
 
-    /// Converts to 8 bits by clipping and truncation.
     fn to_bytes(&self) -> Vec<u8> {
         let byte = |value: &f64| (value.clamp(0.0, 1.0) * 255.0) as u8;
         self.values.iter().map(byte).collect()
     }
 
-    /// Returns the picture with its borders replicated by `margin` pixels on all sides.
     fn padded(&self, margin: usize) -> Self {
         let width = self.width + 2 * margin;
         let height = self.height + 2 * margin;
@@ -281,8 +268,7 @@ impl Picture {
         Self { values, ..*self }
     }
 
-    /// Convolves separably with a symmetric kernel, given from its centre outwards: first along
-    /// columns, then along rows, as in SciPy.
+    /// `kernel` is symmetric, from its centre outwards; columns first, then rows, as in SciPy.
     fn gaussian_blurred(&self, kernel: &[f64]) -> Self {
         let radius = kernel.len() - 1;
         let row_len = self.width * 3;
@@ -345,8 +331,7 @@ fn replicate_ends(padded: &mut [f64], row: &[f64], margin: usize) {
     }
 }
 
-/// Returns a line through the centre of an n × n kernel: the distinct elements among n samples,
-/// normalised.
+/// A line through the centre: the distinct elements among n samples, normalised.
 fn motion_kernel(length_px: f64, angle: f64) -> LineKernel {
     let size = length_px.round_ties_even() as usize;
     let centre = (size as f64 - 1.0) / 2.0;
@@ -376,9 +361,8 @@ fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
     weights[radius..].iter().map(|weight| weight / sum).collect()
 }
 
-/// Sums in NumPy's order, which for 8 to 128 values is eight parallel sums. A uniform patch of a
-/// picture can lie exactly on the border between two grey levels, where the last bit of the weights
-/// decides.
+/// NumPy's order is eight parallel sums for 8 to 128 values. A uniform patch can lie exactly
+/// between two grey levels, where the last bit of the weights decides.
 fn numpy_sum(values: &[f64]) -> f64 {
     let (whole, rest) = values.split_at(values.len() / 8 * 8);
     let mut lanes = whole.chunks_exact(8);

@@ -9,11 +9,10 @@ use mujoco_rs::mujoco_c as c;
 use crate::error::SimError;
 use crate::mujoco::{Model, Segment, VisualScene};
 
+use super::View;
 use super::gl_context::GlContext;
-use super::view::View;
 
-/// MuJoCo's state for drawing one scene. The state belongs to an OpenGL context, and is freed
-/// before the context.
+/// Belongs to an OpenGL context, and is freed before it.
 pub(crate) struct GlCanvas {
     visual_scene: VisualScene,
     context: Box<c::mjrContext>,
@@ -21,8 +20,7 @@ pub(crate) struct GlCanvas {
 }
 
 impl GlCanvas {
-    /// Uploads a model's meshes and textures. The model's offscreen buffer must have at least this
-    /// size, pixels.
+    /// The model's offscreen buffer must have at least this size, pixels.
     pub(crate) fn new(
         opengl: &Rc<GlContext>,
         model: &Model,
@@ -54,8 +52,6 @@ impl GlCanvas {
         Ok(canvas)
     }
 
-    /// Returns true if this canvas was made in the context, and its buffers have room for a picture
-    /// of this size.
     pub(crate) fn is_usable_for(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
         Rc::ptr_eq(&self.opengl, opengl) && self.fits(size)
     }
@@ -65,23 +61,18 @@ impl GlCanvas {
         size.into_iter().zip(buffer_size).all(|(side, limit)| i64::from(side) <= i64::from(limit))
     }
 
-    /// Renders a camera of the model as 8-bit RGB; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         let mut rgb = vec![0; pixels(view.size) * 3];
         self.render(view, &[], Target::Colours(&mut rgb))?;
         Ok(rgb)
     }
 
-    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL; rows from bottom to
-    /// top.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         let mut depth = vec![0.0; pixels(view.size)];
         self.render(view, &[], Target::Depths(&mut depth))?;
         Ok(depth)
     }
 
-    /// Renders the object at the centre of each pixel; rows from bottom to top. MuJoCo's
-    /// segmentation image encodes a geom's id plus 1 as a colour.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,
@@ -97,7 +88,6 @@ impl GlCanvas {
         Ok(numbers.map(|number| segments.get(&number.checked_sub(1)?).copied()).collect())
     }
 
-    /// Renders into `target` with these flags set.
     fn render(
         &mut self,
         view: View<'_>,
@@ -155,7 +145,6 @@ fn pixels([width, height]: [u32; 2]) -> usize {
     width as usize * height as usize
 }
 
-/// Target buffer of a picture, with room for all its pixels.
 enum Target<'a> {
     Colours(&'a mut [u8]),
     Depths(&'a mut [f32]),

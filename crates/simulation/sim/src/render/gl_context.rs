@@ -1,5 +1,3 @@
-//! Windowless OpenGL context on a chosen device.
-
 use std::ffi::{CStr, c_char, c_void};
 use std::rc::Rc;
 
@@ -12,7 +10,6 @@ pub enum GlDevice {
     /// The first device that works, in the driver's order.
     #[default]
     Auto,
-    /// The n-th device of the driver's list.
     Index(usize),
 }
 
@@ -42,7 +39,6 @@ pub struct GlContext {
 }
 
 impl GlContext {
-    /// Opens a context and makes it current on this thread.
     pub(super) fn open(device: GlDevice) -> Result<Rc<Self>, SimError> {
         // SAFETY: loads the system's EGL library, whose initialisers are as
         // trustworthy as those of any system library.
@@ -87,7 +83,6 @@ fn graphics(problem: String) -> SimError {
     SimError::Graphics { problem, remedy: REMEDY }
 }
 
-/// Returns the displays to try, in order.
 fn candidates(egl: &Egl, device: GlDevice) -> Result<Vec<egl::Display>, SimError> {
     let devices = devices(egl);
     let display = |platform: egl::Enum, native: *mut c_void| {

@@ -15,20 +15,17 @@ use twox_hash::XxHash3_128;
 use crate::error::SimError;
 use crate::mujoco::{MeshData, Model, TextureData};
 
-/// Remedy for scenes that the software renderer cannot draw.
 const REMEDY: &str = "use --renderer gl";
 /// Number of texture roles per material in `mat_texid`, and the role of the colour texture.
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
-/// Prepared items of this process by the digest of their source. The digest is chosen for speed,
-/// because nobody would gain from a forged collision.
+/// Items by a digest of the source, chosen for speed, since a forged collision gains nothing.
 type Cache<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
 static MESHES: Cache<Mesh> = LazyLock::new(Mutex::default);
 static TEXTURES: Cache<Texture> = LazyLock::new(Mutex::default);
 
-/// The colour texture of a material, and its repetition.
 #[derive(Clone, Copy)]
 pub(super) struct Material {
     pub(super) texture: usize,
@@ -37,18 +34,14 @@ pub(super) struct Material {
     pub(super) uniform: bool,
 }
 
-/// Immutable rendering data of a model.
 pub(crate) struct Prepared {
     pub(super) model: raster::Model,
     pub(super) materials: Vec<Option<Material>>,
-    /// Index of the first sky texture.
     pub(super) sky: Option<usize>,
-    /// Largest mipmap level of each texture.
     pub(super) largest_levels: Vec<Bytes>,
 }
 
-/// Serialised rendering data of a model: each mesh, and for each texture the largest mipmap level
-/// and the smaller levels.
+/// Each mesh, and for each texture the largest mipmap level and the smaller levels.
 pub(crate) struct PreparedBytes {
     pub(crate) meshes: Vec<Bytes>,
     pub(crate) textures: Vec<[Bytes; 2]>,
@@ -137,8 +130,7 @@ fn share_part<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
     part.map(Arc::new).map_err(|error| graphics(error.to_string()))
 }
 
-/// Creates a model with the built-in shapes and the planes, which are computed faster than they
-/// could be loaded from a file.
+/// Built-in shapes and planes are computed faster than they could be loaded.
 fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
     let raw = model.raw();
     let quality = &raw.vis.quality;

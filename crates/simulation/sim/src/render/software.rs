@@ -6,24 +6,21 @@ use std::sync::Arc;
 use mujoco_rs::mujoco_c as c;
 use raster::{Camera, Geom, Light, LightKind, Scene, Shadows, Shape, TextureUse};
 
+use super::View;
 use super::prepare::{Material, Prepared, graphics};
-use super::view::View;
 use crate::error::SimError;
 use crate::mujoco::{Model, Segment, VisualScene};
 
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
-/// State of the software renderer for drawing one scene.
 pub(crate) struct SoftwareCanvas {
     visual_scene: VisualScene,
     prepared: Arc<Prepared>,
     scene: Scene,
-    /// Canvases by camera.
     canvases: BTreeMap<usize, raster::Canvas>,
 }
 
 impl SoftwareCanvas {
-    /// Creates a canvas for a model and its prepared data.
     pub(crate) fn new(model: &Model, prepared: Arc<Prepared>) -> Self {
         Self {
             visual_scene: VisualScene::new(model),
@@ -51,18 +48,14 @@ impl SoftwareCanvas {
         }
     }
 
-    /// Renders a camera of the model as 8-bit RGB; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         self.draw_on_canvas(view, raster::Canvas::draw)
     }
 
-    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL; rows from bottom to
-    /// top.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         self.draw_on_canvas(view, raster::Canvas::depths)
     }
 
-    /// Renders the object at the centre of each pixel; rows from bottom to top.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,
@@ -96,7 +89,6 @@ impl SoftwareCanvas {
             .map_err(|error| graphics(error.to_string()))
     }
 
-    /// Updates the scene to the model's state.
     fn update(&mut self, view: View<'_>) -> Result<(), SimError> {
         self.visual_scene.update(view.model, view.data, view.camera);
         let visual = self.visual_scene.scene();

@@ -1,5 +1,4 @@
-//! Container that can move between threads although its value may be used and freed only on the
-//! thread that created it.
+//! Container whose value may be used and freed only on the thread that created it.
 
 use std::mem::ManuallyDrop;
 use std::thread::{self, ThreadId};

@@ -19,7 +19,6 @@ const LENGTH: Range<usize> = NAME.end..NAME.end + 8;
 const CHECKSUM: Range<usize> = LENGTH.end..LENGTH.end + 16;
 /// Length of the header, bytes; the checksum covers the rest.
 const HEAD: usize = CHECKSUM.end;
-/// Size of reads and writes, bytes.
 const BLOCK: usize = 1 << 20;
 
 /// Writes a file; each section is the concatenation of its parts.
@@ -77,8 +76,7 @@ impl<W: Write> ChecksumWriter<W> {
     }
 }
 
-/// Reads the header of a file and returns its checksum; `None` if the header is of another format,
-/// name or length.
+/// Returns the checksum; `None` for another format, name or length.
 pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result<Option<u128>> {
     let mut head = [0; HEAD];
     if length < HEAD as u64 {
@@ -92,8 +90,7 @@ pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result
     Ok(is_valid.then_some(checksum))
 }
 
-/// Returns true if everything after the header has this checksum. Reads the file rather than a
-/// mapping, whose pages would count towards this process's memory.
+/// Reads the file, because a mapping's pages would count towards this process's memory.
 pub(super) fn has_checksum(mut file: &File, checksum: u128) -> io::Result<bool> {
     file.seek(SeekFrom::Start(HEAD as u64))?;
     let mut sum = XxHash3_128::new();
@@ -117,8 +114,7 @@ impl AsRef<[u8]> for Mapped {
     }
 }
 
-/// Maps the sections of a file, and keeps `lock` until all of them are dropped. `None` if the
-/// section table is invalid.
+/// Keeps `lock` until all sections are dropped. `None` if the section table is invalid.
 pub(super) fn map(file: &File, lock: Option<File>) -> io::Result<Option<Vec<Bytes>>> {
     // SAFETY: the pages are never written to, neither through this mapping, which is read-only,
     // nor in the file: programs of this project write a file once, before it gets its final name,

@@ -24,8 +24,7 @@ impl SceneFolder {
         let mut records = Vec::new();
         for entry in fs::read_dir(&self.dir)? {
             let entry = entry?;
-            // Without metadata, the file is gone: another process has replaced a check record, or
-            // removed a temporary file.
+            // Gone: another process has replaced a check record, or removed a temporary file.
             let Ok(metadata) = entry.metadata() else {
                 continue;
             };
@@ -63,7 +62,6 @@ impl SceneFolder {
         let mut remaining: Vec<&str> = scenes.iter().map(|scene| &*scene.name).collect();
         let mut candidates = scenes.iter().filter(|scene| scene.name != keep);
         loop {
-            // Textures that no scene uses are removed first.
             let needed = self.textures_of(&remaining);
             textures.retain(|(name, bytes)| {
                 let is_used = needed.contains(name);
@@ -89,8 +87,7 @@ impl SceneFolder {
         }
     }
 
-    /// Returns the names of the textures of scenes. A scene that cannot be read counts as having
-    /// no textures, and is compiled again when needed.
+    /// A scene that cannot be read has none, and is compiled again when needed.
     fn textures_of(&self, scenes: &[&str]) -> HashSet<String> {
         let sections = |name: &&str| {
             let file = File::open(self.scene(name)).ok()?;

@@ -17,18 +17,13 @@ use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
 /// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another limit.
 const LIMIT_GIB: u64 = 16;
-/// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
-/// worker treats a slot without progress for minutes as stuck.
+/// Compiling takes seconds; a worker treats a slot without progress for minutes as stuck.
 const MAX_LOCK_WAIT: Duration = Duration::from_secs(60);
-/// Interval between attempts to lock a file.
 const POLL: Duration = Duration::from_millis(10);
-/// Permissions of a finished file.
 const READ_ONLY: u32 = 0o444;
-/// Permission bits that let users other than the owner write.
 const OTHERS_WRITE: u32 = 0o022;
 /// User id of root, whose files are trusted like those of this process's user.
 const ROOT: u32 = 0;
-/// Prefix of the names of files being written.
 pub(super) const TEMPORARY_PREFIX: &str = ".aside-";
 /// Indices of the sections of a scene file. From [`MESHES`] on, each section is a mesh.
 const TEXTURES: usize = 0;
@@ -36,7 +31,6 @@ const STRUCTURE: usize = 1;
 const ARRAYS: usize = 2;
 const MESHES: usize = 3;
 
-/// Reason why scenes are not stored in files.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneFileError {
     #[error(
@@ -68,11 +62,8 @@ pub struct SceneFolder {
     pub(super) dir: PathBuf,
     /// Limit of the files' total size, bytes.
     pub(super) limit: u64,
-    /// Id of this process's user.
     pub(super) user: u32,
-    /// Description of the files' layout; see [`layout`].
     pub(super) layout: String,
-    /// Longest wait for another process.
     pub(super) max_wait: Duration,
     /// Simulated free disk space in tests, bytes.
     #[cfg(test)]
@@ -104,7 +95,6 @@ impl SceneFolder {
     pub fn new(dir: &Path) -> Self {
         Self {
             dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
-            // `check` reports an unusable limit.
             limit: limit(given_limit().as_deref()).unwrap_or(LIMIT_GIB << 30),
             user: rustix::process::geteuid().as_raw(),
             layout: layout(),
@@ -114,8 +104,7 @@ impl SceneFolder {
         }
     }
 
-    /// Creates the folder, or checks that it is trusted. The folder may be read-only: another user
-    /// may have filled it.
+    /// Creates the folder if needed. It may be read-only: another user may have filled it.
     pub fn check(&self) -> Result<(), SceneFileError> {
         limit(given_limit().as_deref())?;
         if self.exists_and_is_trusted()? {
@@ -136,9 +125,8 @@ impl SceneFolder {
             return Ok(None);
         };
         let failed = |source| failure("read", &path, source);
-        // The lock is held while the scene is mapped. Without it, the file may be removed, but the
-        // mapping stays valid. `try_lock_shared` never waits: any reader of the file could hold an
-        // exclusive lock for ever.
+        // The lock keeps the file, but the mapping stays valid without it, too. `try_lock_shared`
+        // never waits: any reader of the file could hold an exclusive lock for ever.
         let _ = scene.file.try_lock_shared();
         if scene.file.metadata().map_err(failed)?.nlink() == 0 {
             return Ok(None);
@@ -220,9 +208,8 @@ impl SceneFolder {
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(file),
-                // If the file system has no locks, the caller proceeds: no file in use is evicted,
-                // since eviction requires a lock; and two processes that write one scene write
-                // identical files.
+                // The caller proceeds without locks: eviction requires a lock, and two processes
+                // that write one scene write identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) if started.elapsed() < self.max_wait => {
                     thread::sleep(POLL);
@@ -263,8 +250,7 @@ impl SceneFolder {
         [self.user, ROOT].contains(&metadata.uid()) && metadata.mode() & OTHERS_WRITE == 0
     }
 
-    /// Opens a file; `None` if it is missing or not trusted, or if its header has another name or
-    /// length.
+    /// `None` if the file is missing or not trusted, or its header has another name or length.
     fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
         let options = OpenOptions::new().read(true).custom_flags(no_links()).open(path);
         let file = match options {
@@ -301,8 +287,7 @@ impl SceneFolder {
         container::has_checksum(&file, checksum).map_err(|source| failure("read", path, source))
     }
 
-    /// Writes a file under a temporary name, makes sure that it is on disk, makes it read-only, and
-    /// renames it.
+    /// Renames the temporary file once it is on disk and read-only.
     fn write(
         &self,
         path: &Path,
@@ -312,14 +297,12 @@ impl SceneFolder {
         let written = (|| {
             let mut temporary =
                 tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempfile_in(&self.dir)?;
-            // The lock is released when this process ends, even if it is killed; a process that
-            // then acquires the lock may remove the file.
+            // Released when this process ends; another that then locks the file may remove it.
             let _ = temporary.as_file().try_lock();
             let out = temporary.as_file_mut();
             #[cfg(test)]
             let out = &mut super::tests::Disk { file: out, room: &self.room };
             container::write(out, name, sections)?;
-            // Some file systems report a full disk only here.
             temporary.as_file().sync_data()?;
             temporary.as_file().set_permissions(Permissions::from_mode(READ_ONLY))?;
             temporary.persist(path).map_err(|error| error.error).map(drop)
@@ -327,8 +310,7 @@ impl SceneFolder {
         written.map_err(|source| failure("write", path, source))
     }
 
-    /// Returns true if the checksums of these files in their current state were checked since this
-    /// machine booted. Then also marks the scene as used.
+    /// Returns true if checked in this state since this boot; then marks the scene as used.
     fn was_checked(&self, name: &Name, stamps: &str) -> bool {
         let Some(record) = self.check_record_path(name) else {
             return false;
@@ -345,8 +327,7 @@ impl SceneFolder {
         false
     }
 
-    /// Records that the files' checksums were checked. If the record cannot be written, the files
-    /// are checked again next time.
+    /// Records the check; without a record, the files are checked again next time.
     fn record_check(&self, name: &Name, stamps: &str) {
         let Some(record) = self.check_record_path(name) else {
             return;
@@ -360,8 +341,7 @@ impl SceneFolder {
         drop(written);
     }
 
-    /// Returns the path of the file that records a check of the scene by this machine since it
-    /// booted. Other machines that share the folder have their own records.
+    /// Path of the record of a check since this boot; each machine has its own records.
     fn check_record_path(&self, name: &Name) -> Option<PathBuf> {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
         let file = format!("{}.{}.checked", name_text(name), boot.trim());

@@ -21,8 +21,7 @@ use crate::render::{Canvas, Drawer, View};
 const NAME: Name = [b'a'; NAME_DIGITS];
 const OTHER_NAME: Name = [b'b'; NAME_DIGITS];
 
-/// Environment variables of the child process that is killed while it writes a scene: the scene
-/// folder, and the number of bytes after which the process is killed.
+/// Variables of a child that is killed while it writes: scene folder, and bytes until then.
 const KILLED_IN: &str = "ROLLOUT_TEST_KILLED_IN";
 const KILLED_AT: &str = "ROLLOUT_TEST_KILLED_AT";
 
@@ -36,11 +35,9 @@ fn access_files_as(user: u32) {
     unsafe { setfsuid(user) };
 }
 
-/// A file on a simulated disk. When the disk is full, a write fails, or kills the process if
-/// [`KILLED_AT`] is set.
+/// Simulated disk: when full, a write fails, or kills the process if [`KILLED_AT`] is set.
 pub(super) struct Disk<'a> {
     pub(super) file: &'a mut File,
-    /// Remaining bytes on the disk.
     pub(super) room: &'a AtomicU64,
 }
 
@@ -69,8 +66,7 @@ impl Seek for Disk<'_> {
     }
 }
 
-/// Compiles a scene with a falling mesh, a falling box, a plane, and textures of three kinds.
-/// Scenes of different `size` share two of the textures.
+/// A falling mesh and box, a plane, and three textures, two of them the same for every `size`.
 fn compile(size: f64) -> Result<Model, SimError> {
     Model::compile(&format!(
         r#"<mujoco><asset>
@@ -118,7 +114,6 @@ fn behaviour(obtained: LoadedScene) -> (Vec<f64>, Vec<u8>) {
 }
 
 struct Fixture {
-    /// Keeps the temporary folder alive.
     _temporary: TempDir,
     folder: SceneFolder,
     expected: (Vec<f64>, Vec<u8>),
@@ -134,8 +129,7 @@ impl Fixture {
         }
     }
 
-    /// Obtains the scene and checks its behaviour. The first returned value is true if the scene
-    /// was compiled, the second if the scene is mapped from a file.
+    /// Checks the behaviour. Returns whether the scene was compiled, and whether a file is mapped.
     fn obtain(&self) -> (bool, bool) {
         let mut compiled = false;
         let obtained = self.folder.obtain(&NAME, || {
@@ -461,7 +455,6 @@ fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
     assert_eq!(names(&fixture), ["a", "b"], "the first scene is mapped, the second is new");
     drop(obtain(&fixture, &[b'c'; NAME_DIGITS], 0.3));
     assert_eq!(names(&fixture), ["a", "c"], "the second scene is not mapped");
-    // The two scenes share two of their three textures.
     assert_eq!(fixture.files(".texture").len(), 4);
     assert!(behaviour(first) == fixture.expected);
     drop(obtain(&fixture, &[b'd'; NAME_DIGITS], 0.4));

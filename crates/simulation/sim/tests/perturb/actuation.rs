@@ -1,5 +1,3 @@
-//! Actions in the reference realisation.
-
 use libero_ctrl::streams::Randomness;
 use libero_ctrl::{Axis, Realisation, RolloutId, Suite};
 use sim::perturb::ActuationStage;

@@ -1,5 +1,3 @@
-//! Reads the reference data.
-
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -61,7 +59,6 @@ pub(crate) fn arrays(path: &Path) -> Arrays {
     arrays
 }
 
-/// Reads an integer array of an archive.
 pub(crate) fn integers(path: &Path, name: &str) -> Vec<i64> {
     let mut archive = open(path);
     let file = archive.by_name(&format!("{name}.npy")).expect("listed");
@@ -93,7 +90,6 @@ pub(crate) fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
     group.try_into().expect("a group of N values")
 }
 
-/// Panics if a value differs from the expected one by more than `tolerance`.
 pub(crate) fn check_close(values: &[f64], expected: &[f64], tolerance: f64, case: &str) {
     assert_eq!(values.len(), expected.len(), "{case}");
     for (value, expected) in values.iter().zip(expected) {

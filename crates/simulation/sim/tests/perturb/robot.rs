@@ -86,8 +86,7 @@ fn quaternion(model: &Arrays, array: &str, index: usize) -> UnitQuaternion<f64> 
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// The reference holds two initial states per task. Only configurations that start from one of
-/// these states are compared.
+/// The reference holds two initial states per task.
 #[test]
 fn arm_postures_equal_the_reference() {
     let (Some(perturb), Some(tasks)) = (folder("perturb"), folder("tasks")) else {
@@ -106,7 +105,6 @@ fn arm_postures_equal_the_reference() {
             if init_id > 1 {
                 continue;
             }
-            // A state consists of time, positions and velocities.
             let start = &states["state"][init_id * state_len + 1..];
             let nominal = JointVector::from_column_slice(&start[..JOINTS]);
             let shift = perturbation.robot.expect("set");

@@ -1,5 +1,3 @@
-//! Camera and lights.
-
 use libero_ctrl::{Axis, Level, LightingShift};
 use sim::perturb::{CameraPose, Light, Lighting, look_at_point, shift_camera, shift_lighting};
 
@@ -59,9 +57,8 @@ fn lights_of_all_presets_equal_the_reference() {
     }
 }
 
-/// Returns a preset's shift as rounded in the reference. Two values of the thirty presets lie on a
-/// decimal tie, for which Python's `round`, used by the protocol and the published manifest, and
-/// NumPy's `round`, used for the reference, give different sixth decimals.
+/// Two values of the thirty presets lie on a decimal tie, for which Python's `round`, used by the
+/// protocol, and NumPy's, used for the reference, give different sixth decimals.
 fn rounded_like_the_reference(shift: LightingShift, level: Level, config: u16) -> LightingShift {
     let (by_python, by_numpy) = match (level, config) {
         (Level::L2, 1) => (-0.617393, -0.617392),
@@ -72,8 +69,7 @@ fn rounded_like_the_reference(shift: LightingShift, level: Level, config: u16) -
     LightingShift { d_log2_warm: by_numpy, ..shift }
 }
 
-/// Returns the `index`-th set of lights. `column` converts the name of a quantity to the name of
-/// its array.
+/// `column` converts the name of a quantity to that of its array.
 fn lighting(model: &Arrays, column: impl Fn(&str) -> String, index: usize) -> Lighting {
     let count = model["light_pos0"].len() / 3;
     let of_light = |array: &str, light: usize| {

@@ -66,7 +66,6 @@ fn blur_and_compression_of_all_presets_equal_the_reference() {
     }
 }
 
-/// Requests the pictures of two cameras and two steps in another order than the reference.
 #[test]
 fn noise_of_both_cameras_and_steps_equals_the_reference_in_any_order() {
     let Some(folder) = folder("perturb") else {
@@ -80,7 +79,6 @@ fn noise_of_both_cameras_and_steps_equals_the_reference_in_any_order() {
         (FrameSource::Agentview, &agentview, "agentview", 1),
         (FrameSource::Wrist, &wrist, "wrist", 0),
     ];
-    // The reference holds noisy pictures of every third preset.
     let noisy_presets = presets(Axis::Sensor).filter(|&(_, config, _)| config % 3 == 0);
     for (level, config, perturbation) in noisy_presets {
         let mut stage = stage(&perturbation.sensor.expect("set"), level, config);

@@ -15,19 +15,15 @@ use sim::mujoco::ObjectKind;
 use crate::LOADED_TWICE;
 use crate::files::{compile, packs, shared, sources};
 
-/// Seed of the recorded reset.
 const SEED: u32 = 0;
 
 #[derive(Deserialize)]
 struct Recorded {
-    /// Position and orientation of each placed fixture.
     body_pos_seed0: BTreeMap<String, ([f64; 3], [f64; 4])>,
-    /// Name of the function, its arguments as printed by Python, and two values that the test
-    /// ignores.
+    /// Function, its arguments as printed by Python, and two ignored values.
     rng_calls_seed0: Vec<(String, String, serde_json::Value, serde_json::Value)>,
 }
 
-/// Repeats a recorded call.
 fn replay(rng: &mut LegacyRng, function: &str, arguments: &str) {
     let first_argument = || -> u32 {
         let digits = arguments.trim_start_matches('(').split(',').next();

@@ -1,5 +1,3 @@
-//! Scenes to reset.
-
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::TaskRef;
@@ -7,8 +5,7 @@ use libero_ctrl::presets::ENV_SEED;
 use scene::{AssetPack, Problem, Sources, TaskFiles, compose};
 use sim::{Environment, SimError};
 
-/// Returns the BDDL text of a scene outside all suites, which [`recorded`](crate::recorded) also
-/// resets.
+/// BDDL text of a scene outside all suites, which [`recorded`](crate::recorded) also resets.
 pub(crate) fn crowded() -> String {
     include_str!("crowded.bddl").to_owned()
 }
@@ -32,8 +29,7 @@ pub(crate) fn packs() -> Vec<AssetPack> {
     std::iter::once(open("primitives")).chain(libero).collect()
 }
 
-/// Returns a folder of the reference data beside this checkout; prints that the test is skipped and
-/// returns `None` if it does not exist.
+/// Folder beside this checkout; prints that the test is skipped if it does not exist.
 pub(crate) fn shared(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared").join(name);
     if folder.is_dir() {

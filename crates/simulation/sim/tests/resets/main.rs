@@ -76,7 +76,6 @@ fn a_reset_updates_the_observation() {
     assert_eq!(environment.data().time_secs(), 0.0);
 }
 
-/// No attempt finds room for the second bowl of this scene.
 #[test]
 fn a_scene_without_room_is_refused_with_the_object_named() {
     let text = crowded().replace("(0.0 -0.301 0.06 -0.3)", "(0.0 -0.301 0.001 -0.3)");

@@ -11,8 +11,7 @@ use sim::{Environment, Reset};
 use crate::files::{bddl, compile, crowded, packs};
 use crate::fixtures;
 
-/// Tolerance of positions right after a reset, m or rad: sines and matrix products differ in the
-/// last digit.
+/// Tolerance after a reset, m or rad: sines and matrix products differ in the last digit.
 const PLACEMENT_TOLERANCE: f64 = 1e-15;
 /// Tolerance of the robot's positions after some steps, m or rad.
 const MOTION_TOLERANCE: f64 = 1e-12;

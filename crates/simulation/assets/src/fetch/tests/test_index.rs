@@ -22,15 +22,12 @@ pub(super) const IN_SECOND_WHEEL: &str = "textures/wall.png";
 /// A file between [`LARGE`] and [`SMALL`] in the first wheel; no test requests the file.
 pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
 
-/// Fault that the index simulates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     None,
-    /// Pages are HTML only, as on simple mirrors.
     HtmlPages,
     /// Every answer with more than 100,000 bytes of a wheel ends half-way.
     CutsMidway,
-    /// A range request gets the whole wheel.
     NoRanges,
     /// A range request gets the whole wheel, and the first connection ends half-way.
     NoRangesAndCutsOnce,
@@ -38,28 +35,21 @@ pub(super) enum Fault {
     WrongBytes,
     /// The large file has a wrong byte in its first transfer.
     WrongBytesOnce,
-    /// The first two answers are 503.
     BusyAtFirst,
-    /// The wheels are forbidden.
     Forbidden,
-    /// The project does not exist.
     NoProject,
-    /// The project lacks the requested wheel.
     NoWheel,
     /// The first answer with a wheel stops half-way, and the connection stays open.
     Stalls,
-    /// Bytes arrive slowly but steadily.
     Slow,
     /// Pages arrive byte by byte: no single read times out, but the whole page does.
     SlowPages,
     /// Wheels arrive byte by byte: no single read times out, but the next mebibyte does.
     SlowWheels,
     WrongSize,
-    /// Requests without credentials are refused.
     NeedsCredentials,
 }
 
-/// Returns the bytes of a file.
 pub(super) fn content(path: &str) -> Vec<u8> {
     let noise = |count: u32| {
         let mut state = 1_u32;
@@ -77,14 +67,12 @@ pub(super) fn content(path: &str) -> Vec<u8> {
     }
 }
 
-/// Bytes of the wheels, and the table of their files.
 pub(super) struct Wheels {
     bytes: [Vec<u8>; 2],
     pub(super) table: &'static Table,
 }
 
 impl Wheels {
-    /// Returns the wheel's file name.
     pub(super) fn name(wheel: usize) -> String {
         format!("part_{wheel}-1.0-py3-none-any.whl")
     }
@@ -117,7 +105,6 @@ impl Wheels {
         Self { bytes, table: Box::leak(Box::new(table)) }
     }
 
-    /// Writes the wheels into a folder.
     pub(super) fn write(&self, folder: &std::path::Path) {
         for (wheel, bytes) in self.bytes.iter().enumerate() {
             std::fs::write(folder.join(Self::name(wheel)), bytes).expect("writes");
@@ -137,7 +124,6 @@ struct Server {
 }
 
 impl TestIndex {
-    /// Serves until the test process ends.
     pub(super) fn start(fault: Fault) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = listener.local_addr().expect("an address");
