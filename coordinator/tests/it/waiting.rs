@@ -66,7 +66,7 @@ async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     assert!(reason.contains(waiting_words), "{reason}");
     let output = serve.command(&["campaign", "status", "first-explained"]);
     let status_text = text(&output.stdout);
-    assert_contains(&status_text, &["waits for first", waiting_words]);
+    assert_contains(status_text, &["waits for first", waiting_words]);
     for address in ["/", "/campaigns/first-explained"] {
         let page = http(&serve.url, &format!("GET {address}")).await.text();
         assert!(page.contains("waits for campaign first"), "{address}");
