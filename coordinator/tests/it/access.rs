@@ -240,7 +240,7 @@ fn an_address_in_use_is_named_before_a_database_is_created() {
     let data = folder.path().join("second");
     let data = data.to_str().expect("UTF-8");
     let message = &fail(coordinator(&["serve", "--listen", address, "--data", data]), 1);
-    assert_contains(&message, &[address, "choose another address with --listen"]);
+    assert_contains(message, &[address, "choose another address with --listen"]);
     assert!(!folder.path().join("second").exists());
 }
 

@@ -140,7 +140,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     for more in [&[][..], &["--dry-run"]] {
         let message = &fail(create("late", "overlap:10", more), 2);
         assert_contains(
-            &message,
+            message,
             &[
                 "create campaign late of policy `expert` at http://127.0.0.1:",
                 "`overlap:10` drops at least 10 actions of each answer",
@@ -152,7 +152,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let named = ["campaign", "create", "--name", "typo", "--policy", "exprt"];
     let rollouts = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
     let message = &fail(serve.command(&[&named[..], &rollouts].concat()), 2);
-    assert_contains(&message, &["this server serves no policy \"exprt\"", "--no-probe"]);
+    assert_contains(message, &["this server serves no policy \"exprt\"", "--no-probe"]);
     let unasked = [&named[..], &rollouts, &["--no-probe"]].concat();
     serve.run(&unasked, 0, &[]);
     // The latency axis is checked too: r20 is ten steps late.

@@ -194,7 +194,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
 fn every_shell_gets_a_script_that_completes_commands() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let script = &succeed(crate::process::coordinator(&["completions", shell]));
-        assert_contains(&script, &["set-priority", "coordinator", "dry-run"]);
+        assert_contains(script, &["set-priority", "coordinator", "dry-run"]);
     }
     let refused = crate::process::coordinator(&["completions", "cmd"]);
     assert_eq!(refused.status.code(), Some(2));

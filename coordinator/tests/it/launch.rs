@@ -33,7 +33,7 @@ fn scripts_are_shown_and_written_only_with_into() {
     let programs = programs();
     let scripts = &succeed(launch(programs.path(), &INSECURE));
     assert_contains(
-        &scripts,
+        scripts,
         &[
             "serve --data",
             "--listen 0.0.0.0:7411 --insecure",
@@ -133,7 +133,7 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
     assert!(workers.contains(&named(&worker_token)), "{scripts}");
     assert!(!workers.contains(&named(&tokens)), "{scripts}");
     assert_contains(
-        &scripts,
+        scripts,
         &[&format!("ROLLOUT_CA={pem}\n"), &format!("--tls-cert {pem} --tls-key {pem}")],
     );
     assert!(!scripts.contains(secret) && !scripts.contains("--insecure"), "{scripts}");

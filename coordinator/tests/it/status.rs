@@ -120,7 +120,7 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let printed = &succeed(coordinator(&nowhere));
     assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
     assert_contains(
-        &printed,
+        printed,
         &["no forecast of its duration: failed to reach", "took in the paper: MINERVA 1m18s, "],
     );
 
