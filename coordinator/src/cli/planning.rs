@@ -51,16 +51,17 @@ pub(super) fn describe(planning: &[Planned]) -> Option<String> {
         };
         let configurations = counted(*configurations as u64, "configuration");
         let size = format!("{configurations} of {}", counted(*tasks as u64, "task"));
-        let differences = match (detectable.difference, detectable.i) {
-            (None, None) => "none; more tasks make smaller differences detectable, and an \
-                             interval needs at least 10 tasks"
-                .to_owned(),
-            (difference, i) => format!(
-                "a difference of two policies (A - B) of {} points, and I at {} points from 0",
-                points(difference),
-                points(i)
-            ),
-        };
+        let points = |fraction| format!("{:.1} points", 100.0 * fraction);
+        let difference = detectable.difference.map(|difference| {
+            format!("a difference of two policies (A - B) of {}", points(difference))
+        });
+        let i = detectable.i.map(|i| format!("I at {} from 0", points(i)));
+        let mut differences = [difference, i].into_iter().flatten().collect::<Vec<_>>().join(", ");
+        if differences.is_empty() {
+            differences = "none; more tasks make smaller differences detectable, and an interval \
+                           needs at least 10 tasks"
+                .to_owned();
+        }
         wrapped("  ", 4, &format!("{level}{assumed}, {size}: {differences}"))
     });
     let lines: Vec<String> = lines.collect();
@@ -70,9 +71,4 @@ pub(super) fn describe(planning: &[Planned]) -> Option<String> {
                        published ones (examples/student):";
         format!("{}\n{}", wrapped("", 2, heading), lines.join("\n"))
     })
-}
-
-/// Formats a fraction in percentage points.
-fn points(fraction: Option<f64>) -> String {
-    fraction.map_or("none".to_owned(), |fraction| format!("{:.1}", 100.0 * fraction))
 }

@@ -173,7 +173,10 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let words = serve.command(&dry);
     let words = text(&words.stdout);
     assert!(words.contains("including 30 rollouts at the placebo level L0"), "{words}");
-    assert!(words.contains("20 configurations of 10 tasks: none; more tasks"), "{words}");
+    assert!(
+        words.contains("L1, 20 configurations of 10 tasks: a difference of two policies"),
+        "{words}"
+    );
     fits_a_terminal(words);
     serve.run(&create, 0, &[]);
     let ids = |filters: &[&str]| -> Vec<String> {

@@ -310,6 +310,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     // rollouts before the stop.
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = undisturbed.path().join("early.json");
+    std::fs::write(&file, spec("early").to_string()).expect("written");
     let create = ["campaign", "create", "--spec", file.to_str().expect("UTF-8")];
     let outcome = |id: &RolloutId| match planted.ids[..planted.rollouts].contains(id) {
         true => Outcome::from(succeeds(id)),

@@ -154,7 +154,7 @@ impl Queue {
             let mut work = std::pin::pin!(self.shared.work.notified());
             work.as_mut().enable();
             let (pending, answer) = Pending::new((request.clone(), is_new));
-            let claimed = self.submit(Operation::Claim(pending), answer).await?;
+            let claimed = self.submit(Operation::Claim(Box::new(pending)), answer).await?;
             is_new = false;
             if claimed.job.is_some() {
                 return Ok(claimed);

@@ -28,7 +28,7 @@ pub(crate) const MAX_WAITING: usize = 4_096;
 pub(crate) enum Operation {
     /// Leases a job. The flag is true for a new claim, and false for a retry of a waiting claim
     /// that was woken.
-    Claim(Pending<(ClaimRequest, bool), Claimed>),
+    Claim(Box<Pending<(ClaimRequest, bool), Claimed>>),
     Heartbeat(Pending<Heartbeat, Vec<AttemptId>>),
     Commit(Pending<Box<CommitReport>, CommitReply>),
     /// Ends an attempt without a result.
@@ -87,7 +87,7 @@ async fn transact(
         match operation {
             // A lease for a worker that has disconnected would only expire.
             Operation::Claim(pending) if pending.reply.is_closed() => {}
-            Operation::Claim(pending) => claims.push(pending),
+            Operation::Claim(pending) => claims.push(&mut **pending),
             Operation::Heartbeat(pending) => heartbeats.push(pending),
             Operation::Commit(pending) => commits.push(pending),
             Operation::Release(pending) => {
