@@ -7,7 +7,6 @@ use libero_ctrl::Look;
 use libero_ctrl::presets::ENV_SEED;
 use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
-use scene::pack::LIBERO;
 use scene::{AssetPack, InstanceKind, SceneError, Sources, TaskFiles, compose};
 use sim::{CompiledScene, ReadyScene, SceneFolder};
 
