@@ -1,4 +1,4 @@
-//! What a rollout yields in a campaign and in `worker rollout` alike.
+//! Outcomes of rollouts, read from a campaign's database and from the files of `worker rollout`.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,6 +1,6 @@
 use crate::mujoco::ObjectKind;
 
-/// None of these errors is a failure of the policy, so the rollout is retried.
+/// Errors of the simulation: no failures of the policy, so the rollout is retried.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     #[error(transparent)]

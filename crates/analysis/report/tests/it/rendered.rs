@@ -1,4 +1,4 @@
-//! What readers see: snapshots of each form of a small campaign with replicates, missing and
+//! Snapshots of each form of a small campaign with replicates, missing and
 //! quarantined rollouts, of a comparison, and of a campaign of LIBERO's family.
 
 use libero_ctrl::{Axis, Condition, Level, TaskRef};

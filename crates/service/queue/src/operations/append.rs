@@ -27,7 +27,7 @@ pub struct AppendedRow {
     pub replicates: Vec<u32>,
 }
 
-/// What the rows added to a search are checked against.
+/// Rows, jobs and step budgets against which the rows added to a search are checked.
 struct Search {
     spec: CampaignSpec,
     /// Rows that it has of the tasks of the added ones, and their jobs.
