@@ -282,20 +282,20 @@ class RandomPolicy(Policy):
         letters = instruction.encode()[: self.size.words].ljust(self.size.words)
         return np.frombuffer(letters, dtype=np.uint8).astype(np.int64)
 
+    def prepare(self, observation: Observation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns frames, state and noise: copied here, while the GPU computes an earlier batch."""
+        frames = np.stack([observation.rotated(camera.name) for camera in CAMERAS])
+        noise = observation.rng.standard_normal((self.size.chunk, WIDTH), np.float32)
+        return frames, observation.vector(), noise
+
     def infer(self, observation: Observation) -> np.ndarray:
         return self.infer_batch([observation])[0]
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
-        frames = [[each.rotated(camera.name) for camera in CAMERAS] for each in observations]
-        shape = (self.size.chunk, WIDTH)
-        return list(
-            self.answer(
-                torch.from_numpy(np.array(frames)),
-                np.stack([each.episode.memory for each in observations]),
-                np.stack([each.vector() for each in observations]),
-                np.stack([each.rng.standard_normal(shape, np.float32) for each in observations]),
-            )
-        )
+        frames, states, noise = zip(*(each.prepared for each in observations))
+        words = np.stack([each.episode.memory for each in observations])
+        batch = torch.stack([torch.from_numpy(pair) for pair in frames])
+        return list(self.answer(batch, words, np.stack(states), np.stack(noise)))
 
     def answer(
         self, frames: Tensor, words: np.ndarray, state: np.ndarray, noise: np.ndarray
@@ -307,7 +307,7 @@ class RandomPolicy(Policy):
         size = next(size for size in self.graphs if size >= count) if self.graphs else count
         rows = [*range(count), *[0] * (size - count)]
         inputs = [
-            frames[rows].to(self.device),
+            (frames if size == count else frames[rows]).to(self.device),
             torch.from_numpy(words[rows]).to(self.device),
             torch.from_numpy(np.pad(state[rows], ((0, 0), (0, WIDTH - 8)))).to(
                 self.device, self.dtype
@@ -362,6 +362,8 @@ def main() -> None:
     parser.add_argument("--max-batch", type=int, default=16)
     parser.add_argument("--meter", type=Path, help="file of what it has done, for cost.py")
     arguments = parser.parse_args()
+    # Threads that stack frames would spin on cores on which workers simulate.
+    torch.set_num_threads(1)
     batches = [count for count in BATCHES if count <= arguments.max_batch]
     meter = Meter(arguments.meter)
     policy = RandomPolicy(arguments.device, arguments.size, batches, meter=meter)
