@@ -28,23 +28,27 @@ pub(crate) fn remove_package_variables(command: &mut Command) {
     }
 }
 
+/// Arguments that select the features of the whole workspace, so that dependencies are compiled
+/// only once for all programs.
+const WORKSPACE: [&str; 3] = ["--workspace", "--exclude", "xtask"];
+
 /// Builds all programs of the workspace and returns their folder.
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     println!("Building the programs");
-    build(root, &["--bins"])
+    build(root, &[&WORKSPACE[..], &["--bins"]].concat())
 }
 
-/// Builds the named programs without optional features, and returns their folder.
+/// Builds the packages of the named programs without optional features, and returns their folder.
 pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building {}", names.join(", "));
-    let bins: Vec<&str> = names.iter().flat_map(|name| ["--bin", name]).collect();
-    build(root, &[&["--no-default-features"], &bins[..]].concat())
+    // With the workspace, other packages' dependencies would enable the features after all.
+    let packages: Vec<&str> = names.iter().flat_map(|name| ["--package", name]).collect();
+    build(root, &[&["--no-default-features", "--bins"], &packages[..]].concat())
 }
 
-/// Builds one program and returns its path. Cargo selects the whole workspace's features, so that
-/// dependencies are compiled only once for all programs.
+/// Builds one program and returns its path.
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
-    let programs = build(root, &["--quiet", "--bin", name])?;
+    let programs = build(root, &[&WORKSPACE[..], &["--quiet", "--bin", name]].concat())?;
     Ok(programs.join(name))
 }
 
@@ -52,12 +56,12 @@ pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
 pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building the programs with the release profile");
     let bins = names.iter().flat_map(|name| ["--bin", name]);
-    let arguments: Vec<&str> = std::iter::once("--release").chain(bins).collect();
+    let arguments: Vec<&str> = WORKSPACE.into_iter().chain(["--release"]).chain(bins).collect();
     Ok(build(root, &arguments)?.with_file_name("release"))
 }
 
 fn build(root: &Path, arguments: &[&str]) -> Result<PathBuf> {
-    run(cargo(root).args(["build", "--workspace", "--exclude", "xtask"]).args(arguments))?;
+    run(cargo(root).arg("build").args(arguments))?;
     // The same cargo built this program into the same folder.
     let this_program = std::env::current_exe()?;
     Ok(this_program.parent().map_or_else(|| root.join("target/debug"), Path::to_owned))
