@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rollout_libero", reason="rollout-libero is not installed")
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/PYTHON.md", "python/README.md", "python/libero_shim/README.md")
+PAGES = ("docs/PYTHON.md", "python/README.md", "python/libero_shim/README.md")
 
 
 def blocks():
