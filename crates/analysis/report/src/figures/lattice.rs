@@ -167,7 +167,7 @@ fn legend(top: f64, has_minimal: bool) -> Markup {
     let names = Axis::ALL.map(|axis| format!("{} {axis}", abbreviation(axis)));
     html! {
         @for (index, (verdict, meaning)) in entries.into_iter().enumerate() {
-            @let x = LABEL_WIDTH + [0.0, 120.0, 220.0, 400.0][index];
+            @let x = LABEL_WIDTH + [0.0, 120.0, 220.0, 440.0][index];
             (shape(verdict, [x + 6.0, top + 5.0]))
             (text(x + 20.0, top + 9.0, "small", meaning))
         }
