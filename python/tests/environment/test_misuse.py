@@ -10,8 +10,6 @@ import pytest
 
 import rollout_libero
 
-from .conftest import diverge
-
 
 def test_actions_of_a_wrong_shape_or_with_nan_are_refused(make, make_vector):
     environment, environments = make(), make_vector()
@@ -119,11 +117,3 @@ def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
     assert last.startswith("FileNotFoundError: failed to fetch robosuite=="), last
     assert "ROLLOUT_SOURCES" in last
     assert sorted(path.name for path in (tmp_path / "sources").iterdir()) == [".fetching"]
-
-
-def test_a_diverging_simulation_raises_simulation_error(make):
-    environment = make()
-    environment.reset()
-    diverge(environment.simulation)
-    with pytest.raises(rollout_libero.SimulationError, match="control step"):
-        environment.step_chunk(np.ones((5, 7)))
