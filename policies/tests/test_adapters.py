@@ -22,7 +22,6 @@ from rollout_policies.adapters import (
     load,
     openvla_oft,
     predvla,
-    prismatic,
     univla,
 )
 from rollout_policies.adapters.cameras import camera_of_slot
@@ -234,15 +233,6 @@ def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     assert (policy.description.horizon, policy.description.execute) == (8, 8)
     shorter = openvla_oft.OpenVlaOft(entry("openvla-oft"), model, **LOADED, execute=4)
     assert (shorter.description.horizon, shorter.description.execute) == (8, 4)
-
-
-def test_statistics_are_found_with_and_without_no_noops():
-    assert prismatic.statistics_key("libero_10", {"libero_10_no_noops": {}}) == (
-        "libero_10_no_noops"
-    )
-    assert prismatic.statistics_key("libero_10", {"libero_10": {}}) == "libero_10"
-    with pytest.raises(ValueError, match="no statistics of libero_10; it has those of bridge"):
-        prismatic.statistics_key("libero_10", {"bridge": {}})
 
 
 class RecordingUnivla:

@@ -13,7 +13,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from conftest import client_behind, gateway_program, refusal, serving_at
+from conftest import client_behind, refusal, serving_at
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -23,17 +23,6 @@ from openpi_client import image_tools  # noqa: E402
 
 SERVER = Path(__file__).parent / "simulated_openpi_server.py"
 KEY = "key-of-the-simulated-server"
-
-
-@pytest.fixture
-def program():
-    return gateway_program()
-
-
-@pytest.fixture
-def received(tmp_path):
-    """File in which the server records its inputs."""
-    return tmp_path / "received.jsonl"
 
 
 def simulated(received, *arguments):
