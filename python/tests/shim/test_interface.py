@@ -151,13 +151,6 @@ def test_every_task_of_a_suite_has_its_files_and_its_instruction(suite: str, tas
     assert len(set(benchmark_suite.get_task_names())) == tasks
 
 
-def test_instructions_leave_out_the_scene() -> None:
-    language = benchmark.grab_language_from_filename
-    assert language("KITCHEN_SCENE10_close_the_top_drawer.bddl") == "close the top drawer"
-    assert language("LIVING_ROOM_SCENE2_put_both_in_the_basket.bddl") == "put both in the basket"
-    assert language("open_the_middle_drawer.bddl") == "open the middle drawer"
-
-
 def test_orders_of_tasks() -> None:
     default, reordered = (benchmark.get_benchmark("LIBERO_GOAL")(order) for order in (0, 1))
     assert default.get_task_names()[4] == reordered.get_task_names()[0]
@@ -269,18 +262,6 @@ def test_a_scene_outlives_its_environments(
     for i in range(scenes.MAX_RECENT):
         construct(suite.get_task_bddl_file_path(i))
     assert len(scenes._recent) == scenes.MAX_RECENT
-
-
-def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:
-    env = OffScreenRenderEnv(
-        bddl_file_name=bddl_file,
-        render_gpu_device_id=3,
-        camera_names=["birdview"],
-        camera_heights=20,
-        camera_widths=30,
-    )
-    assert env.reset()["birdview_image"].shape == (20, 30, 3)
-    env.close()
 
 
 def test_actions_of_another_shape_are_refused(env: OffScreenRenderEnv) -> None:
