@@ -48,7 +48,6 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
             findings.append(
                 f"hidden by the imported package, which is earlier on the path: {folder}"
             )
-    findings += _configuration()
     return findings, faults
 
 
@@ -96,24 +95,6 @@ def _remedy(imported: Path, rivals: list[str]) -> str:
 
 def _folders(path: Iterable[str]) -> list[Path]:
     return [folder for entry in path if (folder := Path(entry or ".") / "libero").is_dir()]
-
-
-def _configuration() -> list[str]:
-    """Returns a text for each folder in LIBERO's configuration file that replaces a folder of the
-    imported package. The configuration file may belong to an old installation."""
-    folder = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
-    file = Path(folder) / "config.yaml"
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
-    pairs = [line.partition(":") for line in lines if line.startswith(("bddl_files", "assets"))]
-    folders = [(key, value.strip().strip("'\"")) for key, _, value in pairs]
-    return [
-        f"{file} sets {key} to {value}: remove the file unless this is intended"
-        for key, value in folders
-        if os.path.isdir(value) and os.listdir(value)
-    ]
 
 
 def _is_same(first: Path, second: Path) -> bool:

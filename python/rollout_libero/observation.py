@@ -25,6 +25,9 @@ the right. OpenVLA, openpi and most VLAs were trained on LIBERO's frames like th
 sees it. A policy trained on the other orientation sees a plausible, mirrored picture and
 fails."""
 
+Render = Literal["last", "all", "none"]
+"""The steps of a chunk of which frames are rendered."""
+
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS: Mapping[str, int] = {
     "eef_pos": 3, "eef_quat": 4, "eef_axis_angle": 3, "joint_pos": 7, "joint_vel": 7,
@@ -46,6 +49,13 @@ def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces
 def action_space() -> spaces.Box:
     """Returns the space of actions: translation, rotation vector, gripper (-1 opens, 1 closes)."""
     return spaces.Box(-1.0, 1.0, (ACTION_WIDTH,), np.float32)
+
+
+def is_absolute(control: str) -> bool:
+    """Returns true if actions are poses. Raises ValueError if there is no such control."""
+    if control not in ("relative", "absolute"):
+        raise ValueError(f"failed to choose control {control!r}: it is 'relative' or 'absolute'")
+    return control == "absolute"
 
 
 def is_mirrored(orientation: str) -> bool:
