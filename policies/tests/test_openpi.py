@@ -144,15 +144,6 @@ def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered
         assert client.infer(observation=message).shape == (5, 7)
 
 
-def test_actions_of_another_width_are_refused(program, received):
-    _, message = observation()
-    with simulated(received, "--width", "14") as server:
-        with client_behind(program, "--route", f"x=ws://{server}") as client:
-            client.reset(instruction="reach")
-            _, text = refusal(client.infer, observation=message)
-    assert "its actions are 14 numbers wide, not 7" in text
-
-
 def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_path):
     _, message = observation()
     config = tmp_path / "gateway.toml"

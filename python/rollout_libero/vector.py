@@ -114,8 +114,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         sharing = Counter(task.name for task in self.tasks)
         ranks: Counter[str] = Counter()
         self.starts = []
-        perturbations = _perturbations_of(perturbation, self.num_envs)
-        budgets = _budgets_of(max_steps, self.num_envs)
+        perturbations = _each(perturbation, self.num_envs, "perturbation", str | Mapping)
+        budgets = _each(max_steps, self.num_envs, "max_steps", int)
         for task, scene, perturbed, budget in zip(
             self.tasks, scenes, perturbations, budgets, strict=True
         ):
@@ -175,15 +175,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             )
         init_state: Any = options.get("init_state")
         init_states = np.broadcast_to(init_state, self.num_envs)
-        seeds = _seeds_of(seed, self.num_envs)
+        is_number = isinstance(seed, int | np.integer)
+        seeds = _each(seed, self.num_envs, "seed", int | np.integer)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
-            env_seed = turn = seeds[at]
+            env_seed = turn = int(seeds[at]) + at if is_number else seeds[at]
             generator = self._generators[at]
             if env_seed is not None:
                 generator = seeding.np_random(env_seed)[0]
-            if isinstance(seed, int | np.integer):
-                turn = int(seed) + self.starts[at].rank
+            if is_number:
+                turn = int(seeds[at]) + self.starts[at].rank
             start_options = {"init_state": init_states[at]}
             starts[at] = self.starts[at].plan(generator, start_options, turn=turn)
         advanced = self._batch.advance(
@@ -449,35 +450,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         }
 
 
-def _perturbations_of(perturbation: Any, count: int) -> list[Any]:
-    if perturbation is None or isinstance(perturbation, str | Mapping):
-        return [perturbation] * count
-    if len(perturbation) != count:
+def _each(value: Any, count: int, name: str, kind: Any) -> list[Any]:
+    """Returns a value for each environment: the given one for all, or those of a list."""
+    if value is None or isinstance(value, kind):
+        return [value] * count
+    if len(value) != count:
         raise ValueError(
-            f"failed to perturb {count} environments: {len(perturbation)} perturbations were given"
+            f"failed to set {name} of {count} environments: {len(value)} were given; give one "
+            f"{name}, or one for each environment"
         )
-    return list(perturbation)
-
-
-def _budgets_of(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
-    if max_steps is None or isinstance(max_steps, int):
-        return [max_steps] * count
-    if len(max_steps) != count:
-        raise ValueError(
-            f"failed to limit {count} environments: {len(max_steps)} max_steps were given; give "
-            "one max_steps, or one for each environment"
-        )
-    return list(max_steps)
-
-
-def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, int | np.integer):
-        return [int(seed) + at for at in range(count)]
-    if len(seed) != count:
-        raise ValueError(f"failed to seed {count} environments: {len(seed)} seeds were given")
-    return list(seed)
+    return list(value)
 
 
 def _rows_as_objects(
