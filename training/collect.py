@@ -70,13 +70,11 @@ class Tally:
         self._results: list[tuple[int, Driver, bool]] = []
 
     def add_steps(self, steps: int, frames: int) -> None:
-        """Adds steps and frames."""
         with self._lock:
             self.steps += steps
             self.frames += frames
 
     def add_episode(self, task: int, driver: Driver, success: bool) -> None:
-        """Adds a finished episode."""
         with self._lock:
             self._results.append((task, driver, success))
 

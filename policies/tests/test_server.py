@@ -246,12 +246,6 @@ def test_the_error_of_a_failing_reset_has_its_exception(serving):
     assert text == "reset raised KeyError: 'fly'"
 
 
-def test_a_query_of_a_session_that_was_never_opened_is_unavailable(serving):
-    code, text = refusal(serving(Noisy()).infer, "unheard-of")
-    assert code == grpc.StatusCode.UNAVAILABLE
-    assert "'unheard-of'" in text
-
-
 def test_the_health_service_answers(serving):
     call = serving(Noisy()).channel.unary_unary("/grpc.health.v1.Health/Check")
     name = b"rollout.policy.v1.Policy"

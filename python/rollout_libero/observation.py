@@ -53,16 +53,16 @@ def action_space() -> spaces.Box:
 
 def is_absolute(control: str) -> bool:
     """Returns true if actions are poses. Raises ValueError if there is no such control."""
-    if control not in ("relative", "absolute"):
-        raise ValueError(f"failed to choose control {control!r}: it is 'relative' or 'absolute'")
-    return control == "absolute"
+    return _is_second("control", control, "relative", "absolute")
 
 
 def is_mirrored(orientation: str) -> bool:
     """Returns true if columns run from right to left. Raises ValueError if there is no such
     orientation."""
-    if orientation not in ("policy", "upright"):
-        raise ValueError(
-            f"failed to choose orientation {orientation!r}: it is 'policy' or 'upright'"
-        )
-    return orientation == "policy"
+    return not _is_second("orientation", orientation, "policy", "upright")
+
+
+def _is_second(name: str, given: str, first: str, second: str) -> bool:
+    if given not in (first, second):
+        raise ValueError(f"failed to choose {name} {given!r}: it is {first!r} or {second!r}")
+    return given == second

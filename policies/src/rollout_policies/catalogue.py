@@ -74,5 +74,4 @@ def entries() -> dict[str, Entry]:
 
 
 def entry(name: str) -> Entry:
-    """Returns one policy."""
     return entries()[name]

@@ -1,6 +1,7 @@
 """Under an execution model, rollouts of environments equal a campaign's rollouts of the same
 policy."""
 
+import json
 import os
 import subprocess
 import sys
@@ -141,8 +142,6 @@ def test_a_row_sets_its_execution_model(make, make_vector):
 
 
 def nominal_row():
-    import json
-
     return json.loads(rollout_libero._native.nominal_row(TASK, 3))
 
 

@@ -8,7 +8,6 @@ import logging
 import os
 import pickle
 import sys
-import time
 import types
 from typing import Any
 from unittest.mock import MagicMock
@@ -92,7 +91,6 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
     is_filmed = "video_cfg" in settings
     rng = np.random.default_rng(2)
     outputs: list[Any] = []
-    start = time.perf_counter()
     for _ in range(2):
         env.is_start = True
         observation, _ = env.reset()
@@ -104,10 +102,9 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
             outputs.append([observed, *results[1:], infos[-1].get("episode")])
             outputs.append(len(results[0]))
         env.update_reset_state_ids()
-    seconds = time.perf_counter() - start
     env.env.close()
     tasks = [str(task) for task in env.task_descriptions]
-    return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": seconds}
+    return {"outputs": as_arrays(outputs), "tasks": tasks}
 
 
 def rlinf_plus(together: bool = False) -> Rollouts:

@@ -51,7 +51,6 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
     # Two resets, each with an observation, and with results and a count for each of two chunks.
     assert len(theirs["outputs"]) == 10
     assert_same(ours["outputs"], theirs["outputs"], kind)
-    print(f"{kind}: {theirs['seconds']:.1f} s in processes, {ours['seconds']:.1f} s in one process")
 
 
 def test_rlinf_runs_tasks_of_all_suites(rlinf: str, shim: Path, tmp_path: Path) -> None:

@@ -125,7 +125,6 @@ class EnvWorker(ABC):
             self.close_env()
 
     def reset(self, **kwargs: Any) -> Any:
-        """Resets the environment."""
         self.send(None, **kwargs)
         return self.recv()
 
@@ -135,7 +134,6 @@ class EnvWorker(ABC):
         return self.recv()
 
     def seed(self, seed: int | None = None) -> Any:
-        """Seeds the environment."""
         return self.call("seed", seed)
 
     def render(self, **kwargs: Any) -> Any:
