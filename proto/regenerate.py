@@ -14,7 +14,6 @@ import pathlib
 import re
 import sys
 import tempfile
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 GENERATOR = "1.62.3"
@@ -22,49 +21,32 @@ HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent
 
 
-@dataclass(frozen=True)
-class Generated:
-    """The code of one .proto file in one package."""
-
-    #: The .proto file, relative to this folder.
-    source: str
-    #: The folder that holds the package, relative to the checkout.
-    sources: str
-    #: The package's folder below `sources`.
-    package: str
-    #: Endings of the generated files.
-    endings: tuple[str, ...]
+#: For each .proto file: the folder that holds the package of its code, relative to the checkout,
+#: the package's folder below, and the endings of the generated files.
+PACKAGES = {
+    "rollout/policy/v1/policy.proto": ("policies/src", "rollout_policies/proto", (".py",)),
+    "rollout/coordinator/v1/coordinator.proto": ("python", "rollout_client/proto", (".py", ".pyi")),
+}
 
 
-PACKAGES = (
-    Generated("rollout/policy/v1/policy.proto", "policies/src", "rollout_policies/proto", (".py",)),
-    Generated(
-        "rollout/coordinator/v1/coordinator.proto",
-        "python",
-        "rollout_client/proto",
-        (".py", ".pyi"),
-    ),
-)
-
-
-def generate(wanted: Generated, folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
+def generate(proto: str, folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
     """Generates a package's files below `folder`; returns their contents by place."""
     from grpc_tools import protoc
 
-    source = HERE / wanted.source
+    source, (sources, package, endings) = HERE / proto, PACKAGES[proto]
     # The virtual path makes the generated imports name the package.
-    arguments = ["protoc", f"-I{wanted.package}={source.parent}", f"--python_out={folder}"]
-    if ".pyi" in wanted.endings:
+    arguments = ["protoc", f"-I{package}={source.parent}", f"--python_out={folder}"]
+    if ".pyi" in endings:
         arguments.append(f"--pyi_out={folder}")
-    status = protoc.main([*arguments, f"{wanted.package}/{source.name}"])
+    status = protoc.main([*arguments, f"{package}/{source.name}"])
     if status != 0:
         sys.exit(f"failed to generate from {source}: protoc exited with {status}")
-    stem = f"{wanted.package}/{source.stem}_pb2"
-    contents = {end: (folder / f"{stem}{end}").read_bytes() for end in wanted.endings}
+    stem = f"{package}/{source.stem}_pb2"
+    contents = {end: (folder / f"{stem}{end}").read_bytes() for end in endings}
     # Positions in the serialized descriptor, which only copying descriptors in pure Python reads.
     positions = rb"  _globals\[.*_serialized_(start|end)=\d+\n"
     contents[".py"] = re.sub(positions, b"", contents[".py"])
-    place = ROOT / wanted.sources
+    place = ROOT / sources
     return {place / f"{stem}{end}": content for end, content in contents.items()}
 
 
@@ -83,8 +65,8 @@ def main() -> None:
         )
     stale = []
     with tempfile.TemporaryDirectory() as folder:
-        for wanted in PACKAGES:
-            for file, content in generate(wanted, pathlib.Path(folder)).items():
+        for proto in PACKAGES:
+            for file, content in generate(proto, pathlib.Path(folder)).items():
                 if file.exists() and file.read_bytes() == content:
                     continue
                 stale.append(str(file.relative_to(ROOT)))

@@ -93,7 +93,7 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
 def check(arguments: argparse.Namespace) -> None:
     """Runs the rollouts on ``--threads`` threads and prints the number of successes."""
     tasks = [name for name in TASK_NAMES if name.startswith(tuple(arguments.tasks))]
-    states = range(arguments.first, arguments.first + arguments.states)
+    states = range(arguments.states)
     start, solved = time.monotonic(), 0
     with ThreadPoolExecutor(arguments.threads) as pool:
         for name in tasks:
@@ -121,7 +121,6 @@ def main() -> None:
     )
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
     parser.add_argument("--states", type=int, default=5, help="states per task")
-    parser.add_argument("--first", type=int, default=0, help="number of the first state")
     parser.add_argument("--assets", help="asset pack or its folder")
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--seed", type=int, default=0)

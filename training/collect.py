@@ -45,6 +45,8 @@ OUTCOMES = "outcomes.json"
 """File in the folder of shards. For each task, it counts the successes of the student driving
 alone, and the episodes in which the student drove alone."""
 REPORT_SECONDS = 10.0
+GROUPS = 2
+"""Groups of environments that take turns on the processor's cores."""
 WORDINGS = 200
 """Number of wordings of each task from which the student's instructions are drawn."""
 
@@ -68,13 +70,11 @@ class Tally:
         self._results: list[tuple[int, Driver, bool]] = []
 
     def add_steps(self, steps: int, frames: int) -> None:
-        """Adds steps and frames."""
         with self._lock:
             self.steps += steps
             self.frames += frames
 
     def add_episode(self, task: int, driver: Driver, success: bool) -> None:
-        """Adds a finished episode."""
         with self._lock:
             self._results.append((task, driver, success))
 
@@ -156,7 +156,7 @@ class NewestStudent:
 class Group:
     """Environments that step together, and the episodes that run in them.
 
-    The groups, two by default, share the processor's cores: while one group's environments step,
+    The groups share the processor's cores: while one group's environments step,
     the frames of another are shrunk and stored."""
 
     def __init__(
@@ -429,7 +429,7 @@ def collect(arguments: argparse.Namespace) -> None:
     outcomes = read_outcomes(arguments.failures) if arguments.failures else {}
     tasks = tasks_of_environments(arguments.envs, arguments.tasks, outcomes)
     compile_scenes(tasks, arguments.assets, arguments.threads)
-    count = min(arguments.groups, len(tasks))
+    count = min(GROUPS, len(tasks))
     writer = Writer(arguments.into)
     errors: list[BaseException] = []
     try:
@@ -495,7 +495,6 @@ def main() -> None:
         help="share of perturbed episodes, 0 to 1",
     )  # fmt: skip
     parser.add_argument("--envs", type=int, default=100, help="number of environments")
-    parser.add_argument("--groups", type=int, default=2, help="alternating groups of environments")
     parser.add_argument("--threads", type=int, default=16, help="threads per group")
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
     parser.add_argument(

@@ -117,7 +117,6 @@ class ExpertDriver:
         self.driver[indices] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
 
     def next(self, steps: int) -> Commands:
-        """Returns the commands of the next steps."""
         added = self._disturbance.next(steps)
         return Commands(added, np.ones(added.shape[:2], bool))
 

@@ -17,14 +17,13 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import rollout_libero
-from training.collect import compile_scenes, perturbation
-from training.network import CHUNK
+from training.collect import compile_scenes
 from training.observations import RENDERED
 from training.student import Student
-from training.wordings import TASK_NAMES, canonical, draw
+from training.wordings import TASK_NAMES, canonical
 
 UNSEEN_SEED = 1_000_003
-"""Seed of wordings and placements. No training uses this seed by default."""
+"""Seed of placements. No training uses this seed by default."""
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -38,11 +37,8 @@ def evaluate(arguments: argparse.Namespace) -> None:
     episodes_of_each = -(-arguments.episodes // most_per_task)
     per_task = -(-arguments.episodes // episodes_of_each)
     names = [name for name in reversed(tasks) for _ in range(per_task)]
-    n, rng = len(names), np.random.default_rng(UNSEEN_SEED)
-    wordings = {name: draw(name, per_task + 1, UNSEEN_SEED)[1:] for name in tasks}
+    n = len(names)
     instructions = [canonical(name) for name in names]
-    if arguments.wordings == "drawn":
-        instructions = [wordings[name].pop() for name in names]
     released = arguments.states == "released"
     env = rollout_libero.VectorEnvironment(
         names,
@@ -55,9 +51,6 @@ def evaluate(arguments: argparse.Namespace) -> None:
         init_states="cycle" if released else "sampled",
         autoreset_mode=AutoresetMode.NEXT_STEP,
     )
-    if arguments.perturbed:
-        for index in range(n):
-            env.set_perturbation(index, perturbation(rng))
     start = time.monotonic()
     seeds = 0 if released else [UNSEEN_SEED + index for index in range(n)]
     observation, info = env.reset(seed=seeds)
@@ -66,9 +59,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     ended = np.zeros(n, bool)
     while (remaining > 0).any() and time.monotonic() - start < arguments.seconds:
         answers = student.act(observation, instructions)
-        observation, _, terminated, truncated, info = env.step_chunk(
-            answers[:, : arguments.actions]
-        )
+        observation, _, terminated, truncated, info = env.step_chunk(answers)
         ended = terminated | truncated
         for index in np.flatnonzero(ended & (remaining > 0)).tolist():
             state = info["init_state"][index]
@@ -116,17 +107,6 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=200, help="number of environments")
     parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--table", type=Path, help="file for each episode's outcome, JSON")
-    parser.add_argument(
-        "--wordings", choices=["canonical", "drawn"], default="canonical",
-        help="the benchmark's own instructions, or wordings drawn with a seed that training lacks",
-    )  # fmt: skip
-    parser.add_argument(
-        "--perturbed", action="store_true", help="perturb every episode, as `training.collect` does"
-    )
-    parser.add_argument(
-        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK,
-        help="number of actions executed per answer",
-    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=600.0, help="time limit")
     parser.add_argument("--threads", type=int, default=16)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

@@ -138,7 +138,6 @@ def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
 
 
 def read(folder: Path) -> Shard:
-    """Reads a shard from its folder."""
     with np.load(folder / "table.npz") as table:
         return Shard(
             np.load(folder / "frames.npy"),

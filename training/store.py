@@ -38,7 +38,7 @@ class Batch(NamedTuple):
 
 
 class Store:
-    """Weighted samples in the device's memory, up to a capacity."""
+    """Samples in the device's memory, up to a capacity."""
 
     def __init__(self, capacity: int, device: torch.device) -> None:
         self.count = 0
@@ -49,10 +49,8 @@ class Store:
         self._task = torch.empty(capacity, dtype=torch.int64, device=device)
         self._targets = torch.empty(capacity, CHUNK, ARM + 1, device=device)
         self._valid = torch.empty(capacity, CHUNK, device=device)
-        self._weight = torch.empty(capacity, dtype=torch.float64, device=device)
-        self._cumulative = torch.empty(0, dtype=torch.float64, device=device)
 
-    def add(self, shard: Shard, indices: NDArray[np.int64], suite_weights: Tensor) -> int:
+    def add(self, shard: Shard, indices: NDArray[np.int64]) -> int:
         """Copies the frames at ``indices`` of a shard, and returns the number of copied frames.
         When the store is full, new frames replace stored frames drawn at random."""
         indices = indices[: self.capacity]
@@ -72,16 +70,12 @@ class Store:
         self._task[rows] = task.to(self._task.device)
         self._targets[rows] = target.nan_to_num()
         self._valid[rows] = target[:, :, 0].isfinite().float()
-        self._weight[rows] = suite_weights[task // 10].to(self._weight.device)
         self.count += appended
-        self._cumulative = self._weight[: self.count].cumsum(0)
         return len(indices)
 
     def draw(self, n: int) -> Batch:
-        """Draws n samples with replacement; probabilities are proportional to the weights."""
-        cumulative = self._cumulative
-        drawn = torch.rand(n, dtype=torch.float64, device=cumulative.device) * cumulative[-1]
-        return self.batch(torch.searchsorted(cumulative, drawn).clamp(max=self.count - 1))
+        """Draws n samples with replacement."""
+        return self.batch(torch.randint(self.count, (n,), device=self._frames.device))
 
     def batch(self, indices: Tensor) -> Batch:
         """Returns the samples at these indices, [n]."""
@@ -105,15 +99,9 @@ class Library:
     """The shards of some folders, loaded into a store for training and one for validation."""
 
     def __init__(
-        self,
-        folders: list[Path],
-        capacity: int,
-        held_out_capacity: int,
-        suite_weights: list[float],
-        device: torch.device,
+        self, folders: list[Path], capacity: int, held_out_capacity: int, device: torch.device
     ) -> None:
         self._folders = folders
-        self._weights = torch.tensor(suite_weights, dtype=torch.float64)
         self._loaded: set[Path] = set()
         self.training = Store(capacity, device)
         self.held_out = Store(held_out_capacity, device)
@@ -139,10 +127,10 @@ class Library:
         usable = worth_learning(shard)
         is_moving = ~stalled(shard)
         training = np.flatnonzero(shard.repeat_per_frame(usable & ~held_out) & is_moving)
-        added = self.training.add(shard, training, self._weights)
+        added = self.training.add(shard, training)
         if self.held_out.count < self.held_out.capacity:
             validation = np.flatnonzero(shard.repeat_per_frame(usable & held_out) & is_moving)
-            self.held_out.add(shard, validation, self._weights)
+            self.held_out.add(shard, validation)
         suite = shard.repeat_per_frame(shard.task)[training[:added]] // 10
         self.by_suite += np.bincount(suite, minlength=len(TASK_NAMES) // 10)
 

@@ -259,9 +259,7 @@ def train(arguments: argparse.Namespace) -> None:
     wordings = Wordings(arguments.wordings, arguments.seed, device, arguments.processes)
     trainer = Trainer(arguments)
     held_out = min(HELD_OUT_FRAMES, arguments.capacity or HELD_OUT_FRAMES)
-    library = Library(
-        arguments.data, _capacity(arguments, device), held_out, arguments.suite_weights, device
-    )
+    library = Library(arguments.data, _capacity(arguments, device), held_out, device)
     library.refresh()
     while arguments.watch and not library.training.count and time.monotonic() - start < seconds:
         time.sleep(1.0)
@@ -348,10 +346,6 @@ def main() -> None:
     parser.add_argument("--learning-rate", type=float, default=1e-3)
     parser.add_argument("--weight-decay", type=float, default=1e-3)
     parser.add_argument("--wordings", type=int, default=4_000, help="wordings per task")
-    parser.add_argument(
-        "--suite-weights", type=float, nargs=4, default=[1.0, 1.0, 1.0, 1.0],
-        metavar=("SPATIAL", "OBJECT", "GOAL", "LIBERO_10"), help="sampling weights of frames",
-    )  # fmt: skip
     parser.add_argument(
         "--capacity", type=int,
         help="largest number of frames; by default as many as fit on the GPU, without one 20,000",

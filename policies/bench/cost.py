@@ -3,10 +3,11 @@
     python cost.py --bin FOLDER --output DIR [--sizes smolvla,pi05] [--arms rollout,…]
 
 `rollout` is this project's coordinator, worker and gateway with the Python policy server;
-`lerobot-async` and `lerobot-sync` are LeRobot's evaluation loop, and `openpi` is openpi's example
-client (`loops.py`). All query a policy of random weights (`random_policy.py`), so that rollouts
-last their whole budget. Rates are of a window after a warm-up, not of 200 whole rollouts. DIR gets
-one JSON file for each arm and size, with every sample; an arm that has one is not run again.
+`lerobot-async` is LeRobot's evaluation loop over asynchronous environments, and `openpi` is
+openpi's example client (`loops.py`). All query a policy of random weights (`random_policy.py`), so
+that rollouts last their whole budget. Rates are of a window after a warm-up, not of 200 whole
+rollouts. DIR gets one JSON file for each arm and size, with every sample; an arm that has one is
+not run again.
 
 Hours of a whole campaign assume the given mean steps of successful rollouts and share of failures,
 which last the whole budget. LeRobot's ten rollouts of a task last as long as the longest of them.
@@ -29,7 +30,7 @@ from random_policy import BATCHES, SIZES
 
 HERE = Path(__file__).parent
 TICKS = os.sysconf("SC_CLK_TCK")
-ARMS = ("rollout", "lerobot-async", "lerobot-sync", "openpi")
+ARMS = ("rollout", "lerobot-async", "openpi")
 COLUMNS = ("arm", "policy", "executed", "rollouts/h", "control steps/s", "GPU busy", "in forward")
 COLUMNS += ("cores", "host GiB", "GPU GiB", "whole campaign, h")
 #: Actions that openpi's example executes of an answer.
@@ -117,7 +118,7 @@ def arm(name: str, size: str, arguments: argparse.Namespace, folder: Path):
             execute = REPLAN
         elif name != "rollout":
             last = [*loop, "lerobot", "--size", size, *loop_flags]
-            last += ["--envs", str(arguments.envs)] + ["--sync"] * (name == "lerobot-sync")
+            last += ["--envs", str(arguments.envs)]
         else:
             programs = ("coordinator", "policy-gateway", "worker")
             coordinator, gateway, worker = (str(arguments.bin / each) for each in programs)

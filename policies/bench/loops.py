@@ -85,7 +85,7 @@ def run_lerobot(suite: str, clock: Clock, policy: Chunks, arguments: argparse.Na
     count = arguments.envs
     began = time.monotonic()
     config = LiberoEnv(task=suite, task_ids=[0], observation_height=256, observation_width=256)
-    envs = make_env(config, n_envs=count, use_async_envs=not arguments.sync)
+    envs = make_env(config, n_envs=count, use_async_envs=True)
     calls = []
 
     def after_step(_) -> None:
@@ -182,7 +182,6 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--size", choices=SIZES)
     parser.add_argument("--envs", type=int, default=10, help="environments of lerobot")
-    parser.add_argument("--sync", action="store_true", help="all of them in one process")
     parser.add_argument("--connect", help="address of the server for openpi")
     parser.add_argument("--execute", type=int, help="executed actions of an answer to openpi")
     parser.add_argument("--secs", type=float, help="control steps of each suite last so long")

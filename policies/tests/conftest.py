@@ -133,6 +133,18 @@ def refusal(call, *arguments, **fields):
     return caught.value.code(), caught.value.details()
 
 
+@pytest.fixture
+def received(tmp_path):
+    """File in which a server of another protocol records what it receives."""
+    return tmp_path / "received.jsonl"
+
+
+@pytest.fixture
+def program():
+    """The program policy-gateway."""
+    return gateway_program()
+
+
 def gateway_program():
     """Returns the path in the environment variable POLICY_GATEWAY, or skips the test."""
     program = os.environ.get("POLICY_GATEWAY")

@@ -21,10 +21,9 @@ from websockets.asyncio.server import serve
 class SimulatedPolicy:
     """Answers ten actions of noise, drawn from one generator across queries."""
 
-    def __init__(self, received, width, keys):
+    def __init__(self, received, keys):
         self.noise = np.random.default_rng()
         self.received = received
-        self.width = width
         self.image_key, self.wrist_key, self.state_key, self.prompt_key = keys.split(",")
 
     def infer(self, observation):
@@ -40,7 +39,7 @@ class SimulatedPolicy:
             "prompt": observation[self.prompt_key],
         }
         print(json.dumps(line), file=self.received, flush=True)
-        actions = self.noise.uniform(-1, 1, (10, self.width))
+        actions = self.noise.uniform(-1, 1, (10, 7))
         return {"state": state, "actions": actions, "policy_timing": {"infer_ms": 1.0}}
 
 
@@ -65,7 +64,6 @@ async def handle(socket, policy, metadata):
 async def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--received", required=True, help="file of received inputs")
-    parser.add_argument("--width", type=int, default=7, help="numbers of an action")
     parser.add_argument("--port", type=int, default=0, help="0 selects a free port")
     parser.add_argument(
         "--keys",
@@ -82,7 +80,7 @@ async def main():
         return None
 
     with open(arguments.received, "w", encoding="utf-8") as received:
-        policy = SimulatedPolicy(received, arguments.width, arguments.keys)
+        policy = SimulatedPolicy(received, arguments.keys)
         served = serve(
             lambda socket: handle(socket, policy, {"simulated": True}),
             "127.0.0.1",

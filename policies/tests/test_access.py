@@ -6,7 +6,7 @@ import sys
 
 import grpc
 import pytest
-from conftest import Client, Noisy, Stub, assert_gateway_check_passes, gateway_program, running
+from conftest import Client, Noisy, Stub, assert_gateway_check_passes, running
 
 from rollout_policies import AccessError, UnguardedAddress, serve, start
 from rollout_policies.access import Tokens, is_loopback, require_guarded
@@ -92,14 +92,7 @@ def test_missing_and_wrong_tokens_are_refused(files, guarded, token, code, expec
     client.channel.close()
 
 
-def test_the_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
-    assert_gateway_check_passes(
-        f"https://{guarded}", "--ca", str(files / "ca.pem"), "--token-file", str(files / "operator")
-    )
-
-
-def test_a_configured_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
-    program = gateway_program()
+def test_a_configured_gateway_queries_a_server_with_tls_and_tokens(files, guarded, program):
     (files / "gateway.toml").write_text(
         f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\ntoken_file = "worker"\n'
     )

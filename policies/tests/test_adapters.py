@@ -19,10 +19,8 @@ from rollout_policies.adapters import (
     MODULES,
     Options,
     executed_actions,
-    load,
     openvla_oft,
     predvla,
-    prismatic,
     univla,
 )
 from rollout_policies.adapters.cameras import camera_of_slot
@@ -236,15 +234,6 @@ def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     assert (shorter.description.horizon, shorter.description.execute) == (8, 4)
 
 
-def test_statistics_are_found_with_and_without_no_noops():
-    assert prismatic.statistics_key("libero_10", {"libero_10_no_noops": {}}) == (
-        "libero_10_no_noops"
-    )
-    assert prismatic.statistics_key("libero_10", {"libero_10": {}}) == "libero_10"
-    with pytest.raises(ValueError, match="no statistics of libero_10; it has those of bridge"):
-        prismatic.statistics_key("libero_10", {"bridge": {}})
-
-
 class RecordingUnivla:
     parameters = 3
 
@@ -381,16 +370,6 @@ def test_every_policy_of_the_catalogue_has_an_adapter():
         assert listed.install and listed.parameters > 0
         for suite in SUITES:
             assert listed.checkpoint_for(suite)
-
-
-def test_weights_per_suite_require_a_suite():
-    with pytest.raises(NoCheckpoint, match="--suite must be one of libero_spatial"):
-        entry("univla").checkpoint_for("libero_90")
-
-
-def test_batches_are_refused_if_their_queries_would_share_noise():
-    with pytest.raises(UnusableOption, match="VLA-JEPA answers one query at a time"):
-        load("vla-jepa", Options(max_batch=4))
 
 
 def test_a_digest_changes_with_content_and_name(tmp_path):

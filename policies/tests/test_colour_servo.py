@@ -1,10 +1,9 @@
 """The example uses the pixels, and its actions go in the right direction."""
 
 import numpy as np
-import pytest
 
 from rollout_policies import Episode, Observation, State
-from rollout_policies.examples.colour_servo import SIDE, WRIST, ColourServo, find_blob
+from rollout_policies.examples.colour_servo import SIDE, WRIST, ColourServo
 
 #: A hand that points down, with its x axis along the world's.
 POINTING_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -26,13 +25,6 @@ def answer(upright, rotation=POINTING_DOWN):
         {State.EEF_ROTATION: rotation.ravel()},
     )
     return ColourServo().infer(observation)
-
-
-def test_the_position_of_a_blob_is_found():
-    centre, span = find_blob(upright_frame(row=32, column=96))
-    assert centre == pytest.approx([0.5, 0.5], abs=0.02)
-    assert span == pytest.approx(12 / SIDE, abs=0.05)
-    assert find_blob(np.full((SIDE, SIDE, 3), 90, dtype=np.uint8)) is None
 
 
 def test_the_hand_moves_towards_the_colour():

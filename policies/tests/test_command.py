@@ -203,21 +203,6 @@ def test_the_error_for_an_unusable_class_has_the_line_to_write(methods, expected
     assert str(ended.value).startswith("error: " + expected)
 
 
-def test_a_policy_without_reset_gives_a_one_line_error(tmp_path):
-    script = tmp_path / "own.py"
-    script.write_text(
-        "from rollout_policies import Description, Policy, run\n"
-        "class Own(Policy):\n"
-        "    description = Description('own')\n"
-        "    def infer(self, observation):\n"
-        "        return [0] * 7\n"
-        "run(Own)\n"
-    )
-    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
-    line = "error: policy Own has no method 'reset': write `def reset(self, episode)`\n"
-    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", line)
-
-
 def test_resolved_settings_are_printed_before_the_address(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import Client, running
 
-from rollout_policies import Description, fake_observation
+from rollout_policies import Camera, Description, fake_observation
 from rollout_policies.fake import to_message
 
 torch = pytest.importorskip("torch")
@@ -47,7 +47,7 @@ def test_a_network_with_cuda_graphs_answers_many_connections(tmp_path):
     program = tmp_path / "compiled.py"
     program.write_text(POLICY)
     with running(sys.executable, program) as (_, address):
-        described = Description.from_message(Client(address).describe())
+        described = Description("compiled", cameras=(Camera("agentview", 64, 64),))
         observations = [to_message(fake_observation(described, seed)) for seed in range(4)]
 
         def episode(number):

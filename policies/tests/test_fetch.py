@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from rollout_policies.adapters import Options, load
 from rollout_policies.adapters.fetch import fetch, naming_downloads
 from rollout_policies.adapters.upstream import UnusableCheckpoint, UnusableOption
 from rollout_policies.catalogue import NoCheckpoint, entry
@@ -57,12 +56,6 @@ def test_a_folder_of_a_repository_is_found_in_it(hub):
         fetch(entry("minerva"), "me/mine/large")
 
 
-def test_minerva_s_default_is_a_folder_of_its_repository(hub):
-    with pytest.raises(UnusableCheckpoint):
-        fetch(entry("minerva"), entry("minerva").checkpoint_for(None))
-    assert hub.requests[0][0] == "k1000dai/MINERVA"
-
-
 @pytest.mark.parametrize("name", ["./ckpt", "/no/such/folder", "~/none", "weights"])
 def test_a_name_that_is_neither_folder_nor_hub_name_is_refused_without_a_request(hub, name):
     with pytest.raises(NoCheckpoint, match="there is no folder"):
@@ -86,10 +79,3 @@ def test_a_missing_download_is_refused_with_the_list():
     with pytest.raises(UnusableCheckpoint, match="Cannot reach it.*paligemma.*HF_HUB_OFFLINE"):
         with naming_downloads(entry("pi05").downloads):
             raise OSError("\nCannot reach it.\nmore")
-
-
-def test_every_policy_refuses_an_unknown_suite(hub):
-    for name in ("pi05", "minerva", "univla"):
-        with pytest.raises(UnusableOption, match="--suite must be one of"):
-            load(name, Options(suite="libero_90"))
-    assert hub.requests == []

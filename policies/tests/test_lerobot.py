@@ -195,15 +195,6 @@ def json_content(folder, file):
     path.write_text(json.dumps(content), "utf-8")
 
 
-def test_weights_under_other_names_are_refused(altered):
-    name, folder = altered
-    with stored_tensors(folder) as tensors:
-        for key in list(tensors):
-            tensors["elsewhere." + key] = tensors.pop(key)
-    with pytest.raises(UnusableCheckpoint, match=r"missing in the file .* unknown to the network"):
-        loaded(name, folder)
-
-
 #: For each policy, a tensor that its actions depend on.
 ACTING_TENSOR = {
     "smolvla": "model.action_out_proj.weight",
@@ -218,16 +209,6 @@ def test_a_file_that_lacks_one_tensor_is_refused(altered):
     with stored_tensors(folder) as tensors:
         tensors.pop(acting_tensor := acting_tensor_of(name, tensors))
     with pytest.raises(UnusableCheckpoint, match=rf"1 missing in the file \({acting_tensor}\)"):
-        loaded(name, folder)
-
-
-def test_a_file_with_one_tensor_too_many_is_refused(altered):
-    name, folder = altered
-    with stored_tensors(folder) as tensors:
-        tensors["model.another.weight"] = tensors[acting_tensor_of(name, tensors)].clone()
-    with pytest.raises(
-        UnusableCheckpoint, match=r"unknown to the network \(model.another.weight\)"
-    ):
         loaded(name, folder)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from conftest import client_behind, gateway_program, refusal, serving_at
+from conftest import client_behind, refusal, serving_at
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -23,17 +23,6 @@ from openpi_client import image_tools  # noqa: E402
 
 SERVER = Path(__file__).parent / "simulated_openpi_server.py"
 KEY = "key-of-the-simulated-server"
-
-
-@pytest.fixture
-def program():
-    return gateway_program()
-
-
-@pytest.fixture
-def received(tmp_path):
-    """File in which the server records its inputs."""
-    return tmp_path / "received.jsonl"
 
 
 def simulated(received, *arguments):
@@ -153,15 +142,6 @@ def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered
         assert code == grpc.StatusCode.INTERNAL and "does not like this prompt" in text
         client.reset(instruction="reach")
         assert client.infer(observation=message).shape == (5, 7)
-
-
-def test_actions_of_another_width_are_refused(program, received):
-    _, message = observation()
-    with simulated(received, "--width", "14") as server:
-        with client_behind(program, "--route", f"x=ws://{server}") as client:
-            client.reset(instruction="reach")
-            _, text = refusal(client.infer, observation=message)
-    assert "its actions are 14 numbers wide, not 7" in text
 
 
 def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_path):

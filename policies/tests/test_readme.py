@@ -8,7 +8,7 @@ import pytest
 from conftest import assert_conforms
 
 import rollout_policies
-from rollout_policies import Description, fake_observation
+from rollout_policies import fake_observation
 from rollout_policies.fake import to_message
 
 PACKAGE = pathlib.Path(__file__).parent.parent
@@ -31,7 +31,7 @@ def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     client = serving(policy)
     described = client.describe()
     client.reset(instruction="put the milk in the basket", suite="libero_object")
-    observation = to_message(fake_observation(Description.from_message(described)))
+    observation = to_message(fake_observation(policy.description))
     actions = client.infer(observation=observation)
     assert actions.shape == (described.horizon, 7)
     assert np.abs(actions).max() <= 1.0

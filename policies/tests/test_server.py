@@ -91,43 +91,24 @@ def test_the_instruction_and_the_seed_arrive_verbatim(serving):
     assert policy.episode.seed == 2**64 - 1
 
 
-def test_images_arrive_bottom_row_first_and_can_be_turned(serving):
-    policy = Recording()
-    client = serving(policy)
-    client.reset()
-    client.infer(observation=pb.Observation(images=[frame()], state=readings()))
-    raw = policy.observation.images["agentview"]
-    assert raw.shape == (2, 3, 3) and raw.dtype == np.uint8
-    assert raw[0, 0].tolist() == [0, 1, 2]
-    assert policy.observation.upright("agentview")[1, 0].tolist() == [0, 1, 2]
-    assert policy.observation.rotated("agentview")[1, 2].tolist() == [0, 1, 2]
-
-
-def test_frames_are_contiguous_and_may_be_written_to(serving):
+def test_an_observations_frames_can_be_turned_and_its_readings_join_into_a_vector(serving):
     policy = Recording()
     client = serving(policy)
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
     received = policy.observation
-    for image in (
-        received.images["agentview"],
-        received.upright("agentview"),
-        received.rotated("agentview"),
-    ):
+    # Frames arrive bottom row first. They may be written to, and turned ones are copies.
+    raw, upright = received.images["agentview"], received.upright("agentview")
+    rotated = received.rotated("agentview")
+    for image, first in ((raw, raw[0, 0]), (upright, upright[1, 0]), (rotated, rotated[1, 2])):
+        assert image.shape == (2, 3, 3) and image.dtype == np.uint8
         assert image.flags.c_contiguous and image.flags.writeable
-    # A copy, so that changing it does not change the frame.
-    received.upright("agentview")[:] = 0
-    assert received.images["agentview"][0, 1].tolist() == [3, 4, 5]
-
-
-def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):
-    policy = Recording()
-    client = serving(policy)
-    client.reset()
-    client.infer(observation=pb.Observation(images=[frame()], state=readings()))
-    assert policy.observation.state[State.EEF_POS].tolist() == [1.0, 2.0, 3.0]
-    assert policy.observation.vector().tolist() == [1.0, 2.0, 3.0, 0.04, -0.04]
-    assert policy.observation.vector(State.GRIPPER_POS).tolist() == [0.04, -0.04]
+        assert first.tolist() == [0, 1, 2]
+    upright[:] = 0
+    assert raw[0, 1].tolist() == [3, 4, 5]
+    assert received.state[State.EEF_POS].tolist() == [1.0, 2.0, 3.0]
+    assert received.vector().tolist() == [1.0, 2.0, 3.0, 0.04, -0.04]
+    assert received.vector(State.GRIPPER_POS).tolist() == [0.04, -0.04]
 
 
 @pytest.mark.parametrize(
@@ -263,12 +244,6 @@ def test_the_error_of_a_failing_reset_has_its_exception(serving):
     code, text = refusal(serving(Refusing(None)).reset, "s", instruction="fly")
     assert code == grpc.StatusCode.INTERNAL
     assert text == "reset raised KeyError: 'fly'"
-
-
-def test_a_query_of_a_session_that_was_never_opened_is_unavailable(serving):
-    code, text = refusal(serving(Noisy()).infer, "unheard-of")
-    assert code == grpc.StatusCode.UNAVAILABLE
-    assert "'unheard-of'" in text
 
 
 def test_the_health_service_answers(serving):

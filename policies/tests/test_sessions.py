@@ -4,7 +4,7 @@ import time
 
 import grpc
 import numpy as np
-from conftest import Noisy, refusal
+from conftest import refusal
 
 from rollout_policies import Description, Episode, Policy, service
 from rollout_policies.proto import policy_pb2 as pb
@@ -45,7 +45,9 @@ def test_the_end_of_an_episode_calls_end_and_releases_its_memory(serving):
     client.reset("b")
     assert policy.ended == [("a", "of a")]
     assert [episode.memory for episode in policy.episodes] == [None, "of b"]
-    assert code_of(client.infer, "a", 1) == grpc.StatusCode.UNAVAILABLE
+    # Neither a retry nor a further query is answered.
+    for query_index in (0, 1):
+        assert code_of(client.infer, "a", query_index) == grpc.StatusCode.UNAVAILABLE
 
 
 def test_the_end_of_a_session_that_is_not_open_is_no_error(serving):
@@ -144,14 +146,6 @@ def test_a_reset_that_raises_opens_no_episode_and_ends_the_earlier_one(serving):
     assert code_of(client.reset, "a") == grpc.StatusCode.INTERNAL
     assert policy.ended == [("a", "of a")]
     assert code_of(client.infer, "a") == grpc.StatusCode.UNAVAILABLE
-
-
-def test_the_end_of_an_episode_drops_its_answer_for_retries(serving):
-    client = serving(Noisy())
-    client.reset("a")
-    client.infer("a")
-    client.end("a")
-    assert code_of(client.infer, "a", 0) == grpc.StatusCode.UNAVAILABLE
 
 
 def test_a_session_table_is_bounded_in_number_and_idle_time():

@@ -35,49 +35,7 @@ class RandomPolicy:
 
     def act(self, observations: Observations) -> NDArray[np.float64]:
         """Returns an action per environment, [n, 7]."""
-        n = len(observations["eef_pos"])
-        return self._rng.uniform(-1.0, 1.0, (n, 7))
-
-
-class Episode:
-    """Observations and actions of one environment since its reset."""
-
-    def __init__(self, observation: Observations, instruction: str) -> None:
-        self._instruction = instruction
-        self._observations = [observation]
-        self._steps: list[tuple[NDArray[Any], float, bool, bool]] = []
-
-    def add(
-        self,
-        action: NDArray[Any],
-        reward: float,
-        terminated: bool,
-        truncated: bool,
-        observation: Observations,
-    ) -> None:
-        """Adds a step and the observation after it."""
-        self._steps.append((action, reward, terminated, truncated))
-        self._observations.append(observation)
-
-    def __len__(self) -> int:
-        return len(self._steps)
-
-    def save(self, path: Path) -> None:
-        """Writes the episode's file."""
-        actions, rewards, terminated, truncated = map(np.array, zip(*self._steps, strict=True))
-        stacked = {
-            key: np.stack([observation[key] for observation in self._observations])
-            for key in self._observations[0]
-        }
-        np.savez_compressed(
-            path,
-            **stacked,
-            actions=actions,
-            rewards=rewards,
-            terminated=terminated,
-            truncated=truncated,
-            instruction=np.array(self._instruction),
-        )
+        return self._rng.uniform(-1.0, 1.0, (len(observations["eef_pos"]), 7))
 
 
 def observation_of(observations: Observations, index: int) -> Observations:
@@ -86,23 +44,27 @@ def observation_of(observations: Observations, index: int) -> Observations:
     return {key: values[index].copy() for key, values in observations.items()}
 
 
+def save(path: Path, seen: list[Observations], steps: list[Any], instruction: str) -> None:
+    """Writes an episode's file: an observation before each step, and one at the end."""
+    names = ("actions", "rewards", "terminated", "truncated")
+    arrays = {name: np.array(values) for name, values in zip(names, zip(*steps), strict=True)}
+    arrays |= {key: np.stack([observation[key] for observation in seen]) for key in seen[0]}
+    np.savez_compressed(path, **arrays, instruction=np.array(instruction))
+
+
 def collect(
     envs: rollout_libero.VectorEnvironment,
     policy: RandomPolicy,
     episodes: int,
     output: Path,
     seed: int,
-) -> tuple[int, int]:
-    """Writes `episodes` episodes in the order of their ends. Returns their total numbers of steps
-    and successes."""
+) -> None:
+    """Writes `episodes` episodes in the order of their ends."""
     observations, infos = envs.reset(seed=seed)
-    instructions = [str(text) for text in infos["instruction"]]
-    running = [
-        Episode(observation_of(observations, index), instructions[index])
-        for index in range(envs.num_envs)
-    ]
+    seen = [[observation_of(observations, index)] for index in range(envs.num_envs)]
+    steps: list[list[Any]] = [[] for _ in seen]
     has_ended = np.zeros(envs.num_envs, dtype=bool)
-    written = steps = successes = 0
+    written = 0
     while written < episodes:
         actions = policy.act(observations)
         observations, rewards, terminated, truncated, _ = envs.step(actions)
@@ -110,18 +72,16 @@ def collect(
             observation = observation_of(observations, index)
             if has_ended[index]:
                 # With autoreset, this step was the reset and executed no action.
-                running[index] = Episode(observation, instructions[index])
+                seen[index], steps[index] = [observation], []
                 continue
-            episode = running[index]
-            ending = bool(terminated[index]), bool(truncated[index])
-            episode.add(actions[index], float(rewards[index]), *ending, observation)
-            if any(ending) and written < episodes:
-                episode.save(output / f"episode_{written:05d}.npz")
+            ended = terminated[index], truncated[index]
+            seen[index].append(observation)
+            steps[index].append((actions[index], rewards[index], *ended))
+            if any(ended) and written < episodes:
+                path = output / f"episode_{written:05d}.npz"
+                save(path, seen[index], steps[index], infos["instruction"][index])
                 written += 1
-                steps += len(episode)
-                successes += ending[0]
         has_ended = np.logical_or(terminated, truncated)
-    return steps, successes
 
 
 def main() -> None:
@@ -147,15 +107,11 @@ def main() -> None:
         autoreset_mode=AutoresetMode.NEXT_STEP,
     )
     try:
-        steps, successes = collect(
-            envs, RandomPolicy(arguments.seed), arguments.episodes, arguments.output, arguments.seed
-        )
+        policy = RandomPolicy(arguments.seed)
+        collect(envs, policy, arguments.episodes, arguments.output, arguments.seed)
     finally:
         envs.close()
-    print(
-        f"wrote {arguments.episodes} episodes, {steps} steps, {successes} successes"
-        f" to {arguments.output}"
-    )
+    print(f"wrote {arguments.episodes} episodes to {arguments.output}")
 
 
 if __name__ == "__main__":

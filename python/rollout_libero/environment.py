@@ -3,38 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from rollout_libero._library import native
-from rollout_libero.configuration import InitStates, Starts
-from rollout_libero.observation import (
-    ACTION_WIDTH,
-    CAMERAS,
-    Observation,
-    Orientation,
-    action_space,
-    is_mirrored,
-    observation_space,
-)
-from rollout_libero.rollout import UNTOUCHED, Rollout
-from rollout_libero.scenes import scene_of_task
-from rollout_libero.tasks import Task
-
-Render = Literal["last", "all", "none"]
-
-
-class EnvironmentSnapshot(NamedTuple):
-    """The complete state that determines an environment's next step."""
-
-    simulation: native.Snapshot
-    rollout: Rollout
+from rollout_libero.configuration import InitStates
+from rollout_libero.observation import ACTION_WIDTH, CAMERAS, Observation, Orientation, Render
+from rollout_libero.vector import VectorEnvironment, VectorSnapshot
 
 
 class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -92,32 +71,39 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         look: str | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._absolute = is_absolute(control)
-        self._mirrored = is_mirrored(orientation)
-        self.task = Task.of(task)
-        self.scene = scene_of_task(self.task, assets, look)
-        self.simulation = native.Simulation(self.scene, renderer=renderer)
-        self.starts = Starts(
-            self.task,
-            self.scene.initial_states,
-            init_states,
+        self._envs = VectorEnvironment(
+            task,
+            1,
+            assets,
+            threads=1,
+            cameras=cameras,
+            height=height,
+            width=width,
+            orientation=orientation,
+            init_states=init_states,
             settle_steps=settle_steps,
             max_steps=max_steps,
             perturbation=perturbation,
-            absolute=self._absolute,
+            control=control,
+            renderer=renderer,
+            look=look,
+            autoreset_mode=AutoresetMode.DISABLED,
         )
-        if self.starts.execution != "wait":
+        (self.task,), (self.simulation,) = self._envs.tasks, self._envs.simulations
+        self.scene = self.simulation.scene
+        if (execution := self._envs.starts[0].execution) != "wait":
             raise ValueError(
-                f"failed to make an environment under execution model {self.starts.execution!r}: "
-                "Environment executes actions without delay; use VectorEnvironment, or Schedule"
+                f"failed to make an environment under execution model {execution!r}: Environment "
+                "executes actions without delay; use VectorEnvironment, or Schedule"
             )
-        self._space = observation_space(cameras, height, width)
-        self.observation_space = cast("gymnasium.Space[Observation]", self._space)
-        self.action_space = cast("gymnasium.Space[NDArray[np.float32]]", action_space())
+        self.observation_space = cast(
+            "gymnasium.Space[Observation]", self._envs.single_observation_space
+        )
+        self.action_space = cast(
+            "gymnasium.Space[NDArray[np.float32]]", self._envs.single_action_space
+        )
         self.render_mode = render_mode
-        self._cameras = [(camera, width, height) for camera in cameras]
-        self._batch = native.Batch([self.simulation], 1)
-        self._rollout = Rollout(self.starts.instruction, self.starts.max_steps)
+        self._camera = (cameras[0], width, height) if cameras else (CAMERAS[0], 256, 256)
         known = self.simulation.names("camera")
         for camera in cameras:
             if camera not in known:
@@ -126,12 +112,12 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     @property
     def instruction(self) -> str:
         """The policy's instruction."""
-        return self._rollout.instruction
+        return self._envs.rollouts[0].instruction
 
     @property
     def max_steps(self) -> int:
         """Control steps after which the rollout is truncated."""
-        return self._rollout.max_steps
+        return self._envs.rollouts[0].max_steps
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -143,23 +129,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         len(numbers)``; later resets without a seed continue from there in turn. ``"random"`` and
         ``"sampled"`` draw from a generator with this seed. ``options={"init_state": 7}`` takes
         precedence, and a configuration's own initial state does not depend on the seed."""
-        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
-        start = self.starts.plan(generator, options or {}, turn=seed)
-        no_actions = np.empty((1, 0, ACTION_WIDTH))
-        result = self._batch.advance(
-            no_actions, [0], [start.row], self._cameras, mirrored=self._mirrored
-        )
-        (error,) = result["errors"]
-        if isinstance(error, UNTOUCHED):
-            raise error
+        observation, infos = self._envs.reset(seed=[seed], options=options)
         super().reset(seed=seed)
-        self.np_random.bit_generator.state = start.generator.bit_generator.state
-        self.starts.use(start)
-        if error is not None:
-            self._rollout.is_over = True
-            raise error
-        self._rollout.begin(start)
-        return self._observation(result), self._info(success=False)
+        return {name: values[0] for name, values in observation.items()}, _info(infos)
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Executes a control step, 50 ms, with seven numbers: translation, rotation, gripper."""
@@ -183,7 +155,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
         A call that raises ``ValueError`` for its arguments has changed nothing. After
         ``SimulationError`` the rollout is over: call ``reset``."""
-        rollout = self._rollout
+        rollout = self._envs.rollouts[0]
         if not rollout.is_begun or rollout.is_over:
             raise gymnasium.error.ResetNeeded(
                 "failed to step: the rollout has ended, or none was begun; call reset"
@@ -193,60 +165,40 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(
                 f"failed to step with actions of shape {actions.shape}: expected [steps, 7]"
             )
-        result = self._batch.advance(
-            actions[np.newaxis],
-            [rollout.max_steps - rollout.steps],
-            [None],
-            self._cameras,
-            render=render,
-            absolute=self._absolute,
-            mirrored=self._mirrored,
-        )
-        taken, success = int(result["steps"][0]), bool(result["success"][0])
-        (error,) = result["errors"]
-        truncated = rollout.advance(taken, success, error)
-        if error is not None:
-            raise error
-        observation = self._observation(result)
+        result = self._envs.step_chunk(actions[np.newaxis], render)
+        observation, rewards, terminated, truncated, infos = result
+        observation = {name: values[0] for name, values in observation.items()}
         if render == "all":
+            taken = infos["taken"][0]
             observation = {name: values[:taken] for name, values in observation.items()}
-        return observation, float(success), success, truncated, self._info(success=success)
+        ended = bool(terminated[0]), bool(truncated[0])
+        return observation, float(rewards[0]), *ended, _info(infos)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Returns the first camera's view in the mode ``rgb_array``, always
         upright, for any orientation of the observations."""
         if self.render_mode is None:
             return None
-        camera, width, height = (self._cameras or [(CAMERAS[0], 256, 256)])[0]
-        return self.simulation.frame(camera, width, height)[::-1]
+        return self.simulation.frame(*self._camera)[::-1]
 
-    def snapshot(self) -> EnvironmentSnapshot:
+    def snapshot(self) -> VectorSnapshot:
         """Returns the complete state for the next step, without the generator that seeds resets."""
-        return EnvironmentSnapshot(self.simulation.snapshot(), replace(self._rollout))
+        return self._envs.snapshot()
 
-    def restore(self, snapshot: EnvironmentSnapshot) -> None:
+    def restore(self, snapshot: VectorSnapshot) -> None:
         """Returns to a snapshot of an environment of the same task and assets."""
-        self.simulation.restore(snapshot.simulation)
-        self._rollout = replace(snapshot.rollout)
+        self._envs.restore(snapshot)
 
     def close(self) -> None:
         """Frees the environment; later calls raise ``ClosedError``."""
         self.simulation.close()
 
-    def _observation(self, result: dict[str, Any]) -> Observation:
-        return {name: result[name][0] for name in self._space if name in result}
 
-    def _info(self, *, success: bool) -> dict[str, Any]:
-        return {
-            "success": success,
-            "instruction": self._rollout.instruction,
-            "init_state": self._rollout.init_state,
-            "steps": self._rollout.steps,
-        }
-
-
-def is_absolute(control: str) -> bool:
-    """Returns true if actions are poses. Raises ValueError if there is no such control."""
-    if control not in ("relative", "absolute"):
-        raise ValueError(f"failed to choose control {control!r}: it is 'relative' or 'absolute'")
-    return control == "absolute"
+def _info(infos: dict[str, Any]) -> dict[str, Any]:
+    """Returns an environment's own values of the infos of a vector environment."""
+    return {
+        "success": bool(infos["success"][0]),
+        "instruction": infos["instruction"][0],
+        "init_state": infos["init_state"][0],
+        "steps": int(infos["steps"][0]),
+    }

@@ -25,6 +25,9 @@ the right. OpenVLA, openpi and most VLAs were trained on LIBERO's frames like th
 sees it. A policy trained on the other orientation sees a plausible, mirrored picture and
 fails."""
 
+Render = Literal["last", "all", "none"]
+"""The steps of a chunk of which frames are rendered."""
+
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS: Mapping[str, int] = {
     "eef_pos": 3, "eef_quat": 4, "eef_axis_angle": 3, "joint_pos": 7, "joint_vel": 7,
@@ -48,11 +51,18 @@ def action_space() -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (ACTION_WIDTH,), np.float32)
 
 
+def is_absolute(control: str) -> bool:
+    """Returns true if actions are poses. Raises ValueError if there is no such control."""
+    return _is_second("control", control, "relative", "absolute")
+
+
 def is_mirrored(orientation: str) -> bool:
     """Returns true if columns run from right to left. Raises ValueError if there is no such
     orientation."""
-    if orientation not in ("policy", "upright"):
-        raise ValueError(
-            f"failed to choose orientation {orientation!r}: it is 'policy' or 'upright'"
-        )
-    return orientation == "policy"
+    return not _is_second("orientation", orientation, "policy", "upright")
+
+
+def _is_second(name: str, given: str, first: str, second: str) -> bool:
+    if given not in (first, second):
+        raise ValueError(f"failed to choose {name} {given!r}: it is {first!r} or {second!r}")
+    return given == second

@@ -19,13 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from rollout_libero import files, scenes
 from rollout_libero._library import native
-from rollout_libero.environment import Render, is_absolute
 from rollout_libero.observation import (
     ACTION_WIDTH,
     CAMERAS,
     READINGS,
     Observation,
     Orientation,
+    Render,
+    is_absolute,
     is_mirrored,
 )
 from rollout_libero.rollout import UNTOUCHED

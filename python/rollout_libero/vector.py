@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from rollout_libero._library import native
 from rollout_libero.configuration import InitStates, Start, Starts
-from rollout_libero.environment import Render, is_absolute
 from rollout_libero.observation import (
     ACTION_WIDTH,
     CAMERAS,
     Observation,
     Orientation,
+    Render,
     action_space,
+    is_absolute,
     is_mirrored,
     observation_space,
 )
@@ -113,8 +114,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         sharing = Counter(task.name for task in self.tasks)
         ranks: Counter[str] = Counter()
         self.starts = []
-        perturbations = _perturbations_of(perturbation, self.num_envs)
-        budgets = _budgets_of(max_steps, self.num_envs)
+        perturbations = _each(perturbation, self.num_envs, "perturbation", str | Mapping)
+        budgets = _each(max_steps, self.num_envs, "max_steps", int)
         for task, scene, perturbed, budget in zip(
             self.tasks, scenes, perturbations, budgets, strict=True
         ):
@@ -143,13 +144,13 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self._threads = threads or len(os.sched_getaffinity(0))
         self._batch = native.Batch(self.simulations, self._threads)
         self._generators = [seeding.np_random()[0] for _ in self.tasks]
-        self._rollouts = [Rollout(starts.instruction, starts.max_steps) for starts in self.starts]
+        self.rollouts = [Rollout(starts.instruction, starts.max_steps) for starts in self.starts]
         native.Schedule("wait", self.tasks[0].name, 0, execute=execute)
 
     @property
     def max_steps(self) -> NDArray[np.int64]:
         """Control steps after which each rollout is truncated."""
-        return np.array([rollout.max_steps for rollout in self._rollouts])
+        return np.array([rollout.max_steps for rollout in self.rollouts])
 
     def reset(
         self,
@@ -174,15 +175,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             )
         init_state: Any = options.get("init_state")
         init_states = np.broadcast_to(init_state, self.num_envs)
-        seeds = _seeds_of(seed, self.num_envs)
+        is_number = isinstance(seed, int | np.integer)
+        seeds = _each(seed, self.num_envs, "seed", int | np.integer)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
-            env_seed = turn = seeds[at]
+            env_seed = turn = int(seeds[at]) + at if is_number else seeds[at]
             generator = self._generators[at]
             if env_seed is not None:
                 generator = seeding.np_random(env_seed)[0]
-            if isinstance(seed, int | np.integer):
-                turn = int(seed) + self.starts[at].rank
+            if is_number:
+                turn = int(seeds[at]) + self.starts[at].rank
             start_options = {"init_state": init_states[at]}
             starts[at] = self.starts[at].plan(generator, start_options, turn=turn)
         advanced = self._batch.advance(
@@ -233,12 +235,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         effect, and with ``rtc`` ``info["under_way"]`` has the actions [n, 7] scheduled for the
         coming steps."""
         actions = np.asarray(actions, dtype=np.float64)
-        missing = [at for at, rollout in enumerate(self._rollouts) if not rollout.is_begun]
+        missing = [at for at, rollout in enumerate(self.rollouts) if not rollout.is_begun]
         if missing:
             raise gymnasium.error.ResetNeeded(
                 f"failed to step: rollouts {missing} were not begun; call reset"
             )
-        over = [at for at, rollout in enumerate(self._rollouts) if rollout.is_over]
+        over = [at for at, rollout in enumerate(self.rollouts) if rollout.is_over]
         if over and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise gymnasium.error.ResetNeeded(
                 f"failed to step: rollouts {over} have ended; call reset with "
@@ -246,8 +248,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             )
         starts = {at: self.starts[at].plan(self._generators[at], {}) for at in over}
         limits = [
-            0 if rollout.is_over else rollout.max_steps - rollout.steps
-            for rollout in self._rollouts
+            0 if rollout.is_over else rollout.max_steps - rollout.steps for rollout in self.rollouts
         ]
         actions, schedules = self._scheduled(actions, limits, expert is not None)
         advanced = self._batch.advance(
@@ -267,7 +268,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         )
         self._begin(starts, errors)
         truncated = np.zeros(self.num_envs, bool)
-        for at, rollout in enumerate(self._rollouts):
+        for at, rollout in enumerate(self.rollouts):
             if at not in starts:
                 truncated[at] = rollout.advance(int(taken[at]), bool(success[at]), errors[at])
             if at in schedules and not isinstance(errors[at], UNTOUCHED):
@@ -297,7 +298,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         and the schedules at that time; shortens ``limits`` to these steps. Changes no rollout."""
         with_schedule = [
             at
-            for at, rollout in enumerate(self._rollouts)
+            for at, rollout in enumerate(self.rollouts)
             if rollout.schedule and not rollout.is_over
         ]
         if not with_schedule:
@@ -315,7 +316,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             )
         schedules, rows = {}, {at: actions[at] for at in range(self.num_envs)}
         for at in with_schedule:
-            schedule: Any = self._rollouts[at].schedule
+            schedule: Any = self.rollouts[at].schedule
             schedules[at] = schedule.copy()
             schedules[at].answer(actions[at])
             rows[at] = schedules[at].until_due()
@@ -336,14 +337,14 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         """Returns the complete state for the next step, without the generators that seed resets."""
         return VectorSnapshot(
             tuple(simulation.snapshot() for simulation in self.simulations),
-            tuple(replace(rollout) for rollout in self._rollouts),
+            tuple(replace(rollout) for rollout in self.rollouts),
         )
 
     def restore(self, snapshot: VectorSnapshot) -> None:
         """Returns to a snapshot. Raises ValueError if the snapshot is of other tasks; no
         environment has changed then."""
         self._batch.restore(snapshot.simulations)
-        self._rollouts = [replace(rollout) for rollout in snapshot.rollouts]
+        self.rollouts = [replace(rollout) for rollout in snapshot.rollouts]
 
     def close_extras(self, **_kwargs: Any) -> None:
         """Frees the environments."""
@@ -401,10 +402,10 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             self.starts[at].use(start)
             self._generators[at] = start.generator
             if error is None:
-                self._rollouts[at].begin(start)
-                self._rollouts[at].schedule = self._schedule(at, start)
+                self.rollouts[at].begin(start)
+                self.rollouts[at].schedule = self._schedule(at, start)
             else:
-                self._rollouts[at].is_over = True
+                self.rollouts[at].is_over = True
 
     def _schedule(self, at: int, start: Start) -> native.Schedule | None:
         """Returns the schedule of a rollout; None if its chunks are executed as they are given."""
@@ -430,7 +431,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return {name: advanced[name] for name in self._space if name in advanced}
 
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
-        schedules = [rollout.schedule for rollout in self._rollouts]
+        schedules = [rollout.schedule for rollout in self.rollouts]
         queries = [None if schedule is None else schedule.due() for schedule in schedules]
         query_infos: dict[str, Any] = {}
         if any(schedules):
@@ -440,7 +441,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             query_infos["under_way"] = np.full(self.num_envs, None, dtype=object)
             for at, query in enumerate(queries):
                 query_infos["under_way"][at] = None if query is None else query[1]
-        rollouts = self._rollouts
+        rollouts = self.rollouts
         return query_infos | {
             "success": success,
             "instruction": np.array([rollout.instruction for rollout in rollouts], dtype=object),
@@ -449,35 +450,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         }
 
 
-def _perturbations_of(perturbation: Any, count: int) -> list[Any]:
-    if perturbation is None or isinstance(perturbation, str | Mapping):
-        return [perturbation] * count
-    if len(perturbation) != count:
+def _each(value: Any, count: int, name: str, kind: Any) -> list[Any]:
+    """Returns a value for each environment: the given one for all, or those of a list."""
+    if value is None or isinstance(value, kind):
+        return [value] * count
+    if len(value) != count:
         raise ValueError(
-            f"failed to perturb {count} environments: {len(perturbation)} perturbations were given"
+            f"failed to set {name} of {count} environments: {len(value)} were given; give one "
+            f"{name}, or one for each environment"
         )
-    return list(perturbation)
-
-
-def _budgets_of(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
-    if max_steps is None or isinstance(max_steps, int):
-        return [max_steps] * count
-    if len(max_steps) != count:
-        raise ValueError(
-            f"failed to limit {count} environments: {len(max_steps)} max_steps were given; give "
-            "one max_steps, or one for each environment"
-        )
-    return list(max_steps)
-
-
-def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, int | np.integer):
-        return [int(seed) + at for at in range(count)]
-    if len(seed) != count:
-        raise ValueError(f"failed to seed {count} environments: {len(seed)} seeds were given")
-    return list(seed)
+    return list(value)
 
 
 def _rows_as_objects(

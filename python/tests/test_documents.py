@@ -1,7 +1,5 @@
 """The Python code in the documents runs unchanged."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -25,7 +23,6 @@ def blocks():
 
 
 @pytest.mark.parametrize("program", blocks())
-def test_a_documents_code_block_runs(program, monkeypatch):
-    monkeypatch.setenv("ROLLOUT_ASSETS", "primitives")
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+def test_a_documents_code_block_runs(program, python):
+    done = python("-c", program, ROLLOUT_ASSETS="primitives")
     assert done.returncode == 0, done.stderr

@@ -1,8 +1,6 @@
 """The examples run unchanged, on the built-in assets."""
 
 import re
-import subprocess
-import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -17,15 +15,19 @@ except PackageNotFoundError:
     pytest.skip("rollout-libero is not installed", allow_module_level=True)
 
 
-def run(*words):
-    done = subprocess.run(
-        [sys.executable, *map(str, words)], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture
+def run(python):
+    """Runs an example, and returns what it printed."""
+
+    def run_example(*words):
+        done = python(*words)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run_example
 
 
-def test_the_evaluation_prints_each_task_with_its_interval():
+def test_the_evaluation_prints_each_task_with_its_interval(run):
     tasks = ("libero_object/0", "libero_goal/1")
     printed = run(EXAMPLES / "evaluate.py", *tasks, "--episodes", 2, "--max-steps", 16,
                   "--assets", "primitives")
@@ -41,7 +43,7 @@ def test_the_evaluation_prints_each_task_with_its_interval():
     assert ends.get("all", "49.0") == "49.0"
 
 
-def test_collected_episodes_are_complete_and_reproducible(tmp_path):
+def test_collected_episodes_are_complete_and_reproducible(run, tmp_path):
     steps = 6
     for folder in ("once", "again"):
         printed = run(

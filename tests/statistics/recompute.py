@@ -36,11 +36,11 @@ SIGNS_TOLERANCE = 0.06
 TOLERANCE = 1e-9
 
 
-def grouped(labels):
-    """Returns the indices of the rows of each label."""
-    order = {}
-    for row, label in enumerate(labels):
-        order.setdefault(label, []).append(row)
+def grouped(labels, rows=None):
+    """Returns the rows of each label, among all or these rows."""
+    labels, order = list(labels), {}
+    for row in range(len(labels)) if rows is None else rows:
+        order.setdefault(labels[row], []).append(row)
     return order
 
 
@@ -63,9 +63,7 @@ class Sample:
         if any(len({t for t, s in zip(tasks, suites) if s == suite}) < 2 for suite in set(suites)):
             suites = [0] * len(keys)
         rows = [[[row] for row in rows] for rows in grouped(suites).values()]
-        tasks_by_suite = [
-            list(grouped_rows(tasks, rows).values()) for rows in grouped(suites).values()
-        ]
+        tasks_by_suite = [list(grouped(tasks, rows).values()) for rows in grouped(suites).values()]
         self.tasks = len(set(tasks))
         self.in_task = self.leave_out([[[row] for row in rows] for rows in grouped(tasks).values()])
         self.by_task = self.leave_out(tasks_by_suite)
@@ -133,26 +131,16 @@ class Sample:
         }
 
 
-def grouped_rows(labels, rows):
-    groups = {}
-    for row in rows:
-        groups.setdefault(labels[row], []).append(row)
-    return groups
-
-
-def t_interval(value, variance, _):
+def t_interval(value, variance, _, most=1.0):
     if variance is None or variance[0] <= 1e-24:
         return None
     half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
-    return [max(value - half, -1.0), min(value + half, 1.0)]
+    return [max(value - half, -most), min(value + half, most)]
 
 
-def unbounded_t_interval(value, variance, _):
+def unbounded_t_interval(value, variance, units):
     """Interval around a mean in a unit without bounds, such as steps: its ends are not clipped."""
-    if variance is None or variance[0] <= 1e-24:
-        return None
-    half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
-    return [value - half, value + half]
+    return t_interval(value, variance, units, np.inf)
 
 
 def product_interval(value, variance, _):
@@ -205,7 +193,9 @@ def holm(p):
 def two_sided(estimate):
     if estimate["standard_error"] is None:
         return None
-    return float(2 * student.sf(abs(estimate["value"]) / estimate["standard_error"], estimate["df"]))
+    return float(
+        2 * student.sf(abs(estimate["value"]) / estimate["standard_error"], estimate["df"])
+    )
 
 
 def equivalence(estimate):

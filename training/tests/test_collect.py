@@ -86,7 +86,7 @@ def collect_shards(folder: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any
     monkeypatch.setattr(collect, "compile_scenes", lambda *_: None)
     defaults: dict[str, Any] = {
         "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
-        "envs": 4, "groups": 2, "threads": 1, "tasks": ["libero_goal"], "failures": None,
+        "envs": 4, "threads": 1, "tasks": ["libero_goal"], "failures": None,
         "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
     collect.collect(argparse.Namespace(**(defaults | changed)))

@@ -21,7 +21,7 @@ from training.wordings import TASK_NAMES, canonical
 CPU = torch.device("cpu")
 
 
-def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
+def fill(folder: Path, shards: int, *, first: int = 0) -> None:
     """Writes the shards ``first`` to ``shards`` - 1, each of three small episodes; a frame's bytes
     identify its episode."""
     rng = np.random.default_rng(0)
@@ -31,7 +31,7 @@ def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
             target = rng.uniform(-1, 1, (4, 8, 7)).astype(np.float32)
             frames = np.full((4, 2, 128, 128, 3), 10 * number + index, np.uint8)
             state = rng.normal(size=(4, 14)).astype(np.float32)
-            episodes.append(Episode(task, Outcome.SUCCESS, Driver.CLEAN, "", frames, state, target))
+            episodes.append(Episode(0, Outcome.SUCCESS, Driver.CLEAN, "", frames, state, target))
         write(folder, number, episodes)
 
 
@@ -40,7 +40,7 @@ def arguments(folder: Path, **changed: object) -> argparse.Namespace:
         "data": [folder / "data"], "run": folder / "run", "seconds": 0.5, "watch": False,
         "stop_after": None,
         "start_from": None, "name": "student", "batch": 2, "learning_rate": 1e-3,
-        "weight_decay": 1e-3, "wordings": 3, "suite_weights": [1.0] * 4, "capacity": 200,
+        "weight_decay": 1e-3, "wordings": 3, "capacity": 200,
         "processes": 1, "compile": False, "seed": 0, "device": "cpu",
     }  # fmt: skip
     return argparse.Namespace(**(defaults | changed))
@@ -48,7 +48,7 @@ def arguments(folder: Path, **changed: object) -> argparse.Namespace:
 
 def test_a_library_separates_held_out_episodes_and_loads_new_shards(tmp_path: Path) -> None:
     fill(tmp_path, 2)
-    library = Library([tmp_path], 100, 100, [1.0] * 4, CPU)
+    library = Library([tmp_path], 100, 100, CPU)
     # The first episode of shard 0 is held out. Of shard 1, the eighth episode would be held out,
     # but the shard has only three.
     assert library.refresh() == 24
@@ -63,23 +63,12 @@ def test_a_library_separates_held_out_episodes_and_loads_new_shards(tmp_path: Pa
 
 def test_new_frames_replace_stored_frames_when_the_store_is_full(tmp_path: Path) -> None:
     fill(tmp_path, 2)
-    library = Library([tmp_path], 14, 100, [1.0] * 4, CPU)
+    library = Library([tmp_path], 14, 100, CPU)
     torch.manual_seed(0)
     library.refresh()
     assert library.training.count == 14
     values = library.training.batch(torch.arange(14)).pictures[:, 0, 0, 0, 0].unique().tolist()
     assert min(values) < 10 <= max(values)
-
-
-def test_suites_are_drawn_by_their_weights(tmp_path: Path) -> None:
-    fill(tmp_path / "spatial", 1, task=0)
-    fill(tmp_path / "long", 1, task=39)
-    folders = [tmp_path / "spatial", tmp_path / "long"]
-    library = Library(folders, 100, 100, [1.0, 1.0, 1.0, 3.0], CPU)
-    library.refresh()
-    torch.manual_seed(0)
-    long = (library.training.draw(2_000).task == 39).float().mean()
-    assert 0.7 < long < 0.8
 
 
 def test_a_shift_repeats_the_edge() -> None:

@@ -63,12 +63,12 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             let mut command = Command::new(&shim);
             command.arg(&script);
             // The arms of compare.py that run this project's environments.
-            command.args(["--no-checks", "--arms", "S", "V"]);
+            command.args(["--arms", "S", "V"]);
             command
         }
     };
     command.args(["--shim", &path(&packages(&shim)?)?, "--shim-python"]);
-    command.arg(&shim).args(["--tasks", &options.task, "--out"]);
+    command.arg(&shim).args(["--task", &options.task, "--out"]);
     command.arg(root.join(&options.out));
     if clients.is_none() {
         command.args(["--frameworks", "simplevla"]);

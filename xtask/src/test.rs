@@ -188,11 +188,6 @@ impl Tests<'_> {
             let outcome = setup::slurm().map(str::to_owned);
             Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
         })?;
-        step("built-in pack as generated", || {
-            let mut generator = Command::new("python3");
-            capture(generator.arg(root.join("assets/primitives_source")).arg("--check"))
-                .map(|_| "yes")
-        })?;
         step("dependencies against deny.toml", || deny(root))?;
         let schemas = deploy::schemas(cache);
         let bucket = s3::server(cache);

@@ -17,10 +17,6 @@ else:
 SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
 
 
-class UnknownPolicy(ValueError):
-    """No adapter has this name."""
-
-
 class NoCheckpoint(ValueError):
     """The suite that selects the checkpoint is missing or unknown, or the checkpoint's name is
     neither that of a local file or folder nor of a repository on the hub."""
@@ -38,8 +34,7 @@ class Entry:
     parameters: int
     #: Checkpoint id; one per suite if every suite has its own.
     checkpoint: str | Mapping[str, str]
-    #: The upstream package's top module, and how to install the package.
-    module: str
+    #: How to install the upstream package.
     install: str
     #: Number of actions of every chunk that LIBERO-CTRL's protocol executes with these checkpoints;
     #: None if the policy leaves no choice.
@@ -79,8 +74,4 @@ def entries() -> dict[str, Entry]:
 
 
 def entry(name: str) -> Entry:
-    """Returns one policy. Raises UnknownPolicy, which lists the known names."""
-    listed = entries()
-    if name not in listed:
-        raise UnknownPolicy(f"there is no adapter {name!r}; there are: {', '.join(listed)}")
-    return listed[name]
+    return entries()[name]

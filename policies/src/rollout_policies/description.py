@@ -200,29 +200,6 @@ class Description:
             settings=[pb.Setting(name=name, value=value) for name, value in settings.items()],
         )
 
-    @classmethod
-    def from_message(cls, message: pb.DescribeResponse) -> Description:
-        """Returns the description that a server sent. The server's actions follow LIBERO's gripper
-        convention. Raises ValueError if it is inconsistent."""
-        return cls(
-            name=message.name,
-            horizon=message.horizon,
-            execute=message.execute,
-            cameras=tuple(
-                Camera(camera.name, camera.width, camera.height) for camera in message.cameras
-            ),
-            state=tuple(State(number) for number in message.state),
-            checkpoint=message.checkpoint,
-            checkpoint_digest=message.checkpoint_digest,
-            parameters=message.parameters,
-            stateful=message.stateful,
-            stochastic=message.stochastic,
-            language=Language(message.language or pb.LANGUAGE_FREE_FORM),
-            max_batch=max(1, message.max_batch),
-            real_time_chunking=message.real_time_chunking,
-            settings={setting.name: setting.value for setting in message.settings},
-        )
-
     def lines(self) -> list[str]:
         """Returns all resolved settings, one `name: value` line each, for people."""
         cameras = [f"{camera.name} {camera.width}x{camera.height}" for camera in self.cameras]

@@ -38,8 +38,6 @@ class QueryError:
 
 
 class PolicyService:
-    """Service of one policy."""
-
     def __init__(
         self,
         policy: Policy,

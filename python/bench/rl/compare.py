@@ -6,8 +6,9 @@ simulator in turn, and prints a table in Markdown. Needs no network and no build
 `FOLDERS` are entries of PYTHONPATH, separated by colons: those of `--original` hold robosuite 1.4.0
 and rlinf-libero or hf-libero, those of `--shim` this project's wheels. RLinf and the packages that
 both simulators need must be in both `FOLDERS`, or installed in Python's environment. The original
-uses LIBERO_CONFIG_PATH, and rollout_libero uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are
-written after every run, so that an interrupted comparison keeps the results of its complete runs.
+uses LIBERO_CONFIG_PATH, and rollout_libero uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. `results.json`
+is written after every run, so that an interrupted comparison keeps the results of its complete
+runs.
 
 Arms: O, the original, rendering through EGL. S, the shim. V, all environments in one process: in
 RLinf by `rollout_libero.rlinf`, which users name in RLINF_EXT_MODULE; otherwise by a
@@ -17,53 +18,20 @@ import argparse
 import itertools
 import json
 import os
-import signal
+import statistics
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-import checks
-import report
-
-HERE = Path(__file__).resolve().parent
 FRAMEWORKS, ARMS = ["rlinf", "simplevla"], ["O", "S", "V"]
-#: Longest duration of one arm, s.
-LIMIT_SECS = 3600
 #: Largest number of environments of a framework: RLinf starts each in a different one of a task's
 #: 50 states, and SimpleVLA-RL runs few at a time.
 MAX_ENVIRONMENTS = {"rlinf": 50, "simplevla": 16}
 
 
-def main() -> int:
+def main() -> None:
     """Runs the command line."""
-    flags = arguments()
-    flags.out.mkdir(parents=True, exist_ok=True)
-    results: dict[str, Any] = {"machine": report.machine(), "command": sys.argv[1:], "runs": []}
-    results["checks"] = fairness(flags) if flags.checks else {}
-    report.write(results, flags.out)
-    for round_number, (framework, count), task, arm in itertools.product(
-        range(1, flags.rounds + 1), sizes(flags.environments, flags.frameworks), flags.tasks,
-        flags.arms,
-    ):  # fmt: skip
-        run = {"framework": framework, "task": task, "environments": count, "arm": arm}
-        run |= {"round": round_number, **measure(flags, framework, arm, task, count)}
-        results["runs"].append(run)
-        print(json.dumps(run), flush=True)
-        report.write(results, flags.out)
-    print(report.markdown(results))
-    fair = all(task["same_motion"] and task["same_success"] for task in results["checks"].values())
-    return 0 if fair else 1
-
-
-def sizes(environments: list[int], frameworks: list[str]) -> list[tuple[str, int]]:
-    """Returns each framework with each number of environments that it runs, once."""
-    pairs = itertools.product(environments, frameworks)
-    return list(dict.fromkeys((name, min(size, MAX_ENVIRONMENTS[name])) for size, name in pairs))
-
-
-def arguments() -> argparse.Namespace:
-    """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--original", default="", help="the original's entries of PYTHONPATH")
     parser.add_argument("--shim", default="", help="this project's entries of PYTHONPATH")
@@ -71,62 +39,51 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--shim-python", default=sys.executable)
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--frameworks", nargs="+", default=FRAMEWORKS, choices=FRAMEWORKS)
-    parser.add_argument("--arms", nargs="+", default=ARMS)
-    parser.add_argument("--tasks", nargs="+", default=["libero_goal/8"])
+    parser.add_argument("--arms", nargs="+", default=ARMS, choices=ARMS)
+    parser.add_argument("--task", default="libero_goal/8")
     parser.add_argument(
-        "--environments",
-        nargs="+",
-        type=int,
-        default=[16, 50],
+        "--environments", nargs="+", type=int, default=[16, 50],
         help="numbers of environments; at most 50 run in RLinf, and 16 in SimpleVLA-RL",
-    )
+    )  # fmt: skip
     parser.add_argument("--chunk", type=int, default=8)
     parser.add_argument("--steps", type=int, default=200, help="control steps of a rollout")
     parser.add_argument(
-        "--policies",
-        nargs="+",
-        default=["none", "sleep:100"],
-        help="none or sleep:MS; with PyTorch and an accelerator also card:MS or busy",
-    )
+        "--policies", nargs="+", default=["none"],
+        help="none answers at once, card:MS multiplies matrices on the card for so long",
+    )  # fmt: skip
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--no-checks", dest="checks", action="store_false")
-    parser.add_argument("--gl", default="egl", help="MUJOCO_GL of the original")
-    return parser.parse_args()
+    flags = parser.parse_args()
+    flags.out.mkdir(parents=True, exist_ok=True)
+    sizes = dict.fromkeys(
+        (framework, min(count, MAX_ENVIRONMENTS[framework]))
+        for count, framework in itertools.product(flags.environments, flags.frameworks)
+    )
+    runs: dict[str, list[dict[str, float]]] = {}
+    for _, (framework, count), arm in itertools.product(range(flags.rounds), sizes, flags.arms):
+        for policy, measured in measure(flags, framework, arm, count).items():
+            runs.setdefault(f"{framework} | {count} | {policy} | {arm}", []).append(measured)
+        (flags.out / "results.json").write_text(json.dumps(runs, indent=1))
+    for number, (scenario, rounds) in enumerate(runs.items()):
+        if number == 0:
+            titles = ["framework", "environments", "policy", "arm", *rounds[0]]
+            print("| " + " | ".join(titles) + " |\n|" + " --- |" * len(titles))
+        print(f"| {scenario} | " + " | ".join(cell(rounds, title) for title in rounds[0]) + " |")
 
 
-def fairness(flags: argparse.Namespace) -> dict[str, Any]:
-    """Returns the verdict of the checks for each task."""
-    verdicts = {}
-    for task in flags.tasks:
-        file = flags.out / f"actions-{task.replace('/', '-')}.npy"
-        shim, original = environment(flags, "S"), environment(flags, "O")
-        call([flags.shim_python, HERE / "checks.py", "record", task, file], shim, 300)
-        ours = call([flags.shim_python, HERE / "checks.py", "replay", task, file], shim, 300)
-        theirs = call(
-            [flags.original_python, HERE / "checks.py", "replay", task, file], original, 300
-        )
-        verdicts[task] = checks.verdict(theirs, ours)
-        print(f"checks of {task}: {json.dumps(verdicts[task])}", flush=True)
-    return verdicts
+def cell(rounds: list[dict[str, float]], title: str) -> str:
+    """Returns the median over the rounds, with their range."""
+    values = [measured[title] for measured in rounds]
+    return f"{statistics.median(values):,.2f} ({min(values):,.2f}–{max(values):,.2f})"
 
 
-def measure(
-    flags: argparse.Namespace, framework: str, arm: str, task: str, count: int
-) -> dict[str, Any]:
-    """Runs one arm. Returns the measurements of `measure.py`, or an error."""
-    python = flags.original_python if arm.startswith("O") else flags.shim_python
-    command = [python, HERE / "measure.py", framework, arm, task]
-    command += ["--environments", count, "--chunk", flags.chunk, "--steps", flags.steps]
-    command += ["--policies", *flags.policies]
-    try:
-        return call(command, environment(flags, arm), LIMIT_SECS)
-    except RuntimeError as error:
-        return {"error": str(error)}
-
-
-def environment(flags: argparse.Namespace, arm: str) -> dict[str, str]:
-    """Returns the environment variables of an arm."""
-    original = arm.startswith("O")
+def measure(flags: argparse.Namespace, framework: str, arm: str, count: int) -> dict[str, Any]:
+    """Runs one arm. Returns the measurements of `rollouts.py` of each policy; none after an
+    error, which is printed, so that the other arms still run."""
+    original = arm == "O"
+    command = [flags.original_python if original else flags.shim_python]
+    command += [str(Path(__file__).with_name("rollouts.py")), framework, arm, flags.task]
+    command += ["--environments", str(count), "--chunk", str(flags.chunk)]
+    command += ["--steps", str(flags.steps), "--policies", *flags.policies]
     variables = {
         **os.environ,
         "PYTHONPATH": flags.original if original else flags.shim,
@@ -134,37 +91,21 @@ def environment(flags: argparse.Namespace, arm: str) -> dict[str, str]:
         # One thread for each environment, as users of the original set it.
         "OMP_NUM_THREADS": "1",
         "LP_NUM_THREADS": "1",
-        "MUJOCO_GL": flags.gl,
-        "PYOPENGL_PLATFORM": flags.gl,
+        "MUJOCO_GL": "egl",
+        "PYOPENGL_PLATFORM": "egl",
     }
     if not original:
         # The shim must not write into the original's settings.
         variables["LIBERO_CONFIG_PATH"] = str(flags.out / "shim-settings")
     variables.pop("RLINF_EXT_MODULE", None)
-    return variables
-
-
-def call(command: list[Any], variables: dict[str, str], limit_secs: float) -> Any:
-    """Runs a program in a new session; returns the JSON of its last line. Raises RuntimeError with
-    the end of the program's messages, if it fails or exceeds the limit."""
-    process = subprocess.Popen(
-        [str(word) for word in command],
-        env=variables,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        out, err = process.communicate(timeout=max(limit_secs, 1.0))
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        _, err = process.communicate()
-        raise RuntimeError(f"stopped after {limit_secs:.0f} s: {err[-1500:]}") from None
-    if process.returncode:
-        raise RuntimeError(f"status {process.returncode}: {out[-500:]}{err[-2500:]}")
-    return json.loads(out.splitlines()[-1])
+    done = subprocess.run(command, env=variables, capture_output=True, text=True)
+    if done.returncode:
+        print(f"{framework}, {count}, {arm} failed: {done.stderr[-2500:]}", file=sys.stderr)
+        return {}
+    measured = json.loads(done.stdout.splitlines()[-1])
+    print(f"{framework}, {count}, {arm}: {measured}", file=sys.stderr, flush=True)
+    return measured
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

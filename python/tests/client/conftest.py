@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -30,15 +29,6 @@ def unset_variables():
         for name in UNSET:
             patch.delenv(name, raising=False)
         yield
-
-
-@pytest.fixture(scope="session")
-def programs():
-    """The folder of the programs coordinator, worker and policy-gateway."""
-    folder = os.environ.get("ROLLOUT_PROGRAMS")
-    if not folder:
-        pytest.skip("ROLLOUT_PROGRAMS names no folder with coordinator, worker and policy-gateway")
-    return Path(folder)
 
 
 class Server:

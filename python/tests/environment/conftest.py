@@ -7,38 +7,30 @@ pytest.importorskip("rollout_libero", reason="rollout-libero is not installed")
 import rollout_libero
 
 TASK = "libero_goal/0"
+SMALL = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
 
 
-@pytest.fixture
-def make():
-    """Creates environments, and closes them after the test."""
-    created = []
+def maker(kind, **defaults):
+    """A fixture that creates small environments, and closes them after the test."""
 
-    def make(task=TASK, **options):
-        small = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
-        environment = rollout_libero.Environment(task, **{**small, **options})
-        created.append(environment)
-        return environment
+    def fixture():
+        created = []
 
-    yield make
-    for environment in created:
-        environment.close()
+        def make(task=TASK, num_envs=None, **options):
+            if num_envs is not None:
+                options["num_envs"] = num_envs
+            created.append(kind(task, **{**SMALL, **defaults, **options}))
+            return created[-1]
+
+        yield make
+        for environment in created:
+            environment.close()
+
+    return pytest.fixture(fixture)
 
 
-@pytest.fixture
-def make_vector():
-    """Creates vector environments, and closes them after the test."""
-    created = []
-
-    def make(tasks=TASK, num_envs=3, **options):
-        small = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
-        environments = rollout_libero.VectorEnvironment(tasks, num_envs, **{**small, **options})
-        created.append(environments)
-        return environments
-
-    yield make
-    for environments in created:
-        environments.close()
+make = maker(rollout_libero.Environment)
+make_vector = maker(rollout_libero.VectorEnvironment, num_envs=3)
 
 
 def diverge(simulation):

@@ -1,9 +1,7 @@
 """A rollout of ``Environment`` equals a campaign's rollout, step for step, under each axis."""
 
 import json
-import os
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,28 +14,19 @@ AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language", "combi
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 
 
-@pytest.fixture(scope="module")
-def worker():
-    """The worker program, which simulates campaigns' rollouts."""
-    folder = os.environ.get("ROLLOUT_PROGRAMS")
-    if not folder:
-        pytest.skip("ROLLOUT_PROGRAMS names no folder with worker")
-    return Path(folder) / "worker"
-
-
 def actions_beyond_range():
     """Returns actions with many values outside -1..1, which policies may also answer."""
     return np.random.default_rng(0).uniform(-2.5, 2.5, (STEPS, 7))
 
 
 @pytest.mark.parametrize("axis", [*AXES, None])
-def test_a_rollout_is_bit_identical_to_a_campaigns(make, worker, tmp_path, axis):
+def test_a_rollout_is_bit_identical_to_a_campaigns(make, programs, tmp_path, axis):
     task = TASK.removeprefix("libero_").replace("/", "/t")
     rollout = f"{task}/clean/i03" if axis is None else f"{task}/{axis}/L3/c02"
     actions = actions_beyond_range()
     np.save(tmp_path / "actions.npy", actions)
     subprocess.run(
-        [worker, "rollout", "--id", rollout, "--actions", tmp_path / "actions.npy",
+        [programs / "worker", "rollout", "--id", rollout, "--actions", tmp_path / "actions.npy",
          "--assets", "primitives", "--output", tmp_path / "output"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Under an execution model, rollouts of environments equal a campaign's rollouts of the same
 policy."""
 
+import json
 import os
 import subprocess
 import sys
@@ -64,13 +65,12 @@ def endpoint():
 
 
 @pytest.mark.parametrize("model", ["wait", "hold:2", "overlap:4", "overlap:7", "overlap:1*1+4*2"])
-def test_an_execution_model_gives_a_campaigns_bits(make_vector, endpoint, tmp_path, model):
-    folder = os.environ.get("ROLLOUT_PROGRAMS")
-    if not folder:
-        pytest.skip("ROLLOUT_PROGRAMS names no folder with worker")
+def test_an_execution_model_gives_a_campaigns_bits(
+    make_vector, endpoint, programs, tmp_path, model
+):
     rollout = "goal/t0/combination/L2/c03"
     subprocess.run(
-        [Path(folder) / "worker", "rollout", "--id", rollout, "--endpoint", endpoint,
+        [programs / "worker", "rollout", "--id", rollout, "--endpoint", endpoint,
          "--execution", model, "--no-video", "--assets", "primitives", "--output", tmp_path],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
@@ -83,8 +83,8 @@ def test_an_execution_model_gives_a_campaigns_bits(make_vector, endpoint, tmp_pa
     observations, infos = environments.reset(seed=0)
     step, simulation = 0, environments.simulations[0]
     np.testing.assert_array_equal(observations["eef_pos"][0], trace["eef_pos"][0])
-    while not environments._rollouts[0].is_over:
-        if environments._rollouts[1].is_over:
+    while not environments.rollouts[0].is_over:
+        if environments.rollouts[1].is_over:
             observations, infos = environments.reset(options={"reset_mask": [False, True]})
         answers = np.array([answer(position) for position in observations["eef_pos"]])
         observations, *_, infos = environments.step_chunk(answers)
@@ -142,8 +142,6 @@ def test_a_row_sets_its_execution_model(make, make_vector):
 
 
 def nominal_row():
-    import json
-
     return json.loads(rollout_libero._native.nominal_row(TASK, 3))
 
 

@@ -1,16 +1,12 @@
 """Misuse raises an exception that names the remedy, and never crashes."""
 
 import os
-import subprocess
-import sys
 import threading
 
 import numpy as np
 import pytest
 
 import rollout_libero
-
-from .conftest import diverge
 
 
 def test_actions_of_a_wrong_shape_or_with_nan_are_refused(make, make_vector):
@@ -99,9 +95,8 @@ def test_the_error_for_missing_assets_has_the_remedy(make, monkeypatch, tmp_path
         make(assets=None)
 
 
-def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
-    environment = {
-        **os.environ,
+def test_the_error_for_unfetchable_sources_has_the_remedy(python, tmp_path):
+    variables = {
         "ROLLOUT_SOURCES": str(tmp_path / "sources"),
         # Nothing listens at this address.
         "PIP_INDEX_URL": "http://127.0.0.1:9/simple",
@@ -110,20 +105,9 @@ def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
         "PIP_CONFIG_FILE": os.devnull,
     }
     program = "import rollout_libero; rollout_libero.Environment('libero_goal/0', 'primitives')"
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=environment, capture_output=True, text=True,
-    )
+    done = python("-c", program, **variables)
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("FileNotFoundError: failed to fetch robosuite=="), last
     assert "ROLLOUT_SOURCES" in last
     assert sorted(path.name for path in (tmp_path / "sources").iterdir()) == [".fetching"]
-
-
-def test_a_diverging_simulation_raises_simulation_error(make):
-    environment = make()
-    environment.reset()
-    diverge(environment.simulation)
-    with pytest.raises(rollout_libero.SimulationError, match="control step"):
-        environment.step_chunk(np.ones((5, 7)))

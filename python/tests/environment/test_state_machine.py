@@ -250,6 +250,9 @@ class Machine:
         self.compare(observation, infos, failing)
         if any(restarted):
             assert infos["_final_obs"].tolist() == restarted
+            assert infos["final_info"]["success"][restarted].tolist() == [
+                ended for ended, begins in zip(success, restarted, strict=True) if begins
+            ]
             for index in np.flatnonzero(restarted):
                 for name in READINGS:
                     final = infos["final_obs"][index][name]

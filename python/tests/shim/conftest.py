@@ -55,6 +55,17 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def plus_files(assets: None) -> None:
+    """LIBERO-Plus' task files, which are fetched at first use."""
+    from liberoplus.liberoplus import get_libero_path
+
+    try:
+        get_libero_path("bddl_files")
+    except FileNotFoundError as error:
+        pytest.skip(f"LIBERO-Plus' task files cannot be fetched: {error}")
+
+
 @pytest.fixture
 def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of LIBERO's configuration, which does not exist yet."""

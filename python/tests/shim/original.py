@@ -6,7 +6,6 @@
 import os
 import pickle
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -46,13 +45,7 @@ def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
 def run_original(script: str, *arguments: str, **variables: str) -> Any:
     """Runs a script with the original, which renders with OpenGL without a display."""
     python = original_python()
-    packages = subprocess.run(
-        [python, "-c", "import site; print(site.getsitepackages()[0])"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.strip()
-    root = Path(packages) / "libero" / "libero"
+    root = Path(packages(python)) / "libero" / "libero"
     # Without a configuration file, the original asks for its folders on standard input.
     with tempfile.TemporaryDirectory() as settings:
         folders = {
@@ -70,6 +63,11 @@ def run_original(script: str, *arguments: str, **variables: str) -> Any:
         return run(python, script, *arguments, PYTHONPATH="", **variables)
 
 
-def run_shim(script: str, *arguments: str, **variables: str) -> Any:
-    """Runs a script with the shim, in a separate process."""
-    return run(sys.executable, script, *arguments, **variables)
+def packages(python: str) -> str:
+    """Returns the folder of an environment's packages."""
+    return printed_by(python, "import site; print(site.getsitepackages()[0])")
+
+
+def printed_by(python: str, code: str) -> str:
+    done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()

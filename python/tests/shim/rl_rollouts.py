@@ -1,23 +1,14 @@
-"""Rolls out with the unmodified files of a reinforcement-learning framework:
-`rl_rollouts.py FRAMEWORK OUT`.
+"""Rolls out with the unmodified files of RLinf: `rl_rollouts.py RUN OUT`."""
 
-For a framework that is in no package index, `FRAMEWORK_SOURCES` names the folder of a checkout."""
-
-import functools
 import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
 import logging
-import multiprocessing
 import os
 import pickle
 import sys
-import time
 import types
-from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -25,8 +16,7 @@ import numpy as np
 
 SUITE, SIZE = "libero_spatial", 64
 Rollouts = dict[str, Any]
-SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
-#: Packages for policies and training that the frameworks' files import but do not call here.
+#: Packages for policies and training that RLinf's files import but do not call here.
 _REPLACED = (
     *("codetiming", "cv2", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
@@ -55,23 +45,7 @@ def _absent(name: str) -> Any:
     raise AttributeError(name)
 
 
-class _PlainFolders(importlib.abc.MetaPathFinder):
-    """Finds frameworks' packages as plain folders, because their __init__ imports training code."""
-
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        if name.partition(".")[0] not in ("ript", "siirl", "verl_vla"):
-            return None
-        for root in (SOURCES, SOURCES / "src"):
-            folder = root / name.replace(".", "/")
-            if folder.is_dir():
-                spec = importlib.machinery.ModuleSpec(name, None, is_package=True)
-                spec.submodule_search_locations = [str(folder)]
-                return spec
-        return None
-
-
-# Spawned processes import this file too, so they get the same finders.
-sys.meta_path.insert(0, _PlainFolders())
+# Spawned processes import this file too, so they get the same finder.
 sys.meta_path.append(_StandIns())
 
 
@@ -117,7 +91,6 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
     is_filmed = "video_cfg" in settings
     rng = np.random.default_rng(2)
     outputs: list[Any] = []
-    start = time.perf_counter()
     for _ in range(2):
         env.is_start = True
         observation, _ = env.reset()
@@ -129,10 +102,9 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
             outputs.append([observed, *results[1:], infos[-1].get("episode")])
             outputs.append(len(results[0]))
         env.update_reset_state_ids()
-    seconds = time.perf_counter() - start
     env.env.close()
     tasks = [str(task) for task in env.task_descriptions]
-    return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": seconds}
+    return {"outputs": as_arrays(outputs), "tasks": tasks}
 
 
 def rlinf_plus(together: bool = False) -> Rollouts:
@@ -160,125 +132,6 @@ def rlinf_plus(together: bool = False) -> Rollouts:
     )
 
 
-def _task(i: int) -> tuple[str, Any]:
-    from libero.libero import benchmark
-
-    suite = benchmark.get_benchmark_dict()[SUITE]()
-    return suite.get_task_bddl_file_path(i), suite.get_task_init_states(i)
-
-
-class _Construct:
-    """A constructor of an environment that can be sent to any process."""
-
-    def __init__(self, i: int) -> None:
-        self.arguments = {
-            "bddl_file_name": _task(i)[0],
-            "camera_heights": SIZE,
-            "camera_widths": SIZE,
-        }
-
-    def __call__(self) -> Any:
-        from libero.libero.envs import OffScreenRenderEnv
-
-        return OffScreenRenderEnv(**self.arguments)
-
-
-def simplevla_rl() -> Rollouts:
-    """Runs the framework's rollout process, forked from a process that has imported LIBERO."""
-    from libero.libero.envs import OffScreenRenderEnv  # noqa: F401
-
-    rollout = importlib.import_module("verl.workers.rollout.rob_rollout")
-    context = multiprocessing.get_context("fork")
-    actions, answers = context.Queue(), context.Queue()
-    config = SimpleNamespace(model_family="openvla", num_steps_wait=10)
-    arguments = (SUITE, 2, 5, config, actions, answers, False, 0, 24)
-    process = context.Process(target=rollout.env_worker, args=arguments, daemon=True)
-    start = time.perf_counter()
-    process.start()
-    outputs = [answers.get(timeout=120)]
-    rng = np.random.default_rng(4)
-    while outputs[-1]["active"]:
-        actions.put(rng.uniform(-1, 1, (8, 7)))
-        outputs.append(answers.get(timeout=120))
-    seconds = time.perf_counter() - start
-    actions.put(None)
-    assert answers.get(timeout=60) == {"type": "terminate"}
-    process.join(timeout=60)
-    return {"outputs": outputs, "tasks": [outputs[0]["task_description"]], "seconds": seconds}
-
-
-def _roll_out_vector(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Steps two environments, then resets and steps the second again; its new observation replaces
-    its earlier one. `reconfigured`: gives the second environment another task before this reset."""
-    envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
-    states = [_task(0)[1][1], _task(3)[1][2]]
-    envs.seed(4)
-    envs.reset()
-    outputs = [envs.set_init_state(states)]
-    start = time.perf_counter()
-    moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
-    for action in moves:
-        observations, rewards, dones, infos = envs.step(action.tolist())
-    assert isinstance(observations, np.ndarray) and observations.dtype == object
-    seconds = time.perf_counter() - start
-    if reconfigured:
-        envs.reconfigure_env_fns([{**_Construct(5).arguments, "seed": 9}], id=[1])
-    envs.reset(id=[1])
-    states[1] = _task(5 if reconfigured else 3)[1][4]
-    renewed = envs.set_init_state(init_state=[states[1]], id=[1])
-    renewed, *_ = envs.step(action=[[0.0] * 6 + [-1.0]], id=[1])
-    observations[[1]] = renewed
-    outputs += [observations, rewards, dones, [dict(info) for info in infos]]
-    envs.close()
-    return {"outputs": outputs, "tasks": [], "seconds": seconds}
-
-
-def verl_vla() -> Rollouts:
-    return _roll_out_vector(
-        importlib.import_module("verl_vla.envs.libero.venv"),
-        "ReconfigureSubprocEnv",
-        reconfigured=True,
-    )
-
-
-def vlarl() -> Rollouts:
-    return _roll_out_vector(importlib.import_module("ppo.envs.venv"), "SubprocVectorEnv")
-
-
-def siirl() -> Rollouts:
-    return _roll_out_vector(
-        importlib.import_module("siirl.environment.embodied.venv"), "SubprocVectorEnv"
-    )
-
-
-def ript_vla() -> Rollouts:
-    """Runs wrappers of one environment and of several, with `reset_ori` and `reset`."""
-    utils = importlib.import_module("ript.utils.libero_utils")
-    from libero.libero import benchmark
-
-    names = {"agentview_rgb": "agentview_image", "gripper_states": "robot0_gripper_qpos"}
-    meta = {"observation": {"rgb": ["agentview_rgb"], "lowdim": {"gripper_states": 2}}}
-    suite = benchmark.get_benchmark(SUITE)()
-
-    def construct() -> Any:
-        return utils.LiberoWrapper(1, suite, meta, names, SIZE, SIZE, device="cpu")
-
-    outputs: list[Any] = []
-    start = time.perf_counter()
-    for count in (1, 2):
-        envs = utils.LiberoVectorWrapper(construct, count)
-        assert envs.action_space.shape == (count, 7)
-        states = _task(1)[1][:count]
-        for reset in (envs.reset_ori, envs.reset):
-            outputs.append(reset(states)[0])
-            outputs.append(list(envs.step(np.full((count, 7), 0.3))))
-        pictures = envs.render()
-        assert [picture.shape for picture in pictures] == [(SIZE, SIZE, 3)] * count
-        envs._env.close()
-    seconds = time.perf_counter() - start
-    return {"outputs": as_arrays(outputs), "tasks": [], "seconds": seconds}
-
-
 def as_arrays(value: Any) -> Any:
     if hasattr(value, "detach"):
         return value.detach().cpu().numpy()
@@ -298,15 +151,12 @@ RLINF: dict[str, dict[str, Any]] = {
     # The tasks of all suites, numbered consecutively in the suites' order.
     "rlinf_of_130": {"suite": "libero_130"},
 }
-FRAMEWORKS: dict[str, Callable[..., Rollouts]] = {
-    **{name: functools.partial(rlinf, **settings) for name, settings in RLINF.items()},
-    **{run.__name__: run for run in (rlinf_plus, simplevla_rl, verl_vla, vlarl, siirl, ript_vla)},
-}
 
 if __name__ == "__main__":
-    framework, out = sys.argv[1:]
-    sys.path[:0] = filter(None, [os.environ.get("FRAMEWORK_SOURCES")])
-    name = framework.removesuffix("_together")
-    rollouts = FRAMEWORKS[name](together=True) if name != framework else FRAMEWORKS[name]()
+    run, out = sys.argv[1:]
+    name = run.removesuffix("_together")
+    together = name != run
+    plus = name == "rlinf_plus"
+    rollouts = rlinf_plus(together) if plus else rlinf(together, **RLINF[name])
     with open(out, "wb") as file:
         pickle.dump(rollouts, file)

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 
 class Collision(Exception):
     """An error that can be pickled but not unpickled: its `args` lack the second argument."""
@@ -52,6 +54,11 @@ def colliding() -> Stub:
 
 def idle() -> None:
     pass
+
+
+def frame() -> Any:
+    """Returns a random frame, which is larger than a pipe's buffer."""
+    return np.random.randint(0, 256, (256, 256, 3), dtype=np.uint8)
 
 
 def collide() -> None:

@@ -7,14 +7,13 @@ touches something, and similar afterwards.
 clients.txt (`cargo xtask test` creates the environment if it can). If `ROLLOUT_ORIGINAL` has the
 same version of Python, it also imports the clients from that environment."""
 
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from frames import RENDERED_HERE, assert_close_frames
-from original import original_python, run, run_original
+from original import original_python, packages, printed_by, run, run_original
 from reference import put_into_basket
 
 from libero.libero import benchmark
@@ -117,12 +116,3 @@ def succeeded(step: dict[str, Any]) -> bool:
 
 def version(python: str) -> str:
     return printed_by(python, "import sys; print(sys.version_info[:2])")
-
-
-def packages(python: str) -> str:
-    return printed_by(python, "import site; print(site.getsitepackages()[0])")
-
-
-def printed_by(python: str, code: str) -> str:
-    done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout.strip()

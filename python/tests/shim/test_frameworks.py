@@ -23,16 +23,6 @@ NO_OP = [0.0] * 6 + [-1.0]
 PACKAGE = os.path.dirname(os.path.abspath(libero.libero.__file__))
 
 
-def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-
-
 # RLinf: every process sets the package's folder in the configuration.
 
 
@@ -281,7 +271,7 @@ def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
     idle.close()
 
 
-def test_another_allocator_is_tolerated(bddl_file: str) -> None:
+def test_another_allocator_is_tolerated(bddl_file: str, python: Any) -> None:
     allocator = next(
         filter(None, map(ctypes.util.find_library, ("jemalloc", "tcmalloc", "mimalloc"))), None
     )
@@ -299,18 +289,18 @@ def test_another_allocator_is_tolerated(bddl_file: str) -> None:
         "process = multiprocessing.get_context('fork').Process(target=work)\n"
         "process.start(); process.join(); sys.exit(process.exitcode)"
     )
-    done = in_a_process(code, LD_PRELOAD=allocator)
+    done = python("-c", code, LD_PRELOAD=allocator)
     assert done.returncode == 0, done.stderr
 
 
-def test_a_failed_construction_is_printed_even_if_the_error_is_caught() -> None:
+def test_a_failed_construction_is_printed_even_if_the_error_is_caught(python: Any) -> None:
     code = (
         "from libero.libero.envs import OffScreenRenderEnv\n"
         "for _ in range(3):\n"
         "    try: OffScreenRenderEnv(bddl_file_name='nowhere.bddl')\n"
         "    except: pass\n"
     )
-    done = in_a_process(code)
+    done = python("-c", code)
     assert done.stderr.count("there is no BDDL file nowhere.bddl: take its path") == 1
     assert done.returncode == 0
 
@@ -318,17 +308,14 @@ def test_a_failed_construction_is_printed_even_if_the_error_is_caught() -> None:
 # Several packages with the same name.
 
 
-def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
+def test_doctor_reports_the_imported_libero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, python: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
     def doctor(*path: Path) -> subprocess.CompletedProcess[str]:
-        searched = [*map(str, path), os.environ.get("PYTHONPATH", "")]
-        return subprocess.run(
-            [sys.executable, "-m", "rollout_libero", "doctor"],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, searched))},
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
+        searched = filter(None, [*map(str, path), os.environ.get("PYTHONPATH", "")])
+        return python("-m", "rollout_libero", "doctor", PYTHONPATH=os.pathsep.join(searched))
 
     correct = doctor()
     assert correct.returncode == 0, correct.stdout + correct.stderr

@@ -3,8 +3,6 @@
 import itertools
 import os
 import pickle
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -123,7 +121,7 @@ except Exception as error:
 
 @pytest.mark.parametrize("bomb", ["bzip2", "memo", "operations", "texts"])
 def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
-    tmp_path: Path, bomb: str
+    tmp_path: Path, bomb: str, python: Any
 ) -> None:
     file = tmp_path / "task.pruned_init"
     reason = "its pickle has more than 8192 operations"
@@ -143,13 +141,7 @@ def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
     with zipfile.ZipFile(file, "w", method) as archive:
         archive.writestr("archive/data.pkl", content)
     del content
-    reading = subprocess.run(
-        [sys.executable, "-c", READS_WITH_LITTLE_MEMORY, file],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    reading = python("-c", READS_WITH_LITTLE_MEMORY, file)
     assert reading.stdout.startswith("ValueError"), reading.stdout
     assert reason in reading.stdout, reading.stdout
 

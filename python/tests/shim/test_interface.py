@@ -1,11 +1,7 @@
 """The shim's own behaviour: folders, suites, misuse and several environments."""
 
 import os
-import statistics
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -53,19 +49,15 @@ def test_a_problem_evaluates_any_predicate(env: Any) -> None:
 # Folders.
 
 
-def test_importing_needs_no_input_configuration_or_heavy_package(tmp_path: Path) -> None:
+def test_importing_needs_no_input_configuration_or_heavy_package(
+    tmp_path: Path, python: Any
+) -> None:
     code = (
         "import sys, libero.libero, libero.libero.benchmark, libero.libero.envs\n"
         "print([m for m in ('torch', 'mujoco', 'robosuite', 'OpenGL') if m in sys.modules])"
     )
     settings = tmp_path / "settings"
-    done = subprocess.run(
-        [sys.executable, "-c", f"import os; os.close(0)\n{code}"],
-        env={**os.environ, "LIBERO_CONFIG_PATH": str(settings)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = python("-c", f"import os; os.close(0)\n{code}", LIBERO_CONFIG_PATH=str(settings))
     assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
     assert not settings.exists()
 
@@ -151,13 +143,6 @@ def test_every_task_of_a_suite_has_its_files_and_its_instruction(suite: str, tas
     assert len(set(benchmark_suite.get_task_names())) == tasks
 
 
-def test_instructions_leave_out_the_scene() -> None:
-    language = benchmark.grab_language_from_filename
-    assert language("KITCHEN_SCENE10_close_the_top_drawer.bddl") == "close the top drawer"
-    assert language("LIVING_ROOM_SCENE2_put_both_in_the_basket.bddl") == "put both in the basket"
-    assert language("open_the_middle_drawer.bddl") == "open the middle drawer"
-
-
 def test_orders_of_tasks() -> None:
     default, reordered = (benchmark.get_benchmark("LIBERO_GOAL")(order) for order in (0, 1))
     assert default.get_task_names()[4] == reordered.get_task_names()[0]
@@ -240,13 +225,10 @@ def test_missing_files_are_named_with_the_remedy(
 def test_a_scene_outlives_its_environments(
     bddl_file: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def construct(file: str) -> float:
-        start = time.perf_counter()
+    def construct(file: str) -> None:
         env = OffScreenRenderEnv(bddl_file_name=file, camera_heights=16, camera_widths=16)
-        seconds = time.perf_counter() - start
         env.reset()
         env.close()
-        return 1e3 * seconds
 
     copied_file = tmp_path / "own.bddl"
     copied_file.write_text(Path(bddl_file).read_text())
@@ -258,9 +240,9 @@ def test_a_scene_outlives_its_environments(
         fetch_assets = staticmethod(native.fetch_assets)
 
     monkeypatch.setattr(scenes, "native", Native)
-    first, *later = (construct(str(copied_file)) for _ in range(6))
+    for _ in range(3):
+        construct(str(copied_file))
     assert len(compiled) == 1
-    print(f"constructed in {first:.1f} ms, then in {statistics.median(later):.1f} ms")
     # A changed file gives another scene.
     copied_file.write_text(copied_file.read_text() + "\n")
     construct(str(copied_file))
@@ -269,18 +251,6 @@ def test_a_scene_outlives_its_environments(
     for i in range(scenes.MAX_RECENT):
         construct(suite.get_task_bddl_file_path(i))
     assert len(scenes._recent) == scenes.MAX_RECENT
-
-
-def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:
-    env = OffScreenRenderEnv(
-        bddl_file_name=bddl_file,
-        render_gpu_device_id=3,
-        camera_names=["birdview"],
-        camera_heights=20,
-        camera_widths=30,
-    )
-    assert env.reset()["birdview_image"].shape == (20, 30, 3)
-    env.close()
 
 
 def test_actions_of_another_shape_are_refused(env: OffScreenRenderEnv) -> None:
@@ -523,7 +493,9 @@ def test_several_environments_equal_single_environments(kind: Any, bddl_file: st
     single.reset()
     single.set_init_state(state[2])
     alone, *_ = single.step(actions[2])
-    np.testing.assert_array_equal(alone["agentview_image"].shape, (16, 16, 3))
+    if kind is SubprocVectorEnv:
+        # Environments of one process share NumPy's generator, which places the fixtures.
+        np.testing.assert_array_equal(alone["agentview_image"], observations[2]["agentview_image"])
     np.testing.assert_allclose(alone["robot0_eef_pos"], observations[2]["robot0_eef_pos"], atol=0)
     np.testing.assert_array_equal(single.get_sim_state(), envs.get_sim_state()[2])
     single.close()

@@ -1,6 +1,5 @@
 """Both looks of one scene, from the worker, the environments and LIBERO's own interface."""
 
-import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -22,13 +21,10 @@ REST = np.array([0.0, 0, 0, 0, 0, 0, -1])
 Frames = dict[str, NDArray[np.uint8]]
 
 
-def of_the_worker(look: str, folder: Path) -> Frames:
-    programs = os.environ.get("ROLLOUT_PROGRAMS")
-    if not programs:
-        pytest.skip("ROLLOUT_PROGRAMS names no folder with worker")
+def of_the_worker(look: str, programs: Path, folder: Path) -> Frames:
     np.save(folder / "actions.npy", REST[None])
     subprocess.run(
-        [Path(programs) / "worker", "rollout", "--id", f"object/t0/clean/i{STATE:02}",
+        [programs / "worker", "rollout", "--id", f"object/t0/clean/i{STATE:02}",
          "--actions", folder / "actions.npy", "--look", look, "--output", folder / look],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
@@ -60,11 +56,11 @@ def of_libero(**options: Any) -> Frames:
 
 
 def test_every_way_to_a_scene_shows_the_same_two_looks(
-    real_assets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    real_assets: Path, programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROLLOUT_LOOK", raising=False)
     default, newer = native.LOOKS
-    older_frames, newer_frames = (of_the_worker(look, tmp_path) for look in native.LOOKS)
+    older_frames, newer_frames = (of_the_worker(look, programs, tmp_path) for look in native.LOOKS)
     # The floor fills most of the picture, and the newer look is darker.
     assert older_frames["agentview"].mean() > newer_frames["agentview"].mean() + 20
     for of in (of_an_environment, of_libero):

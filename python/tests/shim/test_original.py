@@ -1,11 +1,12 @@
 """The same scenarios, run with the shim and with the original, have the same results."""
 
+import sys
 from typing import Any
 
 import numpy as np
 import pytest
 from frames import RENDERED_HERE, assert_close_frames
-from original import original_python, run_original, run_shim
+from original import original_python, run, run_original
 from reference import fetched_assets
 
 SCENARIOS = [
@@ -35,7 +36,7 @@ def test_a_scenario_has_the_originals_results(scenario: str) -> None:
     if fetched_assets() is None:
         pytest.skip("LIBERO's assets cannot be fetched")
     theirs = run_original("scenarios.py", scenario)
-    ours = run_shim("scenarios.py", scenario)
+    ours = run(sys.executable, "scenarios.py", scenario)
     assert [label for label, _ in ours] == [label for label, _ in theirs]
     for (label, our), (_, their) in zip(ours, theirs):
         assert_same(our, their, label)

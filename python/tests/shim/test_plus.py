@@ -1,11 +1,9 @@
-"""LIBERO-Plus' package: suites, environments compared with recordings of LIBERO-Plus' own code, and
-the imports and calls of RLinf with `LIBERO_TYPE=plus`."""
+"""LIBERO-Plus' package: suites, and environments compared with recordings of LIBERO-Plus' own code.
+test_rl_clients.py runs RLinf with it."""
 
 import hashlib
 import os
 import shutil
-import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,8 @@ from liberoplus.liberoplus import benchmark
 from liberoplus.liberoplus.envs import OffScreenRenderEnv, SegmentationRenderEnv
 from rollout_libero._native import PlusPath, PlusVariant
 
+pytestmark = pytest.mark.usefixtures("plus_files")
+
 ROOT = Path(__file__).resolve().parents[3]
 FAMILY = ROOT / "crates/benchmark/libero-family/tests/recorded"
 NO_OP = [0.0] * 6 + [-1.0]
@@ -30,14 +30,6 @@ TOLERANCE = 1e-9
 BOWL = "put_the_bowl_on_the_plate"
 FOG = f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_39"
 IMAGE, WRIST = "agentview_image", "robot0_eye_in_hand_image"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def task_files(assets: None) -> None:
-    try:
-        plus.get_libero_path("bddl_files")
-    except FileNotFoundError as error:
-        pytest.skip(f"LIBERO-Plus' task files cannot be fetched: {error}")
 
 
 def path(suite: str, name: str) -> str:
@@ -350,86 +342,3 @@ def test_further_files_of_a_folder_with_liberos_assets_are_used(
     assert not np.array_equal(*frames)
     with pytest.raises(FileNotFoundError, match="textures/.*ROLLOUT_ASSETS"):
         make(f"{soup}_table_10", "libero_object")
-
-
-#: Imports and calls LIBERO-Plus as `rlinf/envs/libero/libero_env.py` does.
-AS_RLINF = """
-import functools, glob, importlib, multiprocessing, os, sys
-import numpy as np
-
-package = importlib.import_module("liberoplus")
-core = importlib.import_module("liberoplus.liberoplus")
-bench = importlib.import_module("liberoplus.liberoplus.benchmark")
-envs = importlib.import_module("liberoplus.liberoplus.envs")
-sys.modules["libero"] = package
-sys.modules["libero.libero"] = core
-sys.modules["libero.libero.benchmark"] = bench
-sys.modules["libero.libero.envs"] = envs
-bddl_utils = importlib.import_module("liberoplus.liberoplus.envs.bddl_utils")
-assert bddl_utils.get_problem_info and bddl_utils.robosuite_parse_problem
-installed_root = os.path.dirname(os.path.abspath(core.__file__))
-assert core.get_libero_path("benchmark_root") == installed_root
-core.set_libero_default_path(installed_root)
-
-from libero.libero.benchmark import Benchmark, get_benchmark
-from libero.libero.envs.venv import SubprocVectorEnv
-from liberoplus.liberoplus.envs import OffScreenRenderEnv as WorkerEnv
-
-def patched_init(self, *, _original, **kwargs):
-    return _original(self, **kwargs)
-
-parent = WorkerEnv.__bases__[0]
-parent.__init__ = functools.partialmethod(patched_init, _original=parent.__init__)
-
-suite = get_benchmark("libero_goal")()
-assert isinstance(suite, Benchmark)
-trials = [len(suite.get_task_init_states(i)) for i in range(suite.get_num_tasks())]
-assert sum(trials) == 50 * trials.count(50) + trials.count(1), set(trials)
-root = core.get_libero_path("bddl_files")
-listed = glob.glob(os.path.join(root, "libero_goal", "*.bddl"))
-assert sum("put_the_bowl_on_the_plate" in os.path.basename(file) for file in listed) > 100
-
-names = suite.get_task_names()
-chosen = [names.index(f"put_the_bowl_on_the_plate_{change}") for change in (
-    "view_0_0_100_0_0_initstate_0_noise_39",
-    "view_0_0_100_0_0_initstate_409",
-    "moved_level1_sample1",
-)]
-
-def make(i):
-    task = suite.get_task(i)
-    file = os.path.join(root, task.problem_folder, task.bddl_file)
-    return WorkerEnv(bddl_file_name=file, camera_heights=16, camera_widths=16)
-
-def roll(venv):
-    venv.seed([7] * len(chosen))
-    venv.reset()
-    for _ in range(15):
-        observations, *_ = venv.step(np.zeros((len(chosen), 7)))
-    return list(observations)
-
-if __name__ == "__main__":
-    multiprocessing.set_start_method("spawn", force=True)
-    venv = SubprocVectorEnv([functools.partial(make, i) for i in chosen])
-    apart = roll(venv)
-    venv.close()
-    for i, theirs in zip(chosen, apart):
-        env = make(i)
-        env.seed(7)
-        env.reset()
-        for _ in range(15):
-            ours, *_ = env.step(np.zeros(7))
-        assert list(ours) == list(theirs)
-        for key in ours:
-            np.testing.assert_array_equal(ours[key], theirs[key], err_msg=key)
-        env.close()
-    print("equal")
-"""
-
-
-def test_rlinf_finds_the_suites_their_states_and_environments(tmp_path: Path) -> None:
-    script = tmp_path / "as_rlinf.py"
-    script.write_text(AS_RLINF)
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "equal"

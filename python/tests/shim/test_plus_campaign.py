@@ -3,7 +3,6 @@ the worker's rollouts of the student, in variants of each dimension for which LI
 suffice."""
 
 import json
-import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,14 +33,6 @@ SEED, WAITS = 0, 10
 #: Control steps between two queries of the student.
 EXECUTED = 8
 NO_OP = [0.0] * 6 + [-1.0]
-
-
-@pytest.fixture(scope="module")
-def programs() -> Path:
-    folder = os.environ.get("ROLLOUT_PROGRAMS")
-    if not folder:
-        pytest.skip("ROLLOUT_PROGRAMS names no folder with worker and policy-gateway")
-    return Path(folder)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,8 @@ from liberoplus.liberoplus import get_libero_path
 from liberoplus.liberoplus.envs import OffScreenRenderEnv
 from rollout_libero._rlinf_plus import PlusRows
 
+pytestmark = pytest.mark.usefixtures("plus_files")
+
 SIZE = 32
 BOWL = "put_the_bowl_on_the_plate"
 NAMES = (
@@ -29,14 +31,6 @@ KEYS = (
     "robot0_gripper_qpos",
 )
 ZERO = np.zeros(7)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def task_files(assets: None) -> None:
-    try:
-        get_libero_path("bddl_files")
-    except FileNotFoundError as error:
-        pytest.skip(f"LIBERO-Plus' task files cannot be fetched: {error}")
 
 
 def parameters(name: str, seed: int = 0) -> dict[str, Any]:

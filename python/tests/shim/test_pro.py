@@ -1,7 +1,6 @@
 """LIBERO-PRO's package, imported and called as RLinf does with `LIBERO_TYPE=pro`."""
 
-import subprocess
-import sys
+from typing import Any
 
 import pytest
 
@@ -66,10 +65,8 @@ def task_files() -> None:
         pytest.skip(f"LIBERO-PRO's task files cannot be fetched: {error}")
 
 
-def test_rlinf_finds_the_suites_their_states_and_environments() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", AS_RLINF], capture_output=True, text=True, timeout=300
-    )
+def test_rlinf_finds_the_suites_their_states_and_environments(python: Any) -> None:
+    done = python("-c", AS_RLINF)
     assert done.returncode == 0, done.stderr
     positions = [line.split() for line in done.stdout.splitlines()]
     assert len(positions) == 2 and positions[0] != positions[1], "the objects are not swapped"

@@ -1,5 +1,6 @@
 """Errors and the end of the processes of `SubprocVectorEnv`."""
 
+import multiprocessing
 import signal
 from collections.abc import Iterator
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import pytest
 import stubs
 
-from libero.libero.envs import DummyVectorEnv, SubprocVectorEnv, _shared_memory
+from libero.libero.envs import DummyVectorEnv, SubprocVectorEnv
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -26,13 +27,6 @@ def deadline() -> Iterator[None]:
     signal.signal(signal.SIGALRM, before)
 
 
-@pytest.fixture(params=["shared memory", "pipes"])
-def channel(request: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes environments send answers with and without shared memory."""
-    if request.param == "pipes":
-        monkeypatch.setattr(_shared_memory, "create", lambda: None)
-
-
 def assert_ended(envs: SubprocVectorEnv) -> None:
     for worker in envs.workers:
         worker.process.join(timeout=5)
@@ -49,7 +43,7 @@ def assert_ended(envs: SubprocVectorEnv) -> None:
     ],
 )
 def test_environments_continue_after_an_answer_that_cannot_be_sent(
-    action: Any, error: type[Exception], message: str, channel: None
+    action: Any, error: type[Exception], message: str
 ) -> None:
     envs = SubprocVectorEnv([stubs.Stub] * 2)
     with pytest.raises(error, match=message):
@@ -111,6 +105,17 @@ def test_an_ended_process_is_named_at_the_next_command() -> None:
     with pytest.raises(RuntimeError, match="process has ended .exit code -9.: make new"):
         envs.reset()
     envs.close()
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_observations_outlive_the_next_step(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multiprocessing, "Process", multiprocessing.get_context(method).Process)
+    envs = SubprocVectorEnv([stubs.Stub] * 2)
+    frames = [envs.step([stubs.frame, stubs.idle])[0][0] for _ in range(2)]
+    assert frames[0].shape == frames[1].shape == (256, 256, 3)
+    assert frames[0].flags.writeable and (frames[0] != frames[1]).any()
+    envs.close()
+    assert_ended(envs)
 
 
 @pytest.mark.parametrize("construct", [stubs.invalid, stubs.colliding, stubs.Unclosable])

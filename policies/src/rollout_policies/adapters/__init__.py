@@ -1,4 +1,4 @@
-"""The policies of the LIBERO-CTRL paper, each in its own module.
+"""The policies of the LIBERO-CTRL paper.
 
 A module imports its policy's upstream package only when the policy is served, and holds only the
 details of that policy: its inputs, its prompt, the length of its chunks and the source of its
@@ -18,7 +18,7 @@ from .upstream import UnusableOption
 
 #: The module of each policy in the catalogue.
 MODULES = {
-    "pi05": "pi05", "openvla-oft": "openvla_oft", "univla": "univla", "smolvla": "smolvla",
+    "pi05": "flow", "openvla-oft": "openvla_oft", "univla": "univla", "smolvla": "flow",
     "vla-jepa": "vla_jepa", "predvla": "predvla", "minerva": "minerva",
 }  # fmt: skip
 
@@ -57,8 +57,8 @@ class Options:
 
 
 def load(name: str, options: Options) -> Policy:
-    """Loads a policy, ready to be served. Raises UnknownPolicy, UnusableOption, NoCheckpoint,
-    UpstreamMissing, UnusableCheckpoint, or whatever the upstream package raises."""
+    """Loads a policy, ready to be served. Raises UnusableOption, NoCheckpoint, UpstreamMissing,
+    UnusableCheckpoint, or whatever the upstream package raises."""
     listed = entry(name)
     _require_options(listed, options)
     module = importlib.import_module(f"{__name__}.{MODULES[name]}")

@@ -40,8 +40,6 @@ class Registry(Generic[_Suite]):
 
 
 def suite_class(base: type[Any], suite: str) -> type[Any]:
-    """Returns the class of one suite."""
-
     class Suite(base):  # type: ignore[misc]
         def __init__(self, task_order_index: int = 0) -> None:
             super().__init__(task_order_index)

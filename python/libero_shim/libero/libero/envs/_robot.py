@@ -19,6 +19,7 @@ F64 = NDArray[np.float64]
 _HOME = (0.0, -0.161037389, 0.0, -2.44459747, 0.0, 2.2267522, np.pi / 4)
 _DIMENSIONS = 6
 _GRIP_SITE = "gripper0_grip_site"
+_CONSTANTS = ("kp", "input_min", "input_max", "output_min", "output_max")
 
 
 class Controller:
@@ -41,8 +42,12 @@ class Controller:
     use_delta: bool
 
     def __init__(self, handle: SimulationHandle, use_delta: bool, posture: F64) -> None:
-        vars(self)["_handle"] = handle
-        vars(self)["_posture"] = posture
+        # Stiffness, 1/s², damping, 1/s, range of an action, and its displacements, m and rad.
+        constants = {name: _six(OSC_POSE[name]) for name in _CONSTANTS}
+        damping = 2 * np.sqrt(constants["kp"]) * OSC_POSE["damping_ratio"]
+        limits = constants["input_min"], constants["input_max"]
+        vars(self).update(constants, kd=damping, control_limits=limits)
+        vars(self).update(_handle=handle, _posture=posture)
         self.use_delta = use_delta
 
     @property
@@ -56,44 +61,9 @@ class Controller:
         return self._handle.get().controller_pose()[1]
 
     @property
-    def kp(self) -> F64:
-        """Stiffness [6], 1/s²."""
-        return _six(OSC_POSE["kp"])
-
-    @property
-    def kd(self) -> F64:
-        """Damping [6], 1/s."""
-        return 2 * np.sqrt(self.kp) * OSC_POSE["damping_ratio"]
-
-    @property
-    def input_min(self) -> F64:
-        """Least values of an action [6]."""
-        return _six(OSC_POSE["input_min"])
-
-    @property
-    def input_max(self) -> F64:
-        """Largest values of an action [6]."""
-        return _six(OSC_POSE["input_max"])
-
-    @property
-    def output_min(self) -> F64:
-        """Displacements [6], m and rad, for the least values of an action."""
-        return _six(OSC_POSE["output_min"])
-
-    @property
-    def output_max(self) -> F64:
-        """Displacements [6], m and rad, for the largest values of an action."""
-        return _six(OSC_POSE["output_max"])
-
-    @property
     def initial_joint(self) -> F64:
         """The posture [7], rad, that the controller prefers among those with the hand's pose."""
         return self._posture.copy()
-
-    @property
-    def control_limits(self) -> tuple[F64, F64]:
-        """Least and largest values of an action [6]."""
-        return self.input_min, self.input_max
 
     def __getattr__(self, name: str) -> Any:
         raise absent_attribute("the controller", name, "it has use_delta, ee_pos and ee_ori_mat")
@@ -179,4 +149,4 @@ class Robot:
 
 
 def _six(value: Any) -> F64:
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (_DIMENSIONS,)).copy()
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (_DIMENSIONS,))

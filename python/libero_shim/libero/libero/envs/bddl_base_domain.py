@@ -191,7 +191,6 @@ class BDDLBaseDomain:
         return self.fixtures_dict.get(object_name) or self.objects_dict.get(object_name)
 
     def is_fixture(self, object_name: str) -> bool:
-        """Returns True if a fixture has this name."""
         return object_name in self.fixtures_dict
 
     def get_robot_state_vector(self, obs: Observation) -> F64:

@@ -30,58 +30,18 @@ class ControlEnv:
         bddl_file_name: str | os.PathLike[str],
         robots: Any = ("Panda",),
         controller: str = "OSC_POSE",
-        gripper_types: str = "default",
-        initialization_noise: Any = None,
-        use_camera_obs: bool = True,
-        has_renderer: bool = False,
-        has_offscreen_renderer: bool = True,
-        render_camera: str = "frontview",
-        render_collision_mesh: bool = False,
-        render_visual_mesh: bool = True,
-        render_gpu_device_id: int = -1,
-        control_freq: float = 20,
-        horizon: int = 1000,
-        ignore_done: bool = False,
-        hard_reset: bool = True,
-        camera_names: Any = ("agentview", "robot0_eye_in_hand"),
-        camera_heights: Any = 128,
-        camera_widths: Any = 128,
-        camera_depths: Any = False,
-        camera_segmentations: Any = None,
-        renderer: str = "mujoco",
-        renderer_config: Any = None,
-        **kwargs: Any,
+        **arguments: Any,
     ) -> None:
         """Reads the task's BDDL file and compiles its scene, once for all environments of the
-        scene. Sizes of frames are in pixels, `horizon` is in steps. Raises FileNotFoundError for a
-        missing file or missing assets, NotImplementedError for features that only LIBERO has."""
+        scene. Takes LIBERO's and robosuite's further arguments by name, as `Settings.check` lists
+        them: sizes of frames are in pixels, 128 by default, `horizon` is in steps. Raises
+        FileNotFoundError for a missing file or missing assets, NotImplementedError for features
+        that only LIBERO has, TypeError for an unknown argument."""
+        cameras = {"camera_names": ("agentview", "robot0_eye_in_hand")}
+        sizes = {"camera_heights": 128, "camera_widths": 128}
+        arguments = {**cameras, **sizes, **arguments}
         with report_failure():
-            self._construct(
-                bddl_file_name,
-                robots=robots,
-                controller=controller,
-                gripper_types=gripper_types,
-                initialization_noise=initialization_noise,
-                use_camera_obs=use_camera_obs,
-                has_renderer=has_renderer,
-                has_offscreen_renderer=has_offscreen_renderer,
-                render_camera=render_camera,
-                render_collision_mesh=render_collision_mesh,
-                render_visual_mesh=render_visual_mesh,
-                render_gpu_device_id=render_gpu_device_id,
-                control_freq=control_freq,
-                horizon=horizon,
-                ignore_done=ignore_done,
-                hard_reset=hard_reset,
-                camera_names=camera_names,
-                camera_heights=camera_heights,
-                camera_widths=camera_widths,
-                camera_depths=camera_depths,
-                camera_segmentations=camera_segmentations,
-                renderer=renderer,
-                renderer_config=renderer_config,
-                **kwargs,
-            )
+            self._construct(bddl_file_name, robots=robots, controller=controller, **arguments)
 
     def _construct(
         self, bddl_file_name: str | os.PathLike[str], *, controller: str, **arguments: Any
@@ -261,13 +221,8 @@ class SegmentationRenderEnv(OffScreenRenderEnv):
         return interest
 
 
-class DemoRenderEnv(ControlEnv):
+class DemoRenderEnv(OffScreenRenderEnv):
     """A task with frames of its cameras, for replaying demonstrations."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        kwargs["has_renderer"] = False
-        kwargs["has_offscreen_renderer"] = True
-        super().__init__(**kwargs)
 
     def _get_observations(self) -> Observation:
         return self.env._get_observations()

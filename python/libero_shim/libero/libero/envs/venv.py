@@ -20,8 +20,6 @@ import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
 
-from libero.libero.envs import _shared_memory
-
 __all__ = [
     "BaseVectorEnv", "CloudpickleWrapper", "DummyEnvWorker", "DummyVectorEnv", "EnvWorker",
     "ShArray", "SubprocEnvWorker", "SubprocVectorEnv",
@@ -127,7 +125,6 @@ class EnvWorker(ABC):
             self.close_env()
 
     def reset(self, **kwargs: Any) -> Any:
-        """Resets the environment."""
         self.send(None, **kwargs)
         return self.recv()
 
@@ -137,7 +134,6 @@ class EnvWorker(ABC):
         return self.recv()
 
     def seed(self, seed: int | None = None) -> Any:
-        """Seeds the environment."""
         return self.call("seed", seed)
 
     def render(self, **kwargs: Any) -> Any:
@@ -224,27 +220,17 @@ def _sendable(error: Exception) -> Exception:
     return error
 
 
-def _serve(
-    parent: Any,
-    connection: Any,
-    env_fn: CloudpickleWrapper,
-    obs_bufs: None = None,
-    memory: _shared_memory.SharedMemory | None = None,
-) -> None:
-    """Runs an environment: answers messages `[command, data]` until the command `close`. Frames of
-    an answer are written to `memory` unless it is None. `obs_bufs` is not used; it keeps the
-    position that it has in LIBERO's function."""
+def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: None = None) -> None:
+    """Runs an environment: answers messages `[command, data]` until the command `close`. `obs_bufs`
+    is not used; it keeps the position that it has in LIBERO's function."""
     parent.close()
-    if memory is not None:
-        # A forked process has its own copy of the descriptor.
-        memory.close_descriptor()
     try:
         env = env_fn.data()
     except Exception as error:  # noqa: BLE001
         connection.send(_Failure(error))
         return
     connection.send(None)
-    dumps = reduction.ForkingPickler.dumps if memory is None else memory.dumps
+    dumps = reduction.ForkingPickler.dumps
     commands: dict[str, Callable[[Any], Any]] = {
         "reset": lambda kwargs: env.reset(**kwargs),
         "render": lambda kwargs: _picture(env, kwargs),
@@ -282,29 +268,17 @@ class SubprocEnvWorker(EnvWorker):
     def __init__(self, env_fn: Callable[[], Any], share_memory: bool = False) -> None:
         if share_memory:
             raise NotImplementedError(
-                "frames always go through shared memory and are copied from it: leave "
-                "share_memory at False, or use rollout_libero.VectorEnvironment, which copies none"
+                "frames are sent through a pipe: leave share_memory at False, or use "
+                "rollout_libero.VectorEnvironment, which sends none"
             )
         self.parent_remote, self.child_remote = multiprocessing.Pipe()
         self.share_memory = share_memory
-        # Stored, because messages of the process refer to the memory by its number.
-        self._memory = _shared_memory.create()
         self.process = multiprocessing.Process(
             target=_serve,
-            args=(
-                self.parent_remote,
-                self.child_remote,
-                CloudpickleWrapper(env_fn),
-                None,
-                self._memory,
-            ),
+            args=(self.parent_remote, self.child_remote, CloudpickleWrapper(env_fn)),
             daemon=True,
         )
-        try:
-            self.process.start()
-        finally:
-            if self._memory is not None:
-                self._memory.close_descriptor()
+        self.process.start()
         self.child_remote.close()
         self._is_starting = True
         super().__init__(env_fn)
