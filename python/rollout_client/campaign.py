@@ -43,11 +43,11 @@ class Campaign:
 
     def status(self) -> Status:
         """Returns the campaign's status. Raises CoordinatorError, as all methods do."""
-        return Status.of(self._connection.campaign(self._name).status)
+        return Status.of(self._connection.campaign(self._name)[0])
 
     def spec(self) -> dict[str, Any]:
         """Returns the campaign's specification, as `Client.create` takes it."""
-        spec: dict[str, Any] = json.loads(self._connection.campaign(self._name).spec)
+        spec: dict[str, Any] = json.loads(self._connection.campaign(self._name)[1])
         return spec
 
     def follow(self, every: float = 2.0) -> Iterator[Status]:

@@ -65,8 +65,8 @@ class Client:
 
     def campaigns(self) -> pd.DataFrame:
         """Returns a row per campaign, oldest first, with the fields of Status."""
-        answer = self._connection.call("ListCampaigns", wire.ListCampaignsRequest())
-        statuses = map(Status.of, answer.campaigns)
+        answer = self._connection.ask("ListCampaigns", wire.ListCampaignsRequest())
+        statuses = map(Status.of, answer)
         return frames.frame(map(asdict, statuses), CAMPAIGNS)
 
     def campaign(self, name: str) -> Campaign:

@@ -2,15 +2,12 @@
 //! Fields may be added but never changed or removed. Absent values are `null`; every key is always
 //! present.
 
-use coordinator::words::rfc3339;
 use proto::coordinator as wire;
-use proto::coordinator::campaign_status::State;
-use queue::clock::UnixMillis;
+use queue::clock::{UnixMillis, rfc3339};
 use serde::Serialize;
 use serde_json::Value;
 
 use super::command::{CommandError, failure, print_line};
-use super::line::is_finished;
 
 /// Declares structs of the output with their conversions from messages, so that each key is written
 /// once.
@@ -31,12 +28,6 @@ macro_rules! forms {
     )*};
 }
 pub(super) use forms;
-
-/// Output of `campaign list` and `campaign status`.
-#[derive(Serialize)]
-pub(super) struct Campaigns {
-    campaigns: Vec<Campaign>,
-}
 
 /// Output of `jobs list`.
 #[derive(Serialize)]
@@ -62,60 +53,7 @@ pub(super) struct Workers {
     workers: Vec<Worker>,
 }
 
-#[derive(Serialize)]
-struct EarlyStop {
-    rule: String,
-    seed: u64,
-    strata: String,
-    configurations: u32,
-    used: Option<u32>,
-    saved: Option<u64>,
-}
-
 forms! {
-    Campaign from status: wire::CampaignStatus {
-        name: String = status.campaign.clone(),
-        policy: String = status.policy.clone(),
-        endpoint: String = status.policy_endpoint.clone(),
-        priority: i32 = status.priority,
-        state: &'static str = match status.state() {
-            State::Running | State::Unspecified if is_finished(status) => "finished",
-            State::Running | State::Unspecified => "running",
-            State::Paused => "paused",
-            State::Cancelled => "cancelled",
-            State::Stopped => "stopped",
-        },
-        is_finished: bool = is_finished(status),
-        rollouts: Rollouts = Rollouts::from_message(status),
-        rate_per_sec: Option<f64> = status.rate_per_sec,
-        remaining_secs: Option<f64> = status.eta_secs,
-        live_workers: u32 = status.live_workers,
-        policy_outage: Option<String> =
-            status.policy_paused.then(|| status.policy_pause_reason.clone()),
-        waiting_reason: Option<String> = non_empty(&status.waiting_reason),
-        mixed_fingerprints: Option<String> = non_empty(&status.mixed_fingerprints),
-        early_stop: Option<EarlyStop> = status.early_stop.as_ref().map(|early| EarlyStop {
-            rule: early.rule.clone(),
-            seed: early.seed,
-            strata: early.strata.clone(),
-            configurations: early.configurations,
-            used: early.used,
-            saved: early.used.map(|_| status.queued),
-        }),
-        follows_from: Option<String> = non_empty(&status.follows_from),
-        created_at: String = instant(status.created_unix_ms),
-    }
-
-    Rollouts from status: wire::CampaignStatus {
-        total: u64 = status.total,
-        queued: u64 = status.queued,
-        leased: u64 = status.leased,
-        committed: u64 = status.committed,
-        succeeded: u64 = status.succeeded,
-        failed: u64 = status.committed.saturating_sub(status.succeeded),
-        quarantined: u64 = status.quarantined,
-    }
-
     Job from job: wire::Job {
         rollout_id: String = job.rollout_id.clone(),
         replicate: u32 = job.replicate,
@@ -193,13 +131,7 @@ fn non_empty(text: &str) -> Option<String> {
 }
 
 fn instant(unix_ms: i64) -> String {
-    rfc3339(UnixMillis(unix_ms))
-}
-
-impl Campaigns {
-    pub(super) fn from_messages(statuses: &[wire::CampaignStatus]) -> Campaigns {
-        Campaigns { campaigns: statuses.iter().map(Campaign::from_message).collect() }
-    }
+    rfc3339::text(UnixMillis(unix_ms))
 }
 
 impl JobDetails {

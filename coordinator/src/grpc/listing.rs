@@ -1,62 +1,9 @@
-//! Conversion of campaigns, jobs and workers to messages. Durations such as the age of a result are
+//! Conversion of jobs and workers to messages. Durations such as the age of a result are
 //! computed here, since a client's clock may be wrong.
 
 use proto::coordinator as wire;
 use queue::clock::UnixMillis;
-use queue::read::{
-    CampaignStatus, EarlyStop, FailureLine, JobDetails, JobLine, ResultLine, WorkerLine,
-};
-use queue::rules::campaign::CampaignState;
-
-pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
-    let (campaign, counts) = (status.campaign, status.counts);
-    wire::CampaignStatus {
-        campaign: campaign.name.as_str().to_owned(),
-        policy: campaign.policy,
-        policy_endpoint: campaign.endpoint,
-        total: counts.total(),
-        queued: counts.queued,
-        leased: counts.leased,
-        committed: counts.committed,
-        quarantined: counts.quarantined,
-        succeeded: counts.succeeded,
-        policy_paused: status.policy_pause_reason.is_some(),
-        policy_pause_reason: status.policy_pause_reason.unwrap_or_default(),
-        policy_retry_secs: status.policy_retry.map(|retry| retry.as_secs_f64()),
-        rate_per_sec: status.rate_per_sec,
-        eta_secs: status.eta_secs,
-        live_workers: status.live_workers,
-        waiting_reason: status.waiting_reason,
-        mixed_fingerprints: status
-            .fingerprints
-            .map_or_else(String::new, |mixed| ::report::describe_fingerprints(&mixed)),
-        state: state(campaign.state).into(),
-        priority: campaign.priority,
-        created_unix_ms: campaign.created_ms.0,
-        early_stop: status.stop.map(early_stop),
-        follows_from: status.source.map_or_else(String::new, |source| source.to_string()),
-    }
-}
-
-fn early_stop(early: EarlyStop) -> wire::campaign_status::EarlyStop {
-    wire::campaign_status::EarlyStop {
-        rule: early.stop.rule.to_string(),
-        seed: early.stop.seed,
-        strata: early.stop.strata.name().to_owned(),
-        configurations: early.configurations,
-        used: early.used,
-    }
-}
-
-pub(super) fn state(state: CampaignState) -> wire::campaign_status::State {
-    use wire::campaign_status::State;
-    match state {
-        CampaignState::Running { .. } => State::Running,
-        CampaignState::Paused { .. } => State::Paused,
-        CampaignState::Cancelled { .. } => State::Cancelled,
-        CampaignState::Stopped { .. } => State::Stopped,
-    }
-}
+use queue::read::{FailureLine, JobDetails, JobLine, ResultLine, WorkerLine};
 
 pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
     let secs_until = |instant: Option<UnixMillis>| {

@@ -4,19 +4,20 @@ use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
-    self as wire, AlterCampaignRequest, AlterCampaignResponse, AppendRowsRequest,
-    AppendRowsResponse, ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest,
-    ChangeCampaignResponse, CreateCampaignRequest, CreateCampaignResponse, DeleteCampaignRequest,
-    DeleteCampaignResponse, ExportRequest, ForecastRequest, ForecastResponse, GetCampaignRequest,
-    GetCampaignResponse, GetJobRequest, GetJobResponse, ImportCampaignResponse,
-    ListCampaignsRequest, ListCampaignsResponse, ListJobsRequest, ListJobsResponse,
+    self as wire, AlterCampaignRequest, AppendRowsRequest, AppendRowsResponse,
+    ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest, CreateCampaignRequest,
+    CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest,
+    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, GetJobResponse,
+    ImportCampaignResponse, ListCampaignsRequest, ListJobsRequest, ListJobsResponse,
     ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
     SkipJobsRequest, SkipJobsResponse,
 };
 use queue::Queue;
+use queue::clock::UnixMillis;
 use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, Planned, View};
+use serde::Serialize;
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
@@ -106,37 +107,28 @@ impl OperatorService for OperatorApi {
         Ok(Response::new(AppendRowsResponse { jobs_added, jobs_total }))
     }
 
-    async fn list_campaigns(
-        &self,
-        _: Request<ListCampaignsRequest>,
-    ) -> Answer<ListCampaignsResponse> {
-        let campaigns = self.view().await?.statuses().await.map_err(failed)?;
-        Ok(Response::new(ListCampaignsResponse {
-            campaigns: campaigns.into_iter().map(listing::status).collect(),
-        }))
+    async fn list_campaigns(&self, _: Request<ListCampaignsRequest>) -> Answer<wire::Answer> {
+        let mut view = self.view().await?;
+        answer(view.now, &view.statuses().await.map_err(failed)?)
     }
 
-    async fn get_campaign(
-        &self,
-        request: Request<GetCampaignRequest>,
-    ) -> Answer<GetCampaignResponse> {
+    async fn get_campaign(&self, request: Request<GetCampaignRequest>) -> Answer<wire::Answer> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let spec = view.spec(&campaign).await.map_err(failed)?;
         let status = view.status(campaign).await.map_err(failed)?;
-        Ok(Response::new(GetCampaignResponse { spec, status: Some(listing::status(status)) }))
+        answer(view.now, &(status, spec))
     }
 
     async fn change_campaign(
         &self,
         request: Request<ChangeCampaignRequest>,
-    ) -> Answer<ChangeCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let change = read::change(request.change)?;
         let queue = self.queue.clone();
         let changed = async move { queue.change_campaign(&name, change).await };
-        let state = listing::state(self.changes.run(changed).await?.map_err(failed)?);
-        Ok(Response::new(ChangeCampaignResponse { state: state.into() }))
+        answer(self.queue.now(), &self.changes.run(changed).await?.map_err(failed)?)
     }
 
     async fn delete_campaign(
@@ -265,10 +257,7 @@ impl OperatorService for OperatorApi {
         Ok(Response::new(imported))
     }
 
-    async fn alter_campaign(
-        &self,
-        request: Request<AlterCampaignRequest>,
-    ) -> Answer<AlterCampaignResponse> {
+    async fn alter_campaign(&self, request: Request<AlterCampaignRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let alteration = read::alteration(request)?;
@@ -279,10 +268,7 @@ impl OperatorService for OperatorApi {
         let name = renamed;
         let (mut view, campaign) = self.campaign(name.as_str()).await?;
         let status = view.status(campaign).await.map_err(failed)?;
-        Ok(Response::new(AlterCampaignResponse {
-            status: Some(listing::status(status)),
-            taken_back,
-        }))
+        answer(view.now, &(status, taken_back))
     }
 
     async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<ForecastResponse> {
@@ -296,6 +282,13 @@ impl OperatorService for OperatorApi {
         let forecast = view.forecast(&planned).await.map_err(failed)?;
         Ok(Response::new(forecast::message(forecast)))
     }
+}
+
+/// Answers with a value as JSON.
+fn answer(now: UnixMillis, value: &impl Serialize) -> Answer<wire::Answer> {
+    let json = serde_json::to_string(value);
+    let json = json.map_err(|error| Status::internal(error.to_string()))?;
+    Ok(Response::new(wire::Answer { json, now_unix_ms: now.0 }))
 }
 
 pub(super) fn campaign_name(name: &str) -> Result<CampaignName, Status> {

@@ -248,9 +248,8 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
         ..wire::AlterCampaignRequest::default()
     };
     let mut operator = bench.operator().await;
-    let altered = operator.alter_campaign(request.clone()).await;
-    let altered = altered.expect("altered").into_inner();
-    assert_eq!(altered.status.expect("a status").priority, 8);
+    operator.alter_campaign(request.clone()).await.expect("altered");
+    assert_eq!(bench.status("usual").await.priority, 8);
     assert_eq!(worker.claim_one().await.campaign, "usual");
     for priority in [-101, 101] {
         let request = wire::AlterCampaignRequest { priority: Some(priority), ..request.clone() };
@@ -323,7 +322,7 @@ async fn a_repeated_claim_returns_its_existing_lease() {
     let first = leases[0].as_ref().expect("a lease");
     assert_eq!(leases[1].as_ref(), Some(first));
     assert_eq!(leases[2].as_ref(), Some(first));
-    assert_eq!(bench.status("again").await.leased, 1);
+    assert_eq!(bench.status("again").await.rollouts.leased, 1);
     // Claim ids are local to a worker: the same id from another worker is another claim.
     let mut other = bench.worker("b").await;
     let request = wire::ClaimRequest { worker_id: other.id.clone(), ..request };
@@ -342,7 +341,7 @@ async fn leases_that_were_never_acknowledged_expire_uncharged_and_count_against_
         let claimed = worker.claim_response("").await;
         assert!(claimed.lease.is_some(), "{}", claimed.idle_reason);
         bench.advance(40).await;
-        assert_eq!(bench.status("lost").await.leased, 0);
+        assert_eq!(bench.status("lost").await.rollouts.leased, 0);
     }
     let failures = "SELECT count(*) FROM failure
                     WHERE reason = 'never_acknowledged' AND charged = 0";

@@ -2,11 +2,11 @@
 //! operators.
 
 use proto::coordinator as wire;
-use proto::coordinator::campaign_status::State;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
+use queue::read::Stage;
 use serde_json::json;
 use tonic::{Code, Status};
 
@@ -51,20 +51,20 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "held");
     let paused = bench.change("held", Change::Pause).await;
-    assert_eq!(paused.expect("paused"), State::Paused);
+    assert_eq!(paused.expect("paused"), "paused");
 
     assert_eq!(worker.claim_one().await.campaign, "other");
     assert!(worker.heartbeat(&[&lease], 9).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let status = bench.status("held").await;
-    assert_eq!((status.committed, status.queued), (1, 3));
-    assert_eq!((status.state(), status.eta_secs), (State::Paused, None));
+    assert_eq!((status.rollouts.committed, status.rollouts.queued), (1, 3));
+    assert_eq!((status.state, status.remaining_secs), (Stage::Paused, None));
     worker.claim(64).await;
     let idle = worker.claim_response("").await.idle_reason;
     assert!(idle.contains("`held` is paused"), "{idle}");
 
     let resumed = bench.change("held", Change::Resume).await;
-    assert_eq!(resumed.expect("resumed"), State::Running);
+    assert_eq!(resumed.expect("resumed"), "running");
     assert_eq!(worker.claim(64).await.len(), 3);
     bench.assert_sound().await;
 }
@@ -76,7 +76,7 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     let (first, second) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&first, true).await, Verdict::Accepted);
     let cancelled = bench.change("ended", Change::Cancel).await;
-    assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
+    assert_eq!(cancelled.expect("cancelled"), "cancelled");
 
     let lost_leases = worker.heartbeat(&[&second], 9).await;
     assert_eq!(lost_leases, std::slice::from_ref(&second.attempt_id));
@@ -84,7 +84,10 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
     assert!(worker.claim(4).await.is_empty());
     let status = bench.status("ended").await;
-    assert_eq!((status.committed, status.leased, status.queued), (1, 0, 3));
+    assert_eq!(
+        (status.rollouts.committed, status.rollouts.leased, status.rollouts.queued),
+        (1, 0, 3)
+    );
     assert_eq!(bench.count("SELECT sum(charged_attempts) FROM job").await, 0);
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
     for change in [Change::Pause, Change::Resume] {
@@ -154,7 +157,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
     assert_refused(unknown, Code::NotFound, &[]);
-    assert_eq!(bench.status("one").await.quarantined, 1, "neither or both are requeued");
+    assert_eq!(bench.status("one").await.rollouts.quarantined, 1, "neither or both are requeued");
     assert_eq!(
         retry(&bench, "one", &[CAMERA, CAMERA], false).await.expect("requeued"),
         1,
@@ -341,7 +344,7 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
     let mut slot = bench.worker("a").await;
     let old = slot.claim_one().await;
     let cancelled = bench.change("before", Change::Cancel).await;
-    assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
+    assert_eq!(cancelled.expect("cancelled"), "cancelled");
     bench.delete("before", "before").await.expect("deleted");
     bench.create(&small_spec("after")).await.expect("created");
     let new = slot.claim_one().await;
@@ -359,5 +362,5 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
     assert_refused(slot.service.release(release).await, Code::NotFound, &[]);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);
-    assert_eq!(bench.status("after").await.succeeded, 0);
+    assert_eq!(bench.status("after").await.rollouts.succeeded, 0);
 }

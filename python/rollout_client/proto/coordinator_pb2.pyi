@@ -391,6 +391,14 @@ class SignOffResponse(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Answer(_message.Message):
+    __slots__ = ("json", "now_unix_ms")
+    JSON_FIELD_NUMBER: _ClassVar[int]
+    NOW_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    json: str
+    now_unix_ms: int
+    def __init__(self, json: _Optional[str] = ..., now_unix_ms: _Optional[int] = ...) -> None: ...
+
 class CreateCampaignRequest(_message.Message):
     __slots__ = ("spec", "priority")
     SPEC_FIELD_NUMBER: _ClassVar[int]
@@ -439,98 +447,11 @@ class ListCampaignsRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
-class ListCampaignsResponse(_message.Message):
-    __slots__ = ("campaigns",)
-    CAMPAIGNS_FIELD_NUMBER: _ClassVar[int]
-    campaigns: _containers.RepeatedCompositeFieldContainer[CampaignStatus]
-    def __init__(self, campaigns: _Optional[_Iterable[_Union[CampaignStatus, _Mapping]]] = ...) -> None: ...
-
 class GetCampaignRequest(_message.Message):
     __slots__ = ("campaign",)
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
     campaign: str
     def __init__(self, campaign: _Optional[str] = ...) -> None: ...
-
-class GetCampaignResponse(_message.Message):
-    __slots__ = ("status", "spec")
-    STATUS_FIELD_NUMBER: _ClassVar[int]
-    SPEC_FIELD_NUMBER: _ClassVar[int]
-    status: CampaignStatus
-    spec: str
-    def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., spec: _Optional[str] = ...) -> None: ...
-
-class CampaignStatus(_message.Message):
-    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "policy_retry_secs")
-    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-        __slots__ = ()
-        STATE_UNSPECIFIED: _ClassVar[CampaignStatus.State]
-        STATE_RUNNING: _ClassVar[CampaignStatus.State]
-        STATE_PAUSED: _ClassVar[CampaignStatus.State]
-        STATE_CANCELLED: _ClassVar[CampaignStatus.State]
-        STATE_STOPPED: _ClassVar[CampaignStatus.State]
-    STATE_UNSPECIFIED: CampaignStatus.State
-    STATE_RUNNING: CampaignStatus.State
-    STATE_PAUSED: CampaignStatus.State
-    STATE_CANCELLED: CampaignStatus.State
-    STATE_STOPPED: CampaignStatus.State
-    class EarlyStop(_message.Message):
-        __slots__ = ("rule", "seed", "strata", "configurations", "used")
-        RULE_FIELD_NUMBER: _ClassVar[int]
-        SEED_FIELD_NUMBER: _ClassVar[int]
-        STRATA_FIELD_NUMBER: _ClassVar[int]
-        CONFIGURATIONS_FIELD_NUMBER: _ClassVar[int]
-        USED_FIELD_NUMBER: _ClassVar[int]
-        rule: str
-        seed: int
-        strata: str
-        configurations: int
-        used: int
-        def __init__(self, rule: _Optional[str] = ..., seed: _Optional[int] = ..., strata: _Optional[str] = ..., configurations: _Optional[int] = ..., used: _Optional[int] = ...) -> None: ...
-    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
-    POLICY_FIELD_NUMBER: _ClassVar[int]
-    TOTAL_FIELD_NUMBER: _ClassVar[int]
-    QUEUED_FIELD_NUMBER: _ClassVar[int]
-    LEASED_FIELD_NUMBER: _ClassVar[int]
-    COMMITTED_FIELD_NUMBER: _ClassVar[int]
-    QUARANTINED_FIELD_NUMBER: _ClassVar[int]
-    SUCCEEDED_FIELD_NUMBER: _ClassVar[int]
-    POLICY_PAUSED_FIELD_NUMBER: _ClassVar[int]
-    POLICY_PAUSE_REASON_FIELD_NUMBER: _ClassVar[int]
-    RATE_PER_SEC_FIELD_NUMBER: _ClassVar[int]
-    ETA_SECS_FIELD_NUMBER: _ClassVar[int]
-    LIVE_WORKERS_FIELD_NUMBER: _ClassVar[int]
-    WAITING_REASON_FIELD_NUMBER: _ClassVar[int]
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    POLICY_ENDPOINT_FIELD_NUMBER: _ClassVar[int]
-    MIXED_FINGERPRINTS_FIELD_NUMBER: _ClassVar[int]
-    PRIORITY_FIELD_NUMBER: _ClassVar[int]
-    CREATED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    EARLY_STOP_FIELD_NUMBER: _ClassVar[int]
-    FOLLOWS_FROM_FIELD_NUMBER: _ClassVar[int]
-    POLICY_RETRY_SECS_FIELD_NUMBER: _ClassVar[int]
-    campaign: str
-    policy: str
-    total: int
-    queued: int
-    leased: int
-    committed: int
-    quarantined: int
-    succeeded: int
-    policy_paused: bool
-    policy_pause_reason: str
-    rate_per_sec: float
-    eta_secs: float
-    live_workers: int
-    waiting_reason: str
-    state: CampaignStatus.State
-    policy_endpoint: str
-    mixed_fingerprints: str
-    priority: int
-    created_unix_ms: int
-    early_stop: CampaignStatus.EarlyStop
-    follows_from: str
-    policy_retry_secs: float
-    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., policy_retry_secs: _Optional[float] = ...) -> None: ...
 
 class ChangeCampaignRequest(_message.Message):
     __slots__ = ("campaign", "change")
@@ -549,12 +470,6 @@ class ChangeCampaignRequest(_message.Message):
     campaign: str
     change: ChangeCampaignRequest.Change
     def __init__(self, campaign: _Optional[str] = ..., change: _Optional[_Union[ChangeCampaignRequest.Change, str]] = ...) -> None: ...
-
-class ChangeCampaignResponse(_message.Message):
-    __slots__ = ("state",)
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    state: CampaignStatus.State
-    def __init__(self, state: _Optional[_Union[CampaignStatus.State, str]] = ...) -> None: ...
 
 class DeleteCampaignRequest(_message.Message):
     __slots__ = ("campaign", "confirm")
@@ -865,14 +780,6 @@ class AlterCampaignRequest(_message.Message):
     policy: str
     name: str
     def __init__(self, campaign: _Optional[str] = ..., priority: _Optional[int] = ..., policy_endpoint: _Optional[str] = ..., policy: _Optional[str] = ..., name: _Optional[str] = ...) -> None: ...
-
-class AlterCampaignResponse(_message.Message):
-    __slots__ = ("status", "taken_back")
-    STATUS_FIELD_NUMBER: _ClassVar[int]
-    TAKEN_BACK_FIELD_NUMBER: _ClassVar[int]
-    status: CampaignStatus
-    taken_back: int
-    def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., taken_back: _Optional[int] = ...) -> None: ...
 
 class ForecastRequest(_message.Message):
     __slots__ = ("policy", "rollouts", "policy_rate")
