@@ -6,6 +6,7 @@ use std::time::Duration;
 use libero_ctrl::JsonError;
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
+use queue::clock::UnixMillis;
 use queue::read::CampaignStatus;
 use report::Subject;
 use serde::de::DeserializeOwned;
@@ -117,7 +118,17 @@ impl Client {
         request: Q,
         send: impl AsyncFn(&mut Service, Q) -> Result<Response<wire::Answer>, Status>,
     ) -> Result<T, ClientError> {
-        self.read(self.call(request, send).await?.json.as_bytes())
+        Ok(self.ask_at(request, send).await?.1)
+    }
+
+    /// Does what [`Self::ask`] does, and returns the time of the answer, too.
+    pub async fn ask_at<Q: Clone, T: DeserializeOwned>(
+        &self,
+        request: Q,
+        send: impl AsyncFn(&mut Service, Q) -> Result<Response<wire::Answer>, Status>,
+    ) -> Result<(UnixMillis, T), ClientError> {
+        let answer = self.call(request, send).await?;
+        Ok((UnixMillis(answer.now_unix_ms), self.read(answer.json.as_bytes())?))
     }
 
     /// Returns the next message of a streamed response; `None` after the last.

@@ -104,11 +104,11 @@ class Campaign:
         )
         rows: list[dict[str, Any]] = []
         while True:
-            page = self._connection.call("ListJobs", request).jobs
-            rows += map(_job, page)
+            page = self._connection.ask("ListJobs", request)
+            rows += page
             if len(page) < PAGE:
                 return frames.frame(rows, frames.JOBS)
-            request.after_job_id = page[-1].job_id
+            request.after_job_id = page[-1]["job_id"]
 
     def report(self) -> Report:
         """Returns the report on the campaign's results so far, which the program `coordinator`
@@ -142,13 +142,3 @@ class Campaign:
 
 def _name(campaign: Campaign | str) -> str:
     return campaign.name if isinstance(campaign, Campaign) else campaign
-
-
-def _job(job: wire.Job) -> dict[str, Any]:
-    return frames.fields(
-        job,
-        frames.JOBS,
-        outcome=("success" if job.success else "failure") if job.HasField("success") else None,
-        attempts=job.attempt,
-        worker_id=job.lease_owner or None,
-    )

@@ -5,7 +5,6 @@
 use proto::coordinator as wire;
 use queue::clock::{UnixMillis, rfc3339};
 use serde::Serialize;
-use serde_json::Value;
 
 use super::command::{CommandError, failure, print_line};
 
@@ -29,24 +28,6 @@ macro_rules! forms {
 }
 pub(super) use forms;
 
-/// Output of `jobs list`.
-#[derive(Serialize)]
-pub(super) struct Jobs {
-    pub(super) jobs: Vec<Job>,
-    /// True if `--limit` cut the list off.
-    pub(super) is_truncated: bool,
-}
-
-/// Output of `jobs show`.
-#[derive(Serialize)]
-pub(super) struct JobDetails {
-    job: Job,
-    manifest_row: Value,
-    late_reports: u32,
-    result: Option<ResultOrigin>,
-    failures: Vec<Failure>,
-}
-
 /// Output of `workers`.
 #[derive(Serialize)]
 pub(super) struct Workers {
@@ -54,53 +35,6 @@ pub(super) struct Workers {
 }
 
 forms! {
-    Job from job: wire::Job {
-        rollout_id: String = job.rollout_id.clone(),
-        replicate: u32 = job.replicate,
-        job_id: i64 = job.job_id,
-        state: String = job.state.clone(),
-        outcome: Option<&'static str> =
-            job.success.map(|success| if success { "success" } else { "failure" }),
-        steps: Option<u32> = job.steps,
-        attempts: u32 = job.attempt,
-        charged_attempts: u32 = job.charged_attempts,
-        attempt_id: Option<String> = non_empty(&job.attempt_id),
-        worker_id: Option<String> = non_empty(&job.lease_owner),
-        control_steps: Option<u32> = (job.state == "leased").then_some(job.control_steps),
-        lease_left_secs: Option<f64> = (job.state == "leased").then_some(job.lease_left_secs),
-        backoff_left_secs: Option<f64> = (job.state == "queued").then_some(job.backoff_left_secs),
-        last_error: Option<String> = non_empty(&job.last_error),
-    }
-
-    ResultOrigin from result: wire::ResultOrigin {
-        goal: Option<Goal> = result.goal.as_ref().map(Goal::from_message),
-        prompt: Option<String> = non_empty(&result.prompt),
-        attempt: u32 = result.attempt,
-        worker_id: String = result.worker_id.clone(),
-        host: String = result.host.clone(),
-        renderer: String = result.renderer.clone(),
-        look: String = result.look.clone(),
-        wall_secs: f64 = result.wall_secs,
-        divergences: u32 = result.divergences,
-        video: Option<String> = non_empty(&result.video),
-        committed_at: String = instant(result.committed_unix_ms),
-    }
-
-    Goal from goal: wire::GoalProgress {
-        predicates: u32 = goal.predicates,
-        at_end: u32 = goal.at_end,
-        at_most: u32 = goal.at_most,
-    }
-
-    Failure from failure: wire::Failure {
-        attempt: u32 = failure.attempt,
-        worker_id: String = failure.worker_id.clone(),
-        reason: String = failure.reason.clone(),
-        is_charged: bool = failure.charged,
-        error: String = failure.error.clone(),
-        failed_at: String = instant(failure.failed_unix_ms),
-    }
-
     Worker from worker: wire::WorkerStatus {
         worker_id: String = worker.worker_id.clone(),
         host: String = worker.host.clone(),
@@ -132,18 +66,6 @@ fn non_empty(text: &str) -> Option<String> {
 
 fn instant(unix_ms: i64) -> String {
     rfc3339::text(UnixMillis(unix_ms))
-}
-
-impl JobDetails {
-    pub(super) fn from_message(details: &wire::GetJobResponse) -> Result<JobDetails, CommandError> {
-        Ok(JobDetails {
-            job: Job::from_message(&details.job.clone().unwrap_or_default()),
-            manifest_row: serde_json::from_str(&details.manifest_row).map_err(failure)?,
-            late_reports: details.stale_reports,
-            result: details.result.as_ref().map(ResultOrigin::from_message),
-            failures: details.failures.iter().map(Failure::from_message).collect(),
-        })
-    }
 }
 
 impl Workers {

@@ -7,7 +7,7 @@ use clap::Args;
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
 use proto::coordinator::ListJobsRequest;
-use queue::read::CampaignStatus;
+use queue::read::{CampaignStatus, JobLine};
 use terminal::{counted, wrapped};
 
 use super::command::{CommandError, Connection, print_line};
@@ -97,7 +97,7 @@ async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, Comm
             limit: u32::MAX,
             ..ListJobsRequest::default()
         };
-        let jobs = client.call(request, Service::list_jobs).await?.jobs;
+        let jobs: Vec<JobLine> = client.ask(request, Service::list_jobs).await?;
         failing.extend(jobs.into_iter().filter(|job| job.charged_attempts > 0));
     }
     let Some(worst) = failing.iter().max_by_key(|job| job.charged_attempts) else {
@@ -110,7 +110,8 @@ async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, Comm
         15,
         &format!(
             "{rollouts} not in quarantine yet; `{}` failed in {attempts}: {}",
-            worst.rollout_id, worst.last_error
+            worst.rollout_id,
+            worst.last_error.as_deref().unwrap_or_default()
         ),
     )))
 }

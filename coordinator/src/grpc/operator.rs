@@ -7,10 +7,9 @@ use proto::coordinator::{
     self as wire, AlterCampaignRequest, AppendRowsRequest, AppendRowsResponse,
     ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest, CreateCampaignRequest,
     CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest,
-    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, GetJobResponse,
-    ImportCampaignResponse, ListCampaignsRequest, ListJobsRequest, ListJobsResponse,
-    ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
-    SkipJobsRequest, SkipJobsResponse,
+    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, ImportCampaignResponse,
+    ListCampaignsRequest, ListJobsRequest, ListWorkersRequest, ListWorkersResponse, ReportRequest,
+    RetryJobsRequest, RetryJobsResponse, SkipJobsRequest, SkipJobsResponse,
 };
 use queue::Queue;
 use queue::clock::UnixMillis;
@@ -151,21 +150,18 @@ impl OperatorService for OperatorApi {
         }))
     }
 
-    async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<ListJobsResponse> {
+    async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let filter = read::job_filter(&request)?;
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
-        let jobs = view.jobs(&campaign, filter).await.map_err(failed)?;
-        let jobs = jobs.into_iter().map(|line| listing::job(line, view.now));
-        Ok(Response::new(ListJobsResponse { jobs: jobs.collect() }))
+        answer(view.now, &view.jobs(&campaign, filter).await.map_err(failed)?)
     }
 
-    async fn get_job(&self, request: Request<GetJobRequest>) -> Answer<GetJobResponse> {
+    async fn get_job(&self, request: Request<GetJobRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let job = read::job_name(request.job.unwrap_or_default())?;
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
-        let details = view.job_details(&campaign, &job).await.map_err(failed)?;
-        Ok(Response::new(listing::details(details, view.now)))
+        answer(view.now, &view.job_details(&campaign, &job).await.map_err(failed)?)
     }
 
     async fn retry_jobs(&self, request: Request<RetryJobsRequest>) -> Answer<RetryJobsResponse> {

@@ -6,12 +6,13 @@ use std::time::{Duration, Instant};
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
+use queue::read::JobLine;
 use serde_json::json;
 use tokio::task::JoinSet;
 use tonic::Code;
 
 use crate::assertions::{assert_contains, assert_refused};
-use crate::harness::{Bench, registration, rollout_id, small_spec, with};
+use crate::harness::{Bench, registration, rollout_id, small_spec, value, with};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn claim_is_exclusive_under_concurrency() {
@@ -174,8 +175,8 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
         limit: 64,
         ..wire::ListJobsRequest::default()
     };
-    let listed = bench.operator().await.list_jobs(listed).await;
-    assert_eq!(listed.expect("jobs").into_inner().jobs.len(), 4);
+    let listed: Vec<JobLine> = value(bench.operator().await.list_jobs(listed).await).expect("jobs");
+    assert_eq!(listed.len(), 4);
     let mut complete = bench.worker("b").await;
     let mut remaining: Vec<String> = complete.claim(64).await.iter().map(rollout_id).collect();
     remaining.sort();

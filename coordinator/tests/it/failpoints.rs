@@ -10,7 +10,7 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use queue::DATABASE_FILE;
-use queue::read::CampaignStatus;
+use queue::read::{CampaignStatus, JobLine};
 use queue::{FAILPOINT_VARIABLE, Side, Step};
 use tempfile::TempDir;
 use tokio::task::JoinSet;
@@ -146,10 +146,10 @@ async fn take_over(
         limit: 64,
         ..wire::ListJobsRequest::default()
     };
-    let leased = operator.list_jobs(request).await.expect("a list").into_inner();
-    for job in leased.jobs {
+    let leased: Vec<JobLine> = value(operator.list_jobs(request).await).expect("a list");
+    for job in leased {
         let request = wire::ReleaseRequest {
-            attempt_id: job.attempt_id,
+            attempt_id: job.attempt_id.expect("a lease"),
             reason: Reason::Draining.into(),
             error: "left by an earlier process".to_owned(),
             ..wire::ReleaseRequest::default()

@@ -6,13 +6,13 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
-use queue::read::Stage;
+use queue::read::{JobDetails, JobLine, Stage};
 use serde_json::json;
 use tonic::{Code, Status};
 
 use crate::artifacts::put;
 use crate::assertions::assert_refused;
-use crate::harness::{Bench, Worker, small_spec, with};
+use crate::harness::{Bench, Worker, small_spec, value, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Result<u64, Status> {
@@ -199,25 +199,24 @@ async fn a_job_is_shown_with_all_its_attempts() {
         campaign: "one".to_owned(),
         job: Some(wire::JobName { rollout_id: CAMERA.to_owned(), replicate: 0 }),
     };
-    let shown = bench.operator().await.get_job(job()).await.expect("shown");
-    let shown = shown.into_inner();
-    let line = shown.job.expect("a job");
+    let shown: JobDetails = value(bench.operator().await.get_job(job()).await).expect("shown");
+    let line = shown.job;
     assert_eq!(
-        (line.state.as_str(), line.attempt, line.control_steps),
-        ("leased", 4, 32),
+        (line.state.as_str(), line.attempts, line.control_steps),
+        ("leased", 4, Some(32)),
         "the policy's steps, without the ten in which the scene settles"
     );
-    assert_eq!((line.lease_owner.as_str(), line.lease_left_secs), ("a", 30.0));
-    let attempts: Vec<u32> = shown.failures.iter().map(|failure| failure.attempt).collect();
+    let worker_id = line.worker_id.expect("a worker").0;
+    assert_eq!((worker_id.as_str(), line.lease_left_secs), ("a", Some(30.0)));
+    let attempts: Vec<u32> = shown.failures.iter().map(|failure| failure.attempt.0).collect();
     assert_eq!(attempts, [3, 2, 1]);
     assert_eq!(shown.failures[0].reason, "slot_crashed");
-    assert!(shown.failures.iter().all(|failure| failure.charged));
+    assert!(shown.failures.iter().all(|failure| failure.is_charged));
 
     assert_eq!(worker.commit(&lease, false).await, Verdict::Accepted);
-    let shown = bench.operator().await.get_job(job()).await.expect("shown");
-    let shown = shown.into_inner();
-    assert_eq!(shown.job.expect("a job").success, Some(false));
-    assert_eq!(shown.result.expect("an origin").worker_id, "a");
+    let shown: JobDetails = value(bench.operator().await.get_job(job()).await).expect("shown");
+    assert_eq!(shown.job.outcome.as_deref(), Some("failure"));
+    assert_eq!(shown.result.expect("an origin").worker_id.0, "a");
 }
 
 #[tokio::test]
@@ -225,7 +224,7 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
     let bench = Bench::with(&small_spec("paged")).await;
     bench.worker("a").await.claim_one().await;
     let mut operator = bench.operator().await;
-    let mut list = async |state: &str, after: i64, limit: u32| -> Vec<wire::Job> {
+    let mut list = async |state: &str, after: i64, limit: u32| -> Vec<JobLine> {
         let request = wire::ListJobsRequest {
             campaign: "paged".to_owned(),
             state: state.to_owned(),
@@ -233,11 +232,11 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
             limit,
             ..wire::ListJobsRequest::default()
         };
-        operator.list_jobs(request).await.expect("a page").into_inner().jobs
+        value(operator.list_jobs(request).await).expect("a page")
     };
     let first = list("", 0, 3).await;
     assert_eq!(first.len(), 3);
-    assert_eq!(list("", first[2].job_id, 3).await.len(), 1);
+    assert_eq!(list("", first[2].job_id.0, 3).await.len(), 1);
     assert_eq!(list("queued", 0, 64).await.len(), 3);
     assert_eq!(list("leased", 0, 64).await[0].rollout_id, "object/t0/clean/i16");
     let request = wire::ListJobsRequest {

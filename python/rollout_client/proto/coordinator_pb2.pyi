@@ -515,44 +515,6 @@ class ListJobsRequest(_message.Message):
     level: str
     def __init__(self, campaign: _Optional[str] = ..., state: _Optional[str] = ..., after_job_id: _Optional[int] = ..., limit: _Optional[int] = ..., outcome: _Optional[str] = ..., task: _Optional[str] = ..., condition: _Optional[str] = ..., level: _Optional[str] = ...) -> None: ...
 
-class ListJobsResponse(_message.Message):
-    __slots__ = ("jobs",)
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    jobs: _containers.RepeatedCompositeFieldContainer[Job]
-    def __init__(self, jobs: _Optional[_Iterable[_Union[Job, _Mapping]]] = ...) -> None: ...
-
-class Job(_message.Message):
-    __slots__ = ("job_id", "rollout_id", "replicate", "state", "attempt", "charged_attempts", "attempt_id", "lease_owner", "lease_left_secs", "control_steps", "backoff_left_secs", "last_error", "success", "steps")
-    JOB_ID_FIELD_NUMBER: _ClassVar[int]
-    ROLLOUT_ID_FIELD_NUMBER: _ClassVar[int]
-    REPLICATE_FIELD_NUMBER: _ClassVar[int]
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
-    CHARGED_ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
-    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
-    LEASE_OWNER_FIELD_NUMBER: _ClassVar[int]
-    LEASE_LEFT_SECS_FIELD_NUMBER: _ClassVar[int]
-    CONTROL_STEPS_FIELD_NUMBER: _ClassVar[int]
-    BACKOFF_LEFT_SECS_FIELD_NUMBER: _ClassVar[int]
-    LAST_ERROR_FIELD_NUMBER: _ClassVar[int]
-    SUCCESS_FIELD_NUMBER: _ClassVar[int]
-    STEPS_FIELD_NUMBER: _ClassVar[int]
-    job_id: int
-    rollout_id: str
-    replicate: int
-    state: str
-    attempt: int
-    charged_attempts: int
-    attempt_id: str
-    lease_owner: str
-    lease_left_secs: float
-    control_steps: int
-    backoff_left_secs: float
-    last_error: str
-    success: bool
-    steps: int
-    def __init__(self, job_id: _Optional[int] = ..., rollout_id: _Optional[str] = ..., replicate: _Optional[int] = ..., state: _Optional[str] = ..., attempt: _Optional[int] = ..., charged_attempts: _Optional[int] = ..., attempt_id: _Optional[str] = ..., lease_owner: _Optional[str] = ..., lease_left_secs: _Optional[float] = ..., control_steps: _Optional[int] = ..., backoff_left_secs: _Optional[float] = ..., last_error: _Optional[str] = ..., success: bool = ..., steps: _Optional[int] = ...) -> None: ...
-
 class GetJobRequest(_message.Message):
     __slots__ = ("campaign", "job")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -560,66 +522,6 @@ class GetJobRequest(_message.Message):
     campaign: str
     job: JobName
     def __init__(self, campaign: _Optional[str] = ..., job: _Optional[_Union[JobName, _Mapping]] = ...) -> None: ...
-
-class GetJobResponse(_message.Message):
-    __slots__ = ("job", "manifest_row", "stale_reports", "failures", "result")
-    JOB_FIELD_NUMBER: _ClassVar[int]
-    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
-    STALE_REPORTS_FIELD_NUMBER: _ClassVar[int]
-    FAILURES_FIELD_NUMBER: _ClassVar[int]
-    RESULT_FIELD_NUMBER: _ClassVar[int]
-    job: Job
-    manifest_row: str
-    stale_reports: int
-    failures: _containers.RepeatedCompositeFieldContainer[Failure]
-    result: ResultOrigin
-    def __init__(self, job: _Optional[_Union[Job, _Mapping]] = ..., manifest_row: _Optional[str] = ..., stale_reports: _Optional[int] = ..., failures: _Optional[_Iterable[_Union[Failure, _Mapping]]] = ..., result: _Optional[_Union[ResultOrigin, _Mapping]] = ...) -> None: ...
-
-class Failure(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "reason", "charged", "error", "failed_unix_ms")
-    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
-    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
-    AGO_SECS_FIELD_NUMBER: _ClassVar[int]
-    REASON_FIELD_NUMBER: _ClassVar[int]
-    CHARGED_FIELD_NUMBER: _ClassVar[int]
-    ERROR_FIELD_NUMBER: _ClassVar[int]
-    FAILED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    attempt: int
-    worker_id: str
-    ago_secs: float
-    reason: str
-    charged: bool
-    error: str
-    failed_unix_ms: int
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., reason: _Optional[str] = ..., charged: bool = ..., error: _Optional[str] = ..., failed_unix_ms: _Optional[int] = ...) -> None: ...
-
-class ResultOrigin(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal", "prompt", "look")
-    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
-    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
-    AGO_SECS_FIELD_NUMBER: _ClassVar[int]
-    WALL_SECS_FIELD_NUMBER: _ClassVar[int]
-    HOST_FIELD_NUMBER: _ClassVar[int]
-    RENDERER_FIELD_NUMBER: _ClassVar[int]
-    DIVERGENCES_FIELD_NUMBER: _ClassVar[int]
-    VIDEO_FIELD_NUMBER: _ClassVar[int]
-    COMMITTED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    GOAL_FIELD_NUMBER: _ClassVar[int]
-    PROMPT_FIELD_NUMBER: _ClassVar[int]
-    LOOK_FIELD_NUMBER: _ClassVar[int]
-    attempt: int
-    worker_id: str
-    ago_secs: float
-    wall_secs: float
-    host: str
-    renderer: str
-    divergences: int
-    video: str
-    committed_unix_ms: int
-    goal: GoalProgress
-    prompt: str
-    look: str
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
 
 class RetryJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs", "all")

@@ -41,7 +41,7 @@ pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
 pub use derivations::SubsetRow;
 pub use estimate::{Forecast, Planned, Speed};
-pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
+pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED, ResultOrigin};
 pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
 pub use speed::{Bottleneck, Rate, Spent};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
