@@ -8,8 +8,8 @@ use proto::coordinator::{
     ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest, CreateCampaignRequest,
     CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest,
     ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, ImportCampaignResponse,
-    ListCampaignsRequest, ListJobsRequest, ListWorkersRequest, ListWorkersResponse, ReportRequest,
-    RetryJobsRequest, RetryJobsResponse, SkipJobsRequest, SkipJobsResponse,
+    ListCampaignsRequest, ListJobsRequest, ListWorkersRequest, ReportRequest, RetryJobsRequest,
+    RetryJobsResponse, SkipJobsRequest, SkipJobsResponse,
 };
 use queue::Queue;
 use queue::clock::UnixMillis;
@@ -25,7 +25,7 @@ use super::backup;
 use super::detached::Detached;
 use super::failure::{Answer, failed, invalid};
 use super::streams::{Large, Turns};
-use super::{listing, moving, read};
+use super::{moving, read};
 use crate::export;
 use crate::forecast;
 use crate::report;
@@ -184,11 +184,9 @@ impl OperatorService for OperatorApi {
         Ok(Response::new(SkipJobsResponse { jobs }))
     }
 
-    async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<ListWorkersResponse> {
+    async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<wire::Answer> {
         let mut view = self.view().await?;
-        let workers = view.workers().await.map_err(failed)?.into_iter();
-        let workers = workers.map(|line| listing::worker(line, view.now));
-        Ok(Response::new(ListWorkersResponse { workers: workers.collect() }))
+        answer(view.now, &view.workers().await.map_err(failed)?)
     }
 
     async fn backup(

@@ -6,7 +6,8 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
-use queue::read::{JobDetails, JobLine, Stage};
+use queue::clock::Clock as _;
+use queue::read::{JobDetails, JobLine, Stage, WorkerLine};
 use serde_json::json;
 use tonic::{Code, Status};
 
@@ -262,13 +263,15 @@ async fn workers_are_listed_with_their_leases_and_stop_reasons() {
     }
     let request = wire::ListWorkersRequest {};
     let list = bench.operator().await.list_workers(request).await;
-    let list = list.expect("a list").into_inner().workers;
-    let worker = |id: &str| list.iter().find(|worker| worker.worker_id == id).expect("listed");
-    assert_eq!((worker("gone").alive, worker("gone").silent_secs), (false, 100.0));
-    assert_eq!((worker("sound").alive, worker("sound").leases), (true, 2));
-    assert_eq!((worker("sound").filming, worker("broken").filming), (3, 0));
-    assert_eq!((worker("broken").charged_in_a_row, worker("broken").leases), (5, 0));
-    assert!(worker("broken").stopped_reason.contains("5 times in a row"));
+    let list: Vec<WorkerLine> = value(list).expect("a list");
+    let worker = |id: &str| list.iter().find(|worker| worker.worker_id.0 == id).expect("listed");
+    let silence = bench.clock.now().since(worker("gone").last_call_at);
+    assert_eq!((worker("gone").is_alive, silence.as_secs()), (false, 100));
+    assert_eq!((worker("sound").is_alive, worker("sound").leases), (true, 2));
+    assert_eq!((worker("sound").filming, worker("broken").filming), (Some(3), None));
+    assert_eq!((worker("broken").failures_in_a_row, worker("broken").leases), (5, 0));
+    let reason = worker("broken").stopped_reason.as_deref();
+    assert!(reason.expect("a reason").contains("5 times in a row"));
 }
 
 #[tokio::test(flavor = "multi_thread")]

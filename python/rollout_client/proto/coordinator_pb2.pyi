@@ -557,50 +557,6 @@ class ListWorkersRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
-class ListWorkersResponse(_message.Message):
-    __slots__ = ("workers",)
-    WORKERS_FIELD_NUMBER: _ClassVar[int]
-    workers: _containers.RepeatedCompositeFieldContainer[WorkerStatus]
-    def __init__(self, workers: _Optional[_Iterable[_Union[WorkerStatus, _Mapping]]] = ...) -> None: ...
-
-class WorkerStatus(_message.Message):
-    __slots__ = ("worker_id", "host", "slots", "leases", "asset_pack", "mujoco_version", "renderer", "program_version", "silent_secs", "alive", "charged_in_a_row", "stopped_reason", "filming", "last_seen_unix_ms", "registered_unix_ms", "signed_off", "look")
-    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
-    HOST_FIELD_NUMBER: _ClassVar[int]
-    SLOTS_FIELD_NUMBER: _ClassVar[int]
-    LEASES_FIELD_NUMBER: _ClassVar[int]
-    ASSET_PACK_FIELD_NUMBER: _ClassVar[int]
-    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
-    RENDERER_FIELD_NUMBER: _ClassVar[int]
-    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
-    SILENT_SECS_FIELD_NUMBER: _ClassVar[int]
-    ALIVE_FIELD_NUMBER: _ClassVar[int]
-    CHARGED_IN_A_ROW_FIELD_NUMBER: _ClassVar[int]
-    STOPPED_REASON_FIELD_NUMBER: _ClassVar[int]
-    FILMING_FIELD_NUMBER: _ClassVar[int]
-    LAST_SEEN_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    REGISTERED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    SIGNED_OFF_FIELD_NUMBER: _ClassVar[int]
-    LOOK_FIELD_NUMBER: _ClassVar[int]
-    worker_id: str
-    host: str
-    slots: int
-    leases: int
-    asset_pack: str
-    mujoco_version: str
-    renderer: str
-    program_version: str
-    silent_secs: float
-    alive: bool
-    charged_in_a_row: int
-    stopped_reason: str
-    filming: int
-    last_seen_unix_ms: int
-    registered_unix_ms: int
-    signed_off: bool
-    look: str
-    def __init__(self, worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., leases: _Optional[int] = ..., asset_pack: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., program_version: _Optional[str] = ..., silent_secs: _Optional[float] = ..., alive: bool = ..., charged_in_a_row: _Optional[int] = ..., stopped_reason: _Optional[str] = ..., filming: _Optional[int] = ..., last_seen_unix_ms: _Optional[int] = ..., registered_unix_ms: _Optional[int] = ..., signed_off: bool = ..., look: _Optional[str] = ...) -> None: ...
-
 class BackupRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...

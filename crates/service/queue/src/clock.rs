@@ -131,7 +131,7 @@ fn millis(span: Duration) -> i64 {
 
 /// Instants in answers: RFC 3339 to the millisecond, `2026-11-21T15:36:09.123Z`. Instants after the
 /// year 9999 are clamped to its last second, instants before 1970 to the first second of 1970.
-pub mod rfc3339 {
+pub(crate) mod rfc3339 {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serializer};
     use time::{Date, Month, OffsetDateTime};
@@ -142,7 +142,7 @@ pub mod rfc3339 {
         to.serialize_str(&text(*at))
     }
 
-    pub fn text(at: UnixMillis) -> String {
+    fn text(at: UnixMillis) -> String {
         // 9999-12-31T23:59:59Z.
         const LAST_SECS: i64 = 253_402_300_799;
         let secs = at.0.div_euclid(1_000).clamp(0, LAST_SECS);
