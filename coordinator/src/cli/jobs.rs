@@ -184,8 +184,7 @@ async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
     let request =
         RetryJobsRequest { campaign: arguments.campaign, jobs: names?, all: arguments.all };
     let client = arguments.connection.client()?;
-    let retried = client.call(request, Service::retry_jobs).await?;
-    Ok(print_line(&match retried.jobs {
+    Ok(print_line(&match client.ask(request, Service::retry_jobs).await? {
         0 => "nothing is in quarantine".to_owned(),
         jobs => format!("{} requeued", counted(jobs, "rollout")),
     })?)
@@ -196,8 +195,7 @@ async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
         arguments.rollouts.iter().map(|id| job_name(id)).collect();
     let request = SkipJobsRequest { campaign: arguments.campaign, jobs: names? };
     let client = arguments.connection.client()?;
-    let skipped = client.call(request, Service::skip_jobs).await?;
-    let skipped = counted(skipped.jobs, "rollout");
+    let skipped = counted(client.ask(request, Service::skip_jobs).await?, "rollout");
     Ok(print_line(&format!("{skipped} skipped"))?)
 }
 

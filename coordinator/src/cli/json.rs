@@ -1,6 +1,4 @@
 //! Output of `--json`. The schema is documented in docs/JSON.md, and a test compares the two.
-//! Fields may be added but never changed or removed. Absent values are `null`; every key is always
-//! present.
 
 use serde::Serialize;
 

@@ -58,21 +58,21 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     let client = arguments.connection.client()?;
     let before = client.campaign_status(name).await?;
     let request = DeleteCampaignRequest { campaign: name.clone(), confirm: confirmed };
-    let (jobs, results) = match client.call(request, Service::delete_campaign).await {
-        Ok(deleted) => (deleted.jobs, deleted.results),
+    let deleted = match client.ask(request, Service::delete_campaign).await {
+        Ok(deleted) => deleted,
         Err(error) => {
             let exists = |status: &CampaignStatus| status.name == *name;
             if client.list_campaigns().await?.iter().any(exists) {
                 return Err(error.into());
             }
             // An earlier try deleted the campaign, and its answer was lost.
-            (before.rollouts.total(), before.rollouts.committed)
+            before.rollouts
         }
     };
     Ok(print_line(&format!(
         "campaign {name} deleted: {}, {} and their files",
-        counted(jobs, "rollout"),
-        counted(results, "result")
+        counted(deleted.total(), "rollout"),
+        counted(deleted.committed, "result")
     ))?)
 }
 

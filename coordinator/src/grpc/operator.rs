@@ -4,12 +4,10 @@ use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
-    self as wire, AlterCampaignRequest, AppendRowsRequest, AppendRowsResponse,
-    ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest, CreateCampaignRequest,
-    CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest,
-    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, ImportCampaignResponse,
-    ListCampaignsRequest, ListJobsRequest, ListWorkersRequest, ReportRequest, RetryJobsRequest,
-    RetryJobsResponse, SkipJobsRequest, SkipJobsResponse,
+    self as wire, AlterCampaignRequest, AppendRowsRequest, ArchiveCampaignRequest, BackupRequest,
+    ChangeCampaignRequest, CreateCampaignRequest, DeleteCampaignRequest, ExportRequest,
+    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, ListCampaignsRequest,
+    ListJobsRequest, ListWorkersRequest, ReportRequest, RetryJobsRequest, SkipJobsRequest,
 };
 use queue::Queue;
 use queue::clock::UnixMillis;
@@ -69,7 +67,7 @@ impl OperatorService for OperatorApi {
     async fn create_campaign(
         &self,
         request: Request<CreateCampaignRequest>,
-    ) -> Answer<CreateCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let campaign = NewCampaign::from_json(&request.spec);
         let campaign = NewCampaign {
@@ -78,15 +76,10 @@ impl OperatorService for OperatorApi {
         };
         let queue = self.queue.clone();
         let created = async move { queue.create_campaign(&campaign).await };
-        let created = self.changes.run(created).await?.map_err(failed)?;
-        Ok(Response::new(CreateCampaignResponse {
-            jobs_added: created.jobs_added,
-            jobs_total: created.jobs_total,
-            priority: created.priority,
-        }))
+        answer(self.queue.now(), &self.changes.run(created).await?.map_err(failed)?)
     }
 
-    async fn append_rows(&self, request: Request<AppendRowsRequest>) -> Answer<AppendRowsResponse> {
+    async fn append_rows(&self, request: Request<AppendRowsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let queue = self.queue.clone();
@@ -101,9 +94,7 @@ impl OperatorService for OperatorApi {
                 None => queue.append_rows(&name, rows).await,
             }
         };
-        let appended = self.changes.run(appended).await?.map_err(failed)?;
-        let (jobs_added, jobs_total) = (appended.jobs_added, appended.jobs_total);
-        Ok(Response::new(AppendRowsResponse { jobs_added, jobs_total }))
+        answer(self.queue.now(), &self.changes.run(appended).await?.map_err(failed)?)
     }
 
     async fn list_campaigns(&self, _: Request<ListCampaignsRequest>) -> Answer<wire::Answer> {
@@ -133,7 +124,7 @@ impl OperatorService for OperatorApi {
     async fn delete_campaign(
         &self,
         request: Request<DeleteCampaignRequest>,
-    ) -> Answer<DeleteCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         if request.confirm != request.campaign {
@@ -143,11 +134,7 @@ impl OperatorService for OperatorApi {
         }
         let queue = self.queue.clone();
         let deleted = async move { queue.delete_campaign(&name).await };
-        let deleted = self.changes.run(deleted).await?.map_err(failed)?;
-        Ok(Response::new(DeleteCampaignResponse {
-            jobs: deleted.total(),
-            results: deleted.committed,
-        }))
+        answer(self.queue.now(), &self.changes.run(deleted).await?.map_err(failed)?)
     }
 
     async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<wire::Answer> {
@@ -164,24 +151,22 @@ impl OperatorService for OperatorApi {
         answer(view.now, &view.job_details(&campaign, &job).await.map_err(failed)?)
     }
 
-    async fn retry_jobs(&self, request: Request<RetryJobsRequest>) -> Answer<RetryJobsResponse> {
+    async fn retry_jobs(&self, request: Request<RetryJobsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let retry = read::retry(request.jobs, request.all)?;
         let queue = self.queue.clone();
         let retried = async move { queue.retry_jobs(&name, &retry).await };
-        let jobs = self.changes.run(retried).await?.map_err(failed)?;
-        Ok(Response::new(RetryJobsResponse { jobs }))
+        answer(self.queue.now(), &self.changes.run(retried).await?.map_err(failed)?)
     }
 
-    async fn skip_jobs(&self, request: Request<SkipJobsRequest>) -> Answer<SkipJobsResponse> {
+    async fn skip_jobs(&self, request: Request<SkipJobsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let names = read::job_names(request.jobs)?;
         let queue = self.queue.clone();
         let skipped = async move { queue.skip_jobs(&name, &names).await };
-        let jobs = self.changes.run(skipped).await?.map_err(failed)?;
-        Ok(Response::new(SkipJobsResponse { jobs }))
+        answer(self.queue.now(), &self.changes.run(skipped).await?.map_err(failed)?)
     }
 
     async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<wire::Answer> {
@@ -244,11 +229,10 @@ impl OperatorService for OperatorApi {
     async fn import_campaign(
         &self,
         request: Request<Streaming<wire::ImportChunk>>,
-    ) -> Answer<ImportCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let imported =
             moving::import(&self.queue, &self.changes, request.into_inner(), self.min_free_bytes);
-        let imported = imported.await?;
-        Ok(Response::new(imported))
+        answer(self.queue.now(), &imported.await?)
     }
 
     async fn alter_campaign(&self, request: Request<AlterCampaignRequest>) -> Answer<wire::Answer> {

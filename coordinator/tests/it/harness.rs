@@ -13,9 +13,9 @@ use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use queue::clock::{Clock, ManualClock, UnixMillis};
-use queue::read::CampaignStatus;
+use queue::read::{CampaignStatus, Counts};
 use queue::rules::campaign::CampaignState;
-use queue::{Queue, Timing};
+use queue::{Created, Queue, Timing};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::de::DeserializeOwned;
@@ -206,10 +206,7 @@ impl Bench {
         OperatorServiceClient::connect(self.url.clone()).await.expect("a connection")
     }
 
-    pub(crate) async fn create(
-        &self,
-        spec: &Value,
-    ) -> Result<wire::CreateCampaignResponse, Status> {
+    pub(crate) async fn create(&self, spec: &Value) -> Result<Created, Status> {
         self.create_with_priority(spec, 0).await
     }
 
@@ -217,10 +214,9 @@ impl Bench {
         &self,
         spec: &Value,
         priority: i32,
-    ) -> Result<wire::CreateCampaignResponse, Status> {
+    ) -> Result<Created, Status> {
         let request = wire::CreateCampaignRequest { spec: spec.to_string(), priority };
-        let created = self.operator().await.create_campaign(request).await?;
-        Ok(created.into_inner())
+        value(self.operator().await.create_campaign(request).await)
     }
 
     pub(crate) async fn status(&self, campaign: &str) -> CampaignStatus {
@@ -248,8 +244,8 @@ impl Bench {
             campaign: campaign.to_owned(),
             confirm: confirm.to_owned(),
         };
-        let response = self.operator().await.delete_campaign(request).await?;
-        Ok(response.into_inner().results)
+        let deleted: Counts = value(self.operator().await.delete_campaign(request).await)?;
+        Ok(deleted.committed)
     }
 
     pub(crate) async fn assert_sound(&self) {

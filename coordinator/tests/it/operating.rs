@@ -23,8 +23,7 @@ async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Resul
         jobs: jobs.iter().map(name).collect(),
         all,
     };
-    let response = bench.operator().await.retry_jobs(request).await?;
-    Ok(response.into_inner().jobs)
+    value(bench.operator().await.retry_jobs(request).await)
 }
 
 /// Creates a campaign of one rollout, which fails on its only worker until it is quarantined.

@@ -10,7 +10,7 @@ use queue::clock::Clock;
 use queue::ids::CampaignName;
 use serde_json::json;
 
-use crate::harness::{Bench, Worker, assert_sound, rollout_id, small_spec, with};
+use crate::harness::{Bench, Worker, assert_sound, rollout_id, small_spec, value, with};
 use crate::page::http;
 
 /// Time after which the first back-off of an outage, 1 s, is over.
@@ -293,8 +293,7 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
             campaign: "some".to_owned(),
             jobs: rollouts.iter().cloned().map(name).collect(),
         };
-        let skipped = operator.skip_jobs(request).await;
-        skipped.map(|response| response.into_inner().jobs)
+        value::<u64>(operator.skip_jobs(request).await)
     };
     let running = rollout_id(&leases[1]);
     let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;
@@ -318,7 +317,7 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     assert_eq!(worker.commit(&last[0], true).await, Verdict::Accepted);
     let request = RetryJobsRequest { campaign: "some".to_owned(), jobs: Vec::new(), all: true };
     let retried = operator.retry_jobs(request).await.expect("retried");
-    assert_eq!(retried.into_inner().jobs, 2);
+    assert_eq!(retried.into_inner().json, "2");
     assert_eq!(worker.claim(4).await.len(), 2);
     assert_sound(bench.stop().await.path()).await;
 }

@@ -407,16 +407,6 @@ class CreateCampaignRequest(_message.Message):
     priority: int
     def __init__(self, spec: _Optional[str] = ..., priority: _Optional[int] = ...) -> None: ...
 
-class CreateCampaignResponse(_message.Message):
-    __slots__ = ("jobs_added", "jobs_total", "priority")
-    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
-    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
-    PRIORITY_FIELD_NUMBER: _ClassVar[int]
-    jobs_added: int
-    jobs_total: int
-    priority: int
-    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ..., priority: _Optional[int] = ...) -> None: ...
-
 class AppendRowsRequest(_message.Message):
     __slots__ = ("campaign", "rows", "spec")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -434,14 +424,6 @@ class AppendedRow(_message.Message):
     manifest_row: str
     replicates: _containers.RepeatedScalarFieldContainer[int]
     def __init__(self, manifest_row: _Optional[str] = ..., replicates: _Optional[_Iterable[int]] = ...) -> None: ...
-
-class AppendRowsResponse(_message.Message):
-    __slots__ = ("jobs_added", "jobs_total")
-    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
-    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
-    jobs_added: int
-    jobs_total: int
-    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ...) -> None: ...
 
 class ListCampaignsRequest(_message.Message):
     __slots__ = ()
@@ -478,14 +460,6 @@ class DeleteCampaignRequest(_message.Message):
     campaign: str
     confirm: str
     def __init__(self, campaign: _Optional[str] = ..., confirm: _Optional[str] = ...) -> None: ...
-
-class DeleteCampaignResponse(_message.Message):
-    __slots__ = ("jobs", "results")
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    RESULTS_FIELD_NUMBER: _ClassVar[int]
-    jobs: int
-    results: int
-    def __init__(self, jobs: _Optional[int] = ..., results: _Optional[int] = ...) -> None: ...
 
 class JobName(_message.Message):
     __slots__ = ("rollout_id", "replicate")
@@ -533,12 +507,6 @@ class RetryJobsRequest(_message.Message):
     all: bool
     def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ..., all: bool = ...) -> None: ...
 
-class RetryJobsResponse(_message.Message):
-    __slots__ = ("jobs",)
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    jobs: int
-    def __init__(self, jobs: _Optional[int] = ...) -> None: ...
-
 class SkipJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -546,12 +514,6 @@ class SkipJobsRequest(_message.Message):
     campaign: str
     jobs: _containers.RepeatedCompositeFieldContainer[JobName]
     def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ...) -> None: ...
-
-class SkipJobsResponse(_message.Message):
-    __slots__ = ("jobs",)
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    jobs: int
-    def __init__(self, jobs: _Optional[int] = ...) -> None: ...
 
 class ListWorkersRequest(_message.Message):
     __slots__ = ()
@@ -612,18 +574,6 @@ class ImportChunk(_message.Message):
     archive: str
     data: bytes
     def __init__(self, name: _Optional[str] = ..., archive: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
-
-class ImportCampaignResponse(_message.Message):
-    __slots__ = ("campaign", "jobs", "results", "films")
-    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    RESULTS_FIELD_NUMBER: _ClassVar[int]
-    FILMS_FIELD_NUMBER: _ClassVar[int]
-    campaign: str
-    jobs: int
-    results: int
-    films: int
-    def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[int] = ..., results: _Optional[int] = ..., films: _Optional[int] = ...) -> None: ...
 
 class AlterCampaignRequest(_message.Message):
     __slots__ = ("campaign", "priority", "policy_endpoint", "policy", "name")

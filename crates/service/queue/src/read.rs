@@ -1,5 +1,7 @@
 //! Read access: one consistent view for any number of queries. Used by the web page, the command
-//! line and reports; workers never wait for a view.
+//! line and reports; workers never wait for a view. The types that are serialised are answers to
+//! operators, printed by `--json` and read by Python: keys may be added but never changed or
+//! removed, and are always present, with `null` for absent values.
 
 /// SQL column with the policy's control steps of a leased `job`. The stored count comes from
 /// heartbeats and includes the settling steps, which results and budgets exclude.
