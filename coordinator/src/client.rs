@@ -6,7 +6,10 @@ use std::time::Duration;
 use libero_ctrl::JsonError;
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
+use queue::clock::UnixMillis;
+use queue::read::CampaignStatus;
 use report::Subject;
+use serde::de::DeserializeOwned;
 use tokio::time::Instant;
 use tonic::{Code, Response, Status, Streaming};
 use transport::{
@@ -72,15 +75,18 @@ impl Client {
     }
 
     /// Returns the status of all campaigns, oldest first.
-    pub async fn list_campaigns(&self) -> Result<Vec<wire::CampaignStatus>, ClientError> {
-        let list = self.call(wire::ListCampaignsRequest {}, Service::list_campaigns);
-        Ok(list.await?.campaigns)
+    pub async fn list_campaigns(&self) -> Result<Vec<CampaignStatus>, ClientError> {
+        self.ask(wire::ListCampaignsRequest {}, Service::list_campaigns).await
     }
 
-    pub async fn campaign_status(&self, name: &str) -> Result<wire::CampaignStatus, ClientError> {
+    /// Returns a campaign's status and its specification, JSON.
+    pub async fn campaign(&self, name: &str) -> Result<(CampaignStatus, String), ClientError> {
         let request = wire::GetCampaignRequest { campaign: name.to_owned() };
-        let response = self.call(request, Service::get_campaign);
-        Ok(response.await?.status.unwrap_or_default())
+        self.ask(request, Service::get_campaign).await
+    }
+
+    pub async fn campaign_status(&self, name: &str) -> Result<CampaignStatus, ClientError> {
+        Ok(self.campaign(name).await?.0)
     }
 
     /// Returns the current results of a campaign for a report.
@@ -91,14 +97,38 @@ impl Client {
         while let Some(part) = self.next(&mut parts).await? {
             json.extend(part.json);
         }
-        serde_json::from_slice(&json).map_err(|error| ClientError::Refused {
+        self.read(&json)
+    }
+
+    /// Reads JSON of the coordinator.
+    fn read<T: DeserializeOwned>(&self, json: &[u8]) -> Result<T, ClientError> {
+        serde_json::from_slice(json).map_err(|error| ClientError::Refused {
             message: format!(
-                "read the results of `{name}` from the coordinator at {} ({}): use the same \
-                 version of both programs",
+                "read the answer of the coordinator at {} ({}): use the same version of both \
+                 programs",
                 self.url,
                 JsonError::from(error).problem()
             ),
         })
+    }
+
+    /// Sends a request like [`Self::call`], and reads the value in the answer.
+    pub async fn ask<Q: Clone, T: DeserializeOwned>(
+        &self,
+        request: Q,
+        send: impl AsyncFn(&mut Service, Q) -> Result<Response<wire::Answer>, Status>,
+    ) -> Result<T, ClientError> {
+        Ok(self.ask_at(request, send).await?.1)
+    }
+
+    /// Does what [`Self::ask`] does, and returns the time of the answer, too.
+    pub async fn ask_at<Q: Clone, T: DeserializeOwned>(
+        &self,
+        request: Q,
+        send: impl AsyncFn(&mut Service, Q) -> Result<Response<wire::Answer>, Status>,
+    ) -> Result<(UnixMillis, T), ClientError> {
+        let answer = self.call(request, send).await?;
+        Ok((UnixMillis(answer.now_unix_ms), self.read(answer.json.as_bytes())?))
     }
 
     /// Returns the next message of a streamed response; `None` after the last.

@@ -4,7 +4,6 @@
 mod backup;
 mod detached;
 mod failure;
-mod listing;
 mod moving;
 mod operator;
 mod read;

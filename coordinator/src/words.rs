@@ -38,19 +38,6 @@ pub fn utc_text(at: UnixMillis) -> String {
     }
 }
 
-/// Formats an instant in RFC 3339 to the millisecond: `2026-11-21T15:36:09.123Z`. Instants after
-/// the year 9999 are clamped to its last second, instants before 1970 to the first second of 1970.
-pub fn rfc3339(at: UnixMillis) -> String {
-    // 9999-12-31T23:59:59Z.
-    const LAST_SECS: i64 = 253_402_300_799;
-    let secs = at.0.div_euclid(1_000).clamp(0, LAST_SECS);
-    let millis = at.0.rem_euclid(1_000);
-    let instant = OffsetDateTime::from_unix_timestamp(secs);
-    let instant = instant.unwrap_or(OffsetDateTime::UNIX_EPOCH);
-    let (h, m, s) = instant.to_hms();
-    format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
-}
-
 /// Describes the assets, simulator, renderer, look and program of a worker.
 pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, look: &str, program: &str) -> String {
     format!("{pack}, MuJoCo {mujoco}, {renderer}, look {look}, program {program}")
@@ -91,10 +78,6 @@ mod tests {
             "1969-12-31 23:59:59 UTC",
         ];
         assert_eq!(instants, texts);
-        let written = [0, 1_795_275_369_123, i64::MAX].map(|ms| rfc3339(UnixMillis(ms)));
-        let expected =
-            ["1970-01-01T00:00:00.000Z", "2026-11-21T15:36:09.123Z", "9999-12-31T23:59:59.807Z"];
-        assert_eq!(written, expected);
         let sizes = [812, 3_565_158, u64::MAX].map(size_text);
         assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);
     }

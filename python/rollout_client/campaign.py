@@ -43,11 +43,11 @@ class Campaign:
 
     def status(self) -> Status:
         """Returns the campaign's status. Raises CoordinatorError, as all methods do."""
-        return Status.of(self._connection.campaign(self._name).status)
+        return Status.of(self._connection.campaign(self._name)[0])
 
     def spec(self) -> dict[str, Any]:
         """Returns the campaign's specification, as `Client.create` takes it."""
-        spec: dict[str, Any] = json.loads(self._connection.campaign(self._name).spec)
+        spec: dict[str, Any] = json.loads(self._connection.campaign(self._name)[1])
         return spec
 
     def follow(self, every: float = 2.0) -> Iterator[Status]:
@@ -104,11 +104,11 @@ class Campaign:
         )
         rows: list[dict[str, Any]] = []
         while True:
-            page = self._connection.call("ListJobs", request).jobs
-            rows += map(_job, page)
+            page = self._connection.ask("ListJobs", request)
+            rows += page
             if len(page) < PAGE:
                 return frames.frame(rows, frames.JOBS)
-            request.after_job_id = page[-1].job_id
+            request.after_job_id = page[-1]["job_id"]
 
     def report(self) -> Report:
         """Returns the report on the campaign's results so far, which the program `coordinator`
@@ -142,13 +142,3 @@ class Campaign:
 
 def _name(campaign: Campaign | str) -> str:
     return campaign.name if isinstance(campaign, Campaign) else campaign
-
-
-def _job(job: wire.Job) -> dict[str, Any]:
-    return frames.fields(
-        job,
-        frames.JOBS,
-        outcome=("success" if job.success else "failure") if job.HasField("success") else None,
-        attempts=job.attempt,
-        worker_id=job.lease_owner or None,
-    )

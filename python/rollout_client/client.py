@@ -65,8 +65,8 @@ class Client:
 
     def campaigns(self) -> pd.DataFrame:
         """Returns a row per campaign, oldest first, with the fields of Status."""
-        answer = self._connection.call("ListCampaigns", wire.ListCampaignsRequest())
-        statuses = map(Status.of, answer.campaigns)
+        answer = self._connection.ask("ListCampaigns", wire.ListCampaignsRequest())
+        statuses = map(Status.of, answer)
         return frames.frame(map(asdict, statuses), CAMPAIGNS)
 
     def campaign(self, name: str) -> Campaign:
@@ -110,8 +110,8 @@ class Client:
     def workers(self) -> pd.DataFrame:
         """Returns a row per worker, including workers that have ended, latest calls first; at most
         1,000 rows."""
-        answer = self._connection.call("ListWorkers", wire.ListWorkersRequest())
-        return frames.frame(map(_worker, answer.workers), frames.WORKERS)
+        answer = self._connection.ask("ListWorkers", wire.ListWorkersRequest())
+        return frames.frame(answer, frames.WORKERS)
 
     def report(self, *sources: str | os.PathLike[str]) -> Report:
         """Returns one report on several campaigns (names) and result files or
@@ -138,15 +138,3 @@ def _text(spec: Spec) -> str:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8"
         raise SettingsError(f"failed to read specification {path}: {reason}") from error
-
-
-def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:
-    return frames.fields(
-        worker,
-        frames.WORKERS,
-        is_alive=worker.alive,
-        has_signed_off=worker.signed_off,
-        failures_in_a_row=worker.charged_in_a_row,
-        registered_at=frames.instant(worker.registered_unix_ms),
-        last_call_at=frames.instant(worker.last_seen_unix_ms),
-    )

@@ -3,6 +3,7 @@ the coordinator is distinguished from a failed connection."""
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from collections.abc import Callable
@@ -53,11 +54,14 @@ class Connection:
         """Closes the connection. Later calls fail."""
         self._channel.close()
 
-    def campaign(self, name: str) -> wire.GetCampaignResponse:
-        """Returns a campaign's status and specification."""
-        request = wire.GetCampaignRequest(campaign=name)
-        answer: wire.GetCampaignResponse = self.call("GetCampaign", request)
-        return answer
+    def campaign(self, name: str) -> tuple[dict[str, Any], str]:
+        """Returns a campaign's status and its specification, JSON."""
+        status, spec = self.ask("GetCampaign", wire.GetCampaignRequest(campaign=name))
+        return status, spec
+
+    def ask(self, name: str, request: object) -> Any:
+        """Like `call`, for a method that answers with JSON; returns its value."""
+        return json.loads(self.call(name, request).json)
 
     def call(self, name: str, request: object) -> Any:
         """Calls a method until the coordinator answers, the time for retries is over, or a retry

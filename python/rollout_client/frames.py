@@ -74,9 +74,11 @@ def fields(message: Any, names: Iterable[str], **others: Any) -> dict[str, Any]:
     return {name: others[name] if name in others else field(name) for name in names}
 
 
-def instant(unix_ms: int) -> datetime:
-    """Converts milliseconds since the Unix epoch to an instant in UTC."""
-    return datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(milliseconds=unix_ms)
+def instant(given: int | str) -> datetime:
+    """Converts milliseconds since the Unix epoch, or an answer's text, to an instant in UTC."""
+    if isinstance(given, str):
+        return datetime.fromisoformat(given.replace("Z", "+00:00"))
+    return datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(milliseconds=given)
 
 
 def _column(values: list[Any], dtype: str) -> pd.Series[Any]:

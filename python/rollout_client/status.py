@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import datetime
+from typing import Any
 
 from . import frames
 from .proto import coordinator_pb2 as wire
@@ -62,28 +63,19 @@ class Status:
     created_at: datetime
 
     @classmethod
-    def of(cls, message: wire.CampaignStatus) -> Status:
-        """Converts a coordinator's message."""
-        state = wire.CampaignStatus.State.Name(message.state).removeprefix("STATE_").lower()
-        is_settled = message.committed + message.quarantined >= message.total
-        early = message.early_stop
-        has_stopped = early.HasField("used")
-        values = frames.fields(
-            message,
-            [item.name for item in fields(cls)],
-            name=message.campaign,
-            endpoint=message.policy_endpoint,
-            state=state,
-            is_finished=state in ("cancelled", "stopped") or is_settled,
-            failed=message.committed - message.succeeded,
-            remaining_secs=message.eta_secs if message.HasField("eta_secs") else None,
-            policy_outage=message.policy_pause_reason if message.policy_paused else None,
-            stop_rule=early.rule or None,
-            stopped_after=early.used if has_stopped else None,
-            saved=message.queued if has_stopped else None,
-            created_at=frames.instant(message.created_unix_ms),
-        )
-        return cls(**values)
+    def of(cls, answer: Mapping[str, Any]) -> Status:
+        """Converts a coordinator's answer."""
+        early = answer["early_stop"] or {}
+        values = {
+            **answer,
+            **answer["rollouts"],
+            "state": "running" if answer["state"] == "finished" else answer["state"],
+            "stop_rule": early.get("rule"),
+            "stopped_after": early.get("used"),
+            "saved": early.get("saved"),
+            "created_at": frames.instant(answer["created_at"]),
+        }
+        return cls(**{item.name: values[item.name] for item in fields(cls)})
 
 
 #: Types of columns by the annotation of a field of Status.

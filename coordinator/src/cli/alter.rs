@@ -2,12 +2,12 @@
 
 use clap::Args;
 use coordinator::client::Service;
-use proto::coordinator::{AlterCampaignRequest, AlterCampaignResponse, CampaignStatus};
+use proto::coordinator::AlterCampaignRequest;
+use queue::read::CampaignStatus;
 use queue::rules::campaign::PRIORITIES;
 use terminal::{counted, number};
 
 use super::command::{CommandError, Connection, print_line};
-use super::line::is_finished;
 
 #[derive(Args, Debug)]
 pub(super) struct PriorityArguments {
@@ -81,7 +81,7 @@ pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), Comman
     let client = arguments.connection.client()?;
     let campaigns = client.list_campaigns().await?;
     let is_moved =
-        |status: &&CampaignStatus| status.policy_endpoint == arguments.from && !is_finished(status);
+        |status: &&CampaignStatus| status.endpoint == arguments.from && !status.is_finished;
     let moved: Vec<&CampaignStatus> = campaigns.iter().filter(is_moved).collect();
     if moved.is_empty() {
         return Ok(print_line(&format!(
@@ -91,27 +91,25 @@ pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), Comman
     }
     for status in moved {
         let request = AlterCampaignRequest {
-            campaign: status.campaign.clone(),
+            campaign: status.name.clone(),
             policy_endpoint: Some(arguments.to.clone()),
             ..AlterCampaignRequest::default()
         };
-        let altered = client.call(request, Service::alter_campaign).await?;
-        print_endpoint(&status.campaign, altered)?;
+        let altered = client.ask(request, Service::alter_campaign).await?;
+        print_endpoint(&status.name, altered)?;
     }
     Ok(())
 }
 
-fn print_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), CommandError> {
-    let status = altered.status.unwrap_or_default();
-    let mut lines = vec![format!(
-        "campaign {campaign} measures {} at {}",
-        status.policy, status.policy_endpoint
-    )];
-    if altered.taken_back > 0 {
+fn print_endpoint(campaign: &str, altered: (CampaignStatus, u64)) -> Result<(), CommandError> {
+    let (status, taken_back) = altered;
+    let mut lines =
+        vec![format!("campaign {campaign} measures {} at {}", status.policy, status.endpoint)];
+    if taken_back > 0 {
         lines.push(format!(
             "{} taken back without a charge: rollouts in progress at the old endpoint\n\
              run again at the new one",
-            counted(altered.taken_back, "rollout")
+            counted(taken_back, "rollout")
         ));
     }
     Ok(print_line(&lines.join("\n"))?)
@@ -134,7 +132,7 @@ pub(super) async fn rename(arguments: RenameArguments) -> Result<(), CommandErro
 async fn alter(
     connection: &Connection,
     request: AlterCampaignRequest,
-) -> Result<AlterCampaignResponse, CommandError> {
+) -> Result<(CampaignStatus, u64), CommandError> {
     let client = connection.client()?;
-    Ok(client.call(request, Service::alter_campaign).await?)
+    Ok(client.ask(request, Service::alter_campaign).await?)
 }

@@ -17,6 +17,7 @@ use libero_ctrl::{
     Wanted, select_tasks,
 };
 use proto::coordinator::CreateCampaignRequest;
+use queue::Created;
 use queue::expand::NewCampaign;
 use queue::rules::campaign::PRIORITIES;
 use serde::de::DeserializeOwned;
@@ -310,7 +311,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let client = arguments.connection.client()?;
     let request =
         CreateCampaignRequest { spec: campaign.spec.clone(), priority: arguments.priority };
-    let created = client.call(request, Service::create_campaign).await?;
+    let created: Created = client.ask(request, Service::create_campaign).await?;
     let verb = match created.jobs_added {
         0 => "exists already, with this specification",
         _ => "created",

@@ -8,6 +8,7 @@ use clap::{ArgGroup, Args};
 use coordinator::client::Service;
 use libero_ctrl::{Level, MAX_REPLICATES, Rollouts};
 use proto::coordinator::{AppendRowsRequest, AppendedRow};
+use queue::Created;
 use terminal::{counted, number};
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -71,7 +72,7 @@ pub(super) async fn extend(arguments: ExtendArguments) -> Result<(), CommandErro
         larger.check().map_err(usage)?;
         request.spec = serde_json::to_string(&larger).context("write the specification")?;
     }
-    let added = client.call(request, Service::append_rows).await?;
+    let added: Created = client.ask(request, Service::append_rows).await?;
     let (new, all) = (counted(added.jobs_added, "rollout"), counted(added.jobs_total, "rollout"));
     Ok(print_line(&format!("campaign {name} extended by {new}: {all}"))?)
 }

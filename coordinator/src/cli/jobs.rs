@@ -6,13 +6,16 @@ use coordinator::client::Service;
 use coordinator::words::duration_text;
 use libero_ctrl::RolloutId;
 use proto::coordinator::{
-    GetJobRequest, GetJobResponse, Job, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
+    GetJobRequest, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
 };
+use queue::clock::UnixMillis;
 use queue::ids::shortened;
+use queue::read::{JobDetails, JobLine};
 use report::rollout_name;
+use serde::Serialize;
 use terminal::{counted, number_from};
 
-use super::command::{CommandError, Connection, print_line, usage};
+use super::command::{CommandError, Connection, failure, print_line, usage};
 use super::json;
 
 /// Page size of `ListJobs` requests, jobs.
@@ -109,6 +112,14 @@ pub(super) struct SkipArguments {
     connection: Connection,
 }
 
+/// Output of `jobs list --json`.
+#[derive(Default, Serialize)]
+struct Listed {
+    jobs: Vec<JobLine>,
+    /// True if `--limit` cut the list off.
+    is_truncated: bool,
+}
+
 pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
     match command {
         JobsCommand::List(arguments) => list(arguments).await,
@@ -130,22 +141,20 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         ..ListJobsRequest::default()
     };
     let mut remaining = arguments.limit;
-    let mut listed = json::Jobs { jobs: Vec::new(), is_truncated: false };
+    let mut listed = Listed::default();
     loop {
         // The request asks for one job more than is shown, to detect whether further jobs exist.
         request.limit = remaining.min(PAGE_JOBS) + 1;
-        let page = client.call(request.clone(), Service::list_jobs);
-        let page = page.await?.jobs;
-        let shown = page.iter().take(request.limit as usize - 1);
-        for job in shown {
-            match arguments.json {
-                true => listed.jobs.push(json::Job::from_message(job)),
-                false => print_line(&summary_line(job))?,
-            }
-            request.after_job_id = job.job_id;
-            remaining -= 1;
-        }
+        let page: Vec<JobLine> = client.ask(request.clone(), Service::list_jobs).await?;
         let is_last = page.len() < request.limit as usize;
+        for job in page.into_iter().take(request.limit as usize - 1) {
+            request.after_job_id = job.job_id.0;
+            remaining -= 1;
+            match arguments.json {
+                true => listed.jobs.push(job),
+                false => print_line(&summary_line(&job))?,
+            }
+        }
         if !is_last && remaining > 0 {
             continue;
         }
@@ -162,10 +171,10 @@ async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let request =
         GetJobRequest { job: Some(job_name(&arguments.rollout)?), campaign: arguments.campaign };
-    let details = client.call(request, Service::get_job).await?;
+    let (now, details) = client.ask_at(request, Service::get_job).await?;
     match arguments.json {
-        true => json::print(&json::JobDetails::from_message(&details)?),
-        false => Ok(print_line(&describe_job(&details))?),
+        true => json::print(&details),
+        false => Ok(print_line(&describe_job(&details, now)?)?),
     }
 }
 
@@ -175,8 +184,7 @@ async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
     let request =
         RetryJobsRequest { campaign: arguments.campaign, jobs: names?, all: arguments.all };
     let client = arguments.connection.client()?;
-    let retried = client.call(request, Service::retry_jobs).await?;
-    Ok(print_line(&match retried.jobs {
+    Ok(print_line(&match client.ask(request, Service::retry_jobs).await? {
         0 => "nothing is in quarantine".to_owned(),
         jobs => format!("{} requeued", counted(jobs, "rollout")),
     })?)
@@ -187,8 +195,7 @@ async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
         arguments.rollouts.iter().map(|id| job_name(id)).collect();
     let request = SkipJobsRequest { campaign: arguments.campaign, jobs: names? };
     let client = arguments.connection.client()?;
-    let skipped = client.call(request, Service::skip_jobs).await?;
-    let skipped = counted(skipped.jobs, "rollout");
+    let skipped = counted(client.ask(request, Service::skip_jobs).await?, "rollout");
     Ok(print_line(&format!("{skipped} skipped"))?)
 }
 
@@ -208,53 +215,49 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
     Ok(JobName { rollout_id, replicate })
 }
 
-fn replicate_name(job: &Job) -> String {
+fn replicate_name(job: &JobLine) -> String {
     rollout_name(&job.rollout_id, job.replicate)
 }
 
 /// Describes the state of a job, such as its lease, backoff or outcome.
-fn describe_state(job: &Job) -> String {
-    match (job.state.as_str(), job.success) {
-        ("leased", _) => format!(
-            "running on {}, control step {}, lease ends in {}",
-            job.lease_owner,
-            job.control_steps,
-            duration_text(job.lease_left_secs)
+fn describe_state(job: &JobLine) -> String {
+    match (job.state.as_str(), &job.worker_id, job.backoff_left_secs, &job.outcome) {
+        (_, Some(worker), ..) => format!(
+            "running on {worker}, control step {}, lease ends in {}",
+            job.control_steps.unwrap_or_default(),
+            duration_text(job.lease_left_secs.unwrap_or_default())
         ),
-        ("queued", _) if job.backoff_left_secs > 0.0 => {
-            format!("waits {}", duration_text(job.backoff_left_secs))
+        (_, _, Some(secs), _) if secs > 0.0 => format!("waits {}", duration_text(secs)),
+        ("queued", ..) => "waits".to_owned(),
+        (.., Some(outcome)) => {
+            format!("{outcome} after {} steps", job.steps.unwrap_or_default())
         }
-        ("queued", _) => "waits".to_owned(),
-        ("quarantined", _) => "quarantined".to_owned(),
-        (_, Some(success)) => format!(
-            "{} after {} steps",
-            if success { "success" } else { "failure" },
-            job.steps.unwrap_or(0)
-        ),
-        (state, None) => state.to_owned(),
+        (state, ..) => state.to_owned(),
     }
 }
 
-fn summary_line(job: &Job) -> String {
+fn summary_line(job: &JobLine) -> String {
     let mut line = format!("{:<36} {}", replicate_name(job), describe_state(job));
     if job.charged_attempts > 0 {
         line.push_str(&format!(", {} charged", job.charged_attempts));
     }
-    if job.state != "committed" && !job.last_error.is_empty() {
-        line.push_str(&format!(": {}", shortened(&job.last_error, ERROR_BYTES)));
+    if let Some(error) = job.last_error.as_ref().filter(|_| job.outcome.is_none()) {
+        line.push_str(&format!(": {}", shortened(error, ERROR_BYTES)));
     }
     line
 }
 
-fn describe_job(details: &GetJobResponse) -> String {
-    let job = details.job.clone().unwrap_or_default();
+/// Describes a job at the instant `now` of the coordinator.
+fn describe_job(details: &JobDetails, now: UnixMillis) -> Result<String, CommandError> {
+    let job = &details.job;
+    let ago = |at| duration_text(now.since(at).as_secs_f64());
     let mut lines = vec![
-        format!("{}  (job {})", replicate_name(&job), job.job_id),
-        format!("  now            {}", describe_state(&job)),
-        format!("  attempts       {}, of which {} are charged", job.attempt, job.charged_attempts),
+        format!("{}  (job {})", replicate_name(job), job.job_id),
+        format!("  now            {}", describe_state(job)),
+        format!("  attempts       {}, of which {} are charged", job.attempts, job.charged_attempts),
     ];
-    if details.stale_reports > 0 {
-        lines.push(format!("  late reports   {} refused", details.stale_reports));
+    if details.late_reports > 0 {
+        lines.push(format!("  late reports   {} refused", details.late_reports));
     }
     if let Some(result) = &details.result {
         lines.push(format!(
@@ -265,20 +268,16 @@ fn describe_job(details: &GetJobResponse) -> String {
             result.renderer,
             result.look,
             result.wall_secs,
-            duration_text(result.ago_secs)
+            ago(result.committed_at)
         ));
-        if !result.prompt.is_empty() {
-            lines.push(format!("  prompt         {}", result.prompt));
-        }
+        lines.extend(result.prompt.iter().map(|prompt| format!("  prompt         {prompt}")));
         if result.divergences > 0 {
             lines.push(format!(
                 "  divergent      reported {} times with another outcome",
                 result.divergences
             ));
         }
-        if !result.video.is_empty() {
-            lines.push(format!("  video          {}", result.video));
-        }
+        lines.extend(result.video.iter().map(|video| format!("  video          {video}")));
     }
     for failure in &details.failures {
         lines.push(format!(
@@ -286,11 +285,12 @@ fn describe_job(details: &GetJobResponse) -> String {
             failure.attempt,
             failure.reason.replace('_', " "),
             failure.worker_id,
-            duration_text(failure.ago_secs),
-            if failure.charged { "" } else { ", not charged" },
+            ago(failure.failed_at),
+            if failure.is_charged { "" } else { ", not charged" },
             failure.error
         ));
     }
-    lines.push(format!("  manifest row   {}", details.manifest_row));
-    lines.join("\n")
+    let manifest_row = serde_json::to_string(&details.manifest_row).map_err(failure)?;
+    lines.push(format!("  manifest row   {manifest_row}"));
+    Ok(lines.join("\n"))
 }

@@ -2,9 +2,8 @@
 //! operator.
 
 use coordinator::words::{duration_text, rate_text};
-use proto::coordinator::CampaignStatus;
-use proto::coordinator::campaign_status::State;
 use queue::ids::shortened;
+use queue::read::{CampaignStatus, Stage};
 
 /// Width of a line, and greatest width of its progress bar, columns.
 const LINE_COLUMNS: usize = 79;
@@ -12,40 +11,34 @@ const BAR_COLUMNS: usize = 16;
 /// Longest campaign name in a line, bytes.
 const NAME_BYTES: usize = 18;
 
-/// Returns true if the campaign is cancelled or stopped early, or if every rollout is committed or
-/// in quarantine.
-pub(super) fn is_finished(status: &CampaignStatus) -> bool {
-    let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
-    is_over || status.committed + status.quarantined >= status.total
-}
-
 /// Formats name, progress bar, counts, rate and ETA in one line. The bar takes the columns that the
 /// text leaves free. Progress counts committed rollouts, not those in quarantine.
 pub(super) fn line(status: &CampaignStatus) -> String {
-    let done = status.committed;
-    let percent = (done * 100).checked_div(status.total).unwrap_or(0);
-    let state_text = if status.state() == State::Cancelled {
+    let rollouts = &status.rollouts;
+    let (done, total, running) = (rollouts.committed, rollouts.total(), rollouts.leased);
+    let percent = (done * 100).checked_div(total).unwrap_or(0);
+    let state_text = if status.state == Stage::Cancelled {
         "cancelled".to_owned()
-    } else if status.state() == State::Stopped {
+    } else if status.state == Stage::Stopped {
         "stopped early".to_owned()
-    } else if is_finished(status) && status.quarantined > 0 {
-        format!("finished but for {} in quarantine", status.quarantined)
-    } else if status.total == 0 {
+    } else if status.is_finished && rollouts.quarantined > 0 {
+        format!("finished but for {} in quarantine", rollouts.quarantined)
+    } else if total == 0 {
         "no rollouts yet".to_owned()
-    } else if is_finished(status) {
+    } else if status.is_finished {
         "finished".to_owned()
-    } else if status.state() == State::Paused {
-        format!("paused, {} running", status.leased)
+    } else if status.state == Stage::Paused {
+        format!("paused, {running} running")
     } else {
         let rate = status.rate_per_sec.map_or("–/s".to_owned(), rate_text);
-        let eta = status.eta_secs.map_or("–".to_owned(), duration_text);
-        format!("{} running  {rate}  ETA {eta}", status.leased)
+        let eta = status.remaining_secs.map_or("–".to_owned(), duration_text);
+        format!("{running} running  {rate}  ETA {eta}")
     };
-    let name = shortened(&status.campaign, NAME_BYTES);
-    let counts = format!("{done}/{} {percent}%  {state_text}", status.total);
+    let name = shortened(&status.name, NAME_BYTES);
+    let counts = format!("{done}/{total} {percent}%  {state_text}");
     let used_columns = name.chars().count() + counts.chars().count() + 2;
     let bar_columns = LINE_COLUMNS.saturating_sub(used_columns).min(BAR_COLUMNS) as u64;
-    let filled = (done * bar_columns).checked_div(status.total).unwrap_or(0);
+    let filled = (done * bar_columns).checked_div(total).unwrap_or(0);
     let bar: String =
         (0..bar_columns).map(|column| if column < filled { '█' } else { '░' }).collect();
     format!("{name} {bar} {counts}")
@@ -56,31 +49,27 @@ pub(super) fn line(status: &CampaignStatus) -> String {
 fn describe_early_stop(status: &CampaignStatus) -> Option<String> {
     let early = status.early_stop.as_ref()?;
     let configurations = [early.used?.into(), early.configurations.into()];
-    let rollouts = [status.queued, status.total];
-    Some(report::describe_early_stop(configurations, &early.rule, rollouts))
+    let rollouts = [status.rollouts.queued, status.rollouts.total()];
+    Some(report::describe_early_stop(configurations, &early.stop.rule.to_string(), rollouts))
 }
 
 /// Describes the reasons why a campaign makes no progress, an early stop, and faults that need the
 /// operator's attention; `None` if there is nothing to describe.
 pub(super) fn operator_notes(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
-    if status.policy_paused {
-        notes.push(format!(
-            "policy `{}` is paused, its rollouts wait: {}",
-            status.policy, status.policy_pause_reason
-        ));
-    } else if !status.waiting_reason.is_empty() {
-        notes.push(status.waiting_reason.clone());
+    match &status.policy_outage {
+        Some(reason) => {
+            notes.push(format!("policy `{}` is paused, its rollouts wait: {reason}", status.policy))
+        }
+        None => notes.extend(status.waiting_reason.clone()),
     }
     notes.extend(describe_early_stop(status));
-    if !status.mixed_fingerprints.is_empty() {
-        notes.push(status.mixed_fingerprints.clone());
-    }
-    if status.quarantined > 0 {
+    notes.extend(status.mixed_fingerprints.clone());
+    if status.rollouts.quarantined > 0 {
         notes.push(format!(
             "{} in quarantine (failed too often, or skipped): \
              `coordinator jobs list {} --state quarantined`",
-            status.quarantined, status.campaign
+            status.rollouts.quarantined, status.name
         ));
     }
     (!notes.is_empty()).then(|| notes.join("; "))
@@ -88,18 +77,18 @@ pub(super) fn operator_notes(status: &CampaignStatus) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use libero_ctrl::{Stop, Strata};
+    use queue::read::{Counts, EarlyStop};
+
     use super::*;
-    use proto::coordinator::campaign_status::EarlyStop;
 
     fn running(committed: u64, total: u64) -> CampaignStatus {
+        let queued = total - committed - 2;
         CampaignStatus {
-            campaign: "demo".to_owned(),
-            total,
-            committed,
-            leased: 2,
-            queued: total - committed - 2,
+            name: "demo".to_owned(),
+            rollouts: Counts { committed, leased: 2, queued, ..Counts::default() },
             rate_per_sec: Some(0.42),
-            eta_secs: Some(268.0),
+            remaining_secs: Some(268.0),
             ..CampaignStatus::default()
         }
     }
@@ -114,40 +103,38 @@ mod tests {
 
     #[test]
     fn a_line_with_large_numbers_fits_eighty_columns() {
-        let status = CampaignStatus {
-            campaign: "a-very-long-campaign-name-that-goes-on-and-on".to_owned(),
-            leased: 2_000,
+        let mut status = CampaignStatus {
+            name: "a-very-long-campaign-name-that-goes-on-and-on".to_owned(),
             rate_per_sec: Some(1_234.5),
-            eta_secs: Some(9e6),
-            ..running(123_456, 1_000_000)
+            remaining_secs: Some(9e6),
+            ..running(123_456, 998_002)
         };
+        status.rollouts.leased = 2_000;
         let columns = line(&status).chars().count();
         assert!(columns <= 80, "{columns}: {}", line(&status));
     }
 
     #[test]
     fn a_paused_or_cancelled_campaign_shows_no_eta() {
-        let with = |state: State| CampaignStatus { state: state.into(), ..running(57, 140) };
-        assert!(line(&with(State::Paused)).ends_with("40%  paused, 2 running"));
-        assert!(line(&with(State::Cancelled)).ends_with("40%  cancelled"));
-        assert!(is_finished(&with(State::Cancelled)) && !is_finished(&with(State::Paused)));
+        let with = |state| CampaignStatus { state, ..running(57, 140) };
+        assert!(line(&with(Stage::Paused)).ends_with("40%  paused, 2 running"));
+        assert!(line(&with(Stage::Cancelled)).ends_with("40%  cancelled"));
     }
 
     #[test]
     fn the_note_of_an_early_stop_gives_configurations_rule_and_saved_rollouts() {
+        let rule = "width(I) < 0.2".parse().expect("a rule");
         let stopped = CampaignStatus {
-            state: State::Stopped.into(),
-            leased: 0,
-            queued: 83,
+            state: Stage::Stopped,
+            rollouts: Counts { committed: 57, queued: 83, ..Counts::default() },
             early_stop: Some(EarlyStop {
-                rule: "width(I) < 0.2".to_owned(),
+                stop: Stop { rule, seed: 0, strata: Strata::Suites },
                 configurations: 20,
                 used: Some(8),
-                ..EarlyStop::default()
+                saved: Some(83),
             }),
-            ..running(57, 140)
+            ..CampaignStatus::default()
         };
-        assert!(is_finished(&stopped));
         assert!(line(&stopped).ends_with("40%  stopped early"));
         assert_eq!(
             operator_notes(&stopped).expect("a note"),
@@ -160,13 +147,11 @@ mod tests {
     #[test]
     fn quarantined_rollouts_are_not_progress_and_are_named_at_the_end() {
         let status = CampaignStatus {
-            campaign: "demo".to_owned(),
-            total: 140,
-            committed: 137,
-            quarantined: 3,
+            name: "demo".to_owned(),
+            is_finished: true,
+            rollouts: Counts { committed: 137, quarantined: 3, ..Counts::default() },
             ..CampaignStatus::default()
         };
-        assert!(is_finished(&status));
         assert_eq!(
             line(&status),
             "demo ███████████████░ 137/140 97%  finished but for 3 in quarantine"

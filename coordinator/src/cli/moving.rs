@@ -8,8 +8,9 @@ use clap::Args;
 use coordinator::archive::ArchiveError;
 use coordinator::client::Service;
 use coordinator::storage::Storage;
-use proto::coordinator::{ArchiveCampaignRequest, ImportCampaignResponse, ImportChunk};
+use proto::coordinator::{Answer, ArchiveCampaignRequest, ImportChunk};
 use queue::ids::CampaignName;
+use queue::read::Counts;
 use tempfile::TempDir;
 use terminal::counted;
 use tokio::fs::File;
@@ -99,13 +100,12 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
         data: Vec::new(),
     };
     let send = async |service: &mut Service, first_chunk| send(service, path, first_chunk).await;
-    let imported = client.call(first_chunk, send).await?;
+    let (campaign, counts, films): (String, Counts, u64) = client.ask(first_chunk, send).await?;
     Ok(print_line(&format!(
-        "campaign {} imported: {}, {} and {}",
-        imported.campaign,
-        counted(imported.jobs, "rollout"),
-        counted(imported.results, "result"),
-        counted(imported.films, "film"),
+        "campaign {campaign} imported: {}, {} and {}",
+        counted(counts.total(), "rollout"),
+        counted(counts.committed, "result"),
+        counted(films, "film"),
     ))?)
 }
 
@@ -115,7 +115,7 @@ async fn send(
     service: &mut Service,
     path: &Path,
     first_chunk: ImportChunk,
-) -> Result<Response<ImportCampaignResponse>, Status> {
+) -> Result<Response<Answer>, Status> {
     let file = File::open(path).await?;
     let chunks = ReaderStream::with_capacity(file, CHUNK_BYTES);
     // A read error ends the stream early; the coordinator then rejects the archive as truncated.

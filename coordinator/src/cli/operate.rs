@@ -5,9 +5,10 @@ use std::io::{IsTerminal, Write};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use coordinator::client::Service;
-use proto::coordinator::campaign_status::State;
 use proto::coordinator::change_campaign_request::Change;
-use proto::coordinator::{CampaignStatus, ChangeCampaignRequest, DeleteCampaignRequest};
+use proto::coordinator::{ChangeCampaignRequest, DeleteCampaignRequest};
+use queue::read::CampaignStatus;
+use queue::rules::campaign::CampaignState;
 use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -35,12 +36,11 @@ pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result
     let name = &arguments.campaign;
     let client = arguments.connection.client()?;
     let request = ChangeCampaignRequest { campaign: name.clone(), change: change.into() };
-    let changed = client.call(request, Service::change_campaign).await?;
-    let text = match changed.state() {
-        State::Running | State::Unspecified => "running",
-        State::Paused => "paused; running attempts may still be committed",
-        State::Cancelled => "cancelled; its results stay",
-        State::Stopped => "stopped early; its results stay",
+    let text = match client.ask(request, Service::change_campaign).await? {
+        CampaignState::Running { .. } => "running",
+        CampaignState::Paused { .. } => "paused; running attempts may still be committed",
+        CampaignState::Cancelled { .. } => "cancelled; its results stay",
+        CampaignState::Stopped { .. } => "stopped early; its results stay",
     };
     Ok(print_line(&format!("campaign {name} is {text}"))?)
 }
@@ -58,21 +58,21 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     let client = arguments.connection.client()?;
     let before = client.campaign_status(name).await?;
     let request = DeleteCampaignRequest { campaign: name.clone(), confirm: confirmed };
-    let (jobs, results) = match client.call(request, Service::delete_campaign).await {
-        Ok(deleted) => (deleted.jobs, deleted.results),
+    let deleted = match client.ask(request, Service::delete_campaign).await {
+        Ok(deleted) => deleted,
         Err(error) => {
-            let exists = |status: &CampaignStatus| status.campaign == *name;
+            let exists = |status: &CampaignStatus| status.name == *name;
             if client.list_campaigns().await?.iter().any(exists) {
                 return Err(error.into());
             }
             // An earlier try deleted the campaign, and its answer was lost.
-            (before.total, before.committed)
+            before.rollouts
         }
     };
     Ok(print_line(&format!(
         "campaign {name} deleted: {}, {} and their files",
-        counted(jobs, "rollout"),
-        counted(results, "result")
+        counted(deleted.total(), "rollout"),
+        counted(deleted.committed, "result")
     ))?)
 }
 

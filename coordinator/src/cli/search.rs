@@ -13,10 +13,8 @@ use libero_ctrl::{
     Wanted,
 };
 use paired::Outcome;
-use proto::coordinator::campaign_status::State;
-use proto::coordinator::{
-    AppendRowsRequest, AppendedRow, CampaignStatus, CreateCampaignRequest, GetCampaignRequest,
-};
+use proto::coordinator::{AppendRowsRequest, AppendedRow, CreateCampaignRequest};
+use queue::read::{CampaignStatus, Stage};
 use report::{Prospect, Subject};
 use terminal::counted;
 
@@ -146,12 +144,12 @@ impl Search<'_> {
         let mut is_reported = false;
         loop {
             let source = client.campaign_status(self.source).await?;
-            let (name, open) = (self.source, source.queued + source.leased);
+            let (name, open) = (self.source, source.rollouts.queued + source.rollouts.leased);
             let rollouts = counted(open, "rollout");
-            match source.state() {
-                State::Stopped => return Ok(source),
+            match source.state {
+                Stage::Stopped => return Ok(source),
                 _ if open == 0 => return Ok(source),
-                State::Cancelled => {
+                Stage::Cancelled => {
                     return Err(failure(anyhow!(
                         "run `coordinator {} {name}`: campaign {name} was cancelled with \
                          {rollouts} left; name a campaign that is finished",
@@ -181,7 +179,7 @@ impl Search<'_> {
         loop {
             let source = self.settled_source(client).await?;
             let status = client.campaign_status(self.name).await?;
-            if status.state() == State::Cancelled {
+            if status.state == Stage::Cancelled {
                 let name = self.name;
                 return Err(failure(anyhow!(
                     "add rollouts to campaign `{name}`: it is cancelled, which is final; choose \
@@ -193,8 +191,9 @@ impl Search<'_> {
                 eprintln!("{notes}{}", line(&status));
                 shown = Some(Instant::now());
             }
-            let settled = |status: &CampaignStatus| (status.committed, status.quarantined);
-            let counts = (settled(&source), settled(&status), status.total);
+            let settled =
+                |status: &CampaignStatus| (status.rollouts.committed, status.rollouts.quarantined);
+            let counts = (settled(&source), settled(&status), status.rollouts.total());
             let began = Instant::now();
             if evaluated.replace(counts) != Some(counts) {
                 let subject = client.report(self.name).await?;
@@ -238,7 +237,7 @@ impl Search<'_> {
     /// Returns true if a campaign of this name, of the same kind and with the same source exists.
     async fn exists(&self, client: &Client) -> Result<bool, CommandError> {
         let campaigns = client.list_campaigns().await?;
-        if !campaigns.iter().any(|status| status.campaign == self.name) {
+        if !campaigns.iter().any(|status| status.name == self.name) {
             return Ok(false);
         }
         let rollouts = spec(client, self.name).await?.rollouts;
@@ -251,10 +250,7 @@ impl Search<'_> {
         let CampaignSpec { record, execution, .. } = spec(client, self.source).await?;
         let spec = CampaignSpec {
             name: self.name.to_owned(),
-            policy: PolicyRoute {
-                name: source.policy.clone(),
-                endpoint: source.policy_endpoint.clone(),
-            },
+            policy: PolicyRoute { name: source.policy.clone(), endpoint: source.endpoint.clone() },
             rollouts: self.rollouts.clone(),
             realisation: Realisation::Matched,
             replicates: 1,
@@ -282,12 +278,12 @@ impl Search<'_> {
         let rollouts = prospect.most_rollouts.iter();
         let rollouts = rollouts.map(|(suite, rollouts)| (suite.name(), *rollouts));
         let forecast = forecast::request_for_suites(client, &source.policy, rollouts, None).await;
-        let open = match source.queued + source.leased {
+        let open = match source.rollouts.queued + source.rollouts.leased {
             0 => String::new(),
             open => format!(
                 ", and more may follow from {} of {} without an outcome",
                 counted(open, "rollout"),
-                source.campaign
+                source.name
             ),
         };
         let size = format!(
@@ -303,7 +299,5 @@ impl Search<'_> {
 
 /// Returns the specification of a campaign.
 pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
-    let request = GetCampaignRequest { campaign: name.to_owned() };
-    let answer = client.call(request, Service::get_campaign).await?;
-    CampaignSpec::from_json(&answer.spec).map_err(usage)
+    CampaignSpec::from_json(&client.campaign(name).await?.1).map_err(usage)
 }

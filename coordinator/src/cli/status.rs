@@ -1,10 +1,13 @@
 //! `coordinator campaign list` and `coordinator campaign status`: progress of campaigns, in one
 //! line of at most 79 columns each, and details. `--watch` is implemented in `watch`.
 
+use std::collections::BTreeMap;
+
 use clap::Args;
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
-use proto::coordinator::{CampaignStatus, ListJobsRequest};
+use proto::coordinator::ListJobsRequest;
+use queue::read::{CampaignStatus, JobLine};
 use terminal::{counted, wrapped};
 
 use super::command::{CommandError, Connection, print_line};
@@ -42,7 +45,7 @@ pub(super) struct StatusArguments {
 pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     let campaigns = arguments.connection.client()?.list_campaigns().await?;
     if arguments.json {
-        return json::print(&json::Campaigns::from_messages(&campaigns));
+        return print_json(campaigns);
     }
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
@@ -65,7 +68,7 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
         (false, None) => client.list_campaigns().await?,
     };
     if arguments.json {
-        return json::print(&json::Campaigns::from_messages(&campaigns));
+        return print_json(campaigns);
     }
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
@@ -76,6 +79,11 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
     }
     text.extend(describe_filming(filming(&client).await?));
     Ok(print_line(&text.join("\n"))?)
+}
+
+fn print_json(mut campaigns: Vec<CampaignStatus>) -> Result<(), CommandError> {
+    campaigns.iter_mut().for_each(|status| status.policy_retry_secs = None);
+    json::print(&BTreeMap::from([("campaigns", campaigns)]))
 }
 
 /// Describes the failed attempts that are charged to rollouts which are not yet in quarantine;
@@ -89,7 +97,7 @@ async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, Comm
             limit: u32::MAX,
             ..ListJobsRequest::default()
         };
-        let jobs = client.call(request, Service::list_jobs).await?.jobs;
+        let jobs: Vec<JobLine> = client.ask(request, Service::list_jobs).await?;
         failing.extend(jobs.into_iter().filter(|job| job.charged_attempts > 0));
     }
     let Some(worst) = failing.iter().max_by_key(|job| job.charged_attempts) else {
@@ -102,35 +110,35 @@ async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, Comm
         15,
         &format!(
             "{rollouts} not in quarantine yet; `{}` failed in {attempts}: {}",
-            worst.rollout_id, worst.last_error
+            worst.rollout_id,
+            worst.last_error.as_deref().unwrap_or_default()
         ),
     )))
 }
 
 /// Formats the full status of a campaign, one line per quantity.
 fn details(status: &CampaignStatus) -> String {
+    let rollouts = &status.rollouts;
     let mut lines = vec![
         line(status),
-        format!("  policy       {} at {}", status.policy, status.policy_endpoint),
+        format!("  policy       {} at {}", status.policy, status.endpoint),
         format!("  priority     {:>7}", status.priority),
-        format!("  committed    {:>7}", status.committed),
-        format!("  succeeded    {:>7}", status.succeeded),
-        format!("  running      {:>7}", status.leased),
-        format!("  waiting      {:>7}", status.queued),
-        format!("  quarantined  {:>7}", status.quarantined),
+        format!("  committed    {:>7}", rollouts.committed),
+        format!("  succeeded    {:>7}", rollouts.succeeded),
+        format!("  running      {:>7}", rollouts.leased),
+        format!("  waiting      {:>7}", rollouts.queued),
+        format!("  quarantined  {:>7}", rollouts.quarantined),
         format!("  live workers {:>7}", status.live_workers),
     ];
     if let Some(early) = &status.early_stop {
         lines.push(format!(
             "  ends early   once {}; random order of seed {}, in rounds of {}",
-            early.rule,
-            early.seed,
-            early.strata.replace('_', " ")
+            early.stop.rule,
+            early.stop.seed,
+            early.stop.strata.name()
         ));
     }
-    if !status.follows_from.is_empty() {
-        lines.push(format!("  follows from {}", status.follows_from));
-    }
+    lines.extend(status.follows_from.iter().map(|source| format!("  follows from {source}")));
     if let Some(secs) = status.policy_retry_secs {
         let when = match secs >= 1.0 {
             true => format!("in {}", duration_text(secs)),
@@ -138,7 +146,7 @@ fn details(status: &CampaignStatus) -> String {
         };
         lines.push(format!(
             "  policy retry {when}; `coordinator campaign resume {}` retries at once",
-            status.campaign
+            status.name
         ));
     }
     lines.extend(operator_notes(status).map(|notes| format!("  note         {notes}")));

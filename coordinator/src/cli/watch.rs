@@ -7,12 +7,10 @@ use std::time::Duration;
 
 use anyhow::Context;
 use coordinator::client::Client;
-use proto::coordinator::CampaignStatus;
-use proto::coordinator::campaign_status::State;
-use queue::read::RATE_WINDOW;
+use queue::read::{CampaignStatus, RATE_WINDOW, Stage};
 
 use super::command::{CommandError, print_line};
-use super::line::{is_finished, line, operator_notes};
+use super::line::{line, operator_notes};
 use super::workers::{describe_filming, filming};
 
 /// Refresh intervals: on a terminal, where the table is redrawn in place, and in a log, to which
@@ -43,7 +41,7 @@ pub(super) async fn watch(
             None => client.list_campaigns().await?,
         };
         screen.show(&campaigns, filming(client).await?)?;
-        if campaigns.iter().all(is_finished) {
+        if campaigns.iter().all(|campaign| campaign.is_finished) {
             return Ok(campaigns);
         }
         tokio::time::sleep(period).await;
@@ -90,10 +88,9 @@ impl Screen {
 fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
     // Cancelled and stopped campaigns never continue, so a policy's total leaves them out.
-    let can_continue =
-        |status: &&CampaignStatus| !matches!(status.state(), State::Cancelled | State::Stopped);
+    let can_continue = |status: &&CampaignStatus| !status.state.is_over();
     for status in campaigns.iter().filter(can_continue) {
-        let policy = (status.policy_endpoint.as_str(), status.policy.as_str());
+        let policy = (status.endpoint.as_str(), status.policy.as_str());
         policies.entry(policy).or_default().push(status);
     }
     let shared = policies.values().filter(|campaigns| campaigns.len() > 1);
@@ -105,43 +102,45 @@ fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
 /// campaigns are left out of the ETA.
 fn sum_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let mut sum = CampaignStatus::default();
+    let mut paused = 0;
+    sum.is_finished = true;
     for status in campaigns {
-        sum.campaign = format!("all of {}", status.policy);
-        sum.total += status.total;
-        sum.leased += status.leased;
-        sum.committed += status.committed;
-        sum.quarantined += status.quarantined;
-        if status.state() != State::Paused {
-            sum.queued += status.queued;
+        sum.name = format!("all of {}", status.policy);
+        sum.is_finished &= status.is_finished;
+        sum.rollouts.leased += status.rollouts.leased;
+        sum.rollouts.committed += status.rollouts.committed;
+        sum.rollouts.quarantined += status.rollouts.quarantined;
+        sum.rollouts.queued += status.rollouts.queued;
+        if status.state == Stage::Paused {
+            paused += status.rollouts.queued;
         }
         if let Some(rate) = status.rate_per_sec {
             sum.rate_per_sec = Some(sum.rate_per_sec.unwrap_or(0.0) + rate);
         }
     }
-    let unfinished = sum.queued + sum.leased;
+    let unfinished = sum.rollouts.queued - paused + sum.rollouts.leased;
     if unfinished == 0 {
         // Any rollouts left belong to paused campaigns.
-        sum.set_state(State::Paused);
+        sum.state = Stage::Paused;
     } else {
-        sum.eta_secs = sum.rate_per_sec.map(|rate| unfinished as f64 / rate);
+        sum.remaining_secs = sum.rate_per_sec.map(|rate| unfinished as f64 / rate);
     }
     sum
 }
 
 #[cfg(test)]
 mod tests {
+    use queue::read::Counts;
+
     use super::*;
 
     fn campaign(name: &str, policy: &str) -> CampaignStatus {
         CampaignStatus {
-            campaign: name.to_owned(),
+            name: name.to_owned(),
             policy: policy.to_owned(),
-            total: 100,
-            queued: 49,
-            leased: 1,
-            committed: 50,
+            rollouts: Counts { queued: 49, leased: 1, committed: 50, ..Counts::default() },
             rate_per_sec: Some(0.5),
-            eta_secs: Some(100.0),
+            remaining_secs: Some(100.0),
             ..CampaignStatus::default()
         }
     }
@@ -164,12 +163,9 @@ mod tests {
     /// left.
     #[test]
     fn cancelled_campaigns_are_left_out_of_a_policys_total() {
-        let in_state = |name: &str, state: State| CampaignStatus {
-            state: state.into(),
-            ..campaign(name, "expert")
-        };
-        let cancelled = in_state("cancelled", State::Cancelled);
-        let running = in_state("one", State::Running);
+        let in_state = |name: &str, state| CampaignStatus { state, ..campaign(name, "expert") };
+        let cancelled = in_state("cancelled", Stage::Cancelled);
+        let running = in_state("one", Stage::Running);
         assert_eq!(table(&[running.clone(), cancelled.clone()]).len(), 2);
         let lines = table(&[running.clone(), cancelled, running]);
         assert!(lines[3].contains("100/200 50%"), "{}", lines[3]);
@@ -178,16 +174,15 @@ mod tests {
     #[test]
     fn a_policy_whose_campaigns_are_all_paused_or_finished_shows_no_eta() {
         let paused = CampaignStatus {
-            state: State::Paused.into(),
-            leased: 0,
+            state: Stage::Paused,
+            rollouts: Counts { queued: 50, committed: 50, ..Counts::default() },
             rate_per_sec: None,
-            eta_secs: None,
+            remaining_secs: None,
             ..campaign("paused", "expert")
         };
         let finished = CampaignStatus {
-            queued: 0,
-            leased: 0,
-            committed: 100,
+            is_finished: true,
+            rollouts: Counts { committed: 100, ..Counts::default() },
             ..campaign("finished", "expert")
         };
         let lines = table(&[paused, finished.clone()]);
@@ -198,15 +193,15 @@ mod tests {
 
     #[test]
     fn queued_rollouts_count_into_a_policys_eta_unless_paused() {
-        let idle = |state: State| CampaignStatus {
+        let idle = |state| CampaignStatus {
             rate_per_sec: None,
-            eta_secs: None,
-            leased: 0,
-            state: state.into(),
+            remaining_secs: None,
+            rollouts: Counts { queued: 49, committed: 50, ..Counts::default() },
+            state,
             ..campaign("idle", "expert")
         };
-        let eta = |other| sum_policy(&[&campaign("one", "expert"), &other]).eta_secs;
-        assert_eq!(eta(idle(State::Running)), Some(198.0));
-        assert_eq!(eta(idle(State::Paused)), Some(100.0));
+        let eta = |other| sum_policy(&[&campaign("one", "expert"), &other]).remaining_secs;
+        assert_eq!(eta(idle(Stage::Running)), Some(198.0));
+        assert_eq!(eta(idle(Stage::Paused)), Some(100.0));
     }
 }

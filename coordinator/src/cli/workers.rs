@@ -1,11 +1,14 @@
 //! `coordinator workers`.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use clap::Args;
 use coordinator::client::{Client, Service};
 use coordinator::words::{duration_text, runs_on};
-use proto::coordinator::{ListWorkersRequest, WorkerStatus};
+use proto::coordinator::ListWorkersRequest;
+use queue::clock::UnixMillis;
+use queue::read::WorkerLine;
 use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line};
@@ -28,18 +31,17 @@ pub(super) struct WorkersArguments {
 
 pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let listed = client.call(ListWorkersRequest {}, Service::list_workers);
-    let workers = listed.await?.workers.into_iter();
-    let (alive, departed): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
+    let (now, workers) = list(&client).await?;
+    let (alive, departed): (Vec<_>, Vec<_>) = workers.into_iter().partition(|line| line.is_alive);
     if arguments.json {
-        let shown = alive.iter().chain(departed.iter().filter(|_| arguments.all));
-        return json::print(&json::Workers::from_messages(shown));
+        let shown = alive.into_iter().chain(departed.into_iter().filter(|_| arguments.all));
+        let shown = shown.map(|worker| WorkerLine { filming: None, ..worker });
+        return json::print(&BTreeMap::from([("workers", shown.collect::<Vec<_>>())]));
     }
-    let (recent, older): (Vec<_>, Vec<_>) = departed
-        .iter()
-        .partition(|worker| worker.silent_secs < LISTED_AFTER_DEPARTURE.as_secs_f64());
+    let (recent, older): (Vec<_>, Vec<_>) =
+        departed.iter().partition(|worker| now.since(worker.last_call_at) < LISTED_AFTER_DEPARTURE);
     let shown = alive.iter().chain(recent.iter().copied().filter(|_| arguments.all));
-    let mut lines: Vec<String> = shown.map(describe_worker).collect();
+    let mut lines: Vec<String> = shown.map(|worker| describe_worker(worker, now)).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
@@ -55,12 +57,14 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     Ok(print_line(&lines.join("\n"))?)
 }
 
+/// Returns the workers, and the coordinator's time.
+async fn list(client: &Client) -> Result<(UnixMillis, Vec<WorkerLine>), CommandError> {
+    Ok(client.ask_at(ListWorkersRequest {}, Service::list_workers).await?)
+}
+
 /// Counts finished rollouts whose videos live workers are still rendering or uploading.
 pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
-    let listed = client.call(ListWorkersRequest {}, Service::list_workers);
-    let workers = listed.await?.workers;
-    let alive = workers.iter().filter(|worker| worker.alive);
-    Ok(alive.map(|worker| worker.filming).sum())
+    Ok(list(client).await?.1.iter().filter_map(|worker| worker.filming).sum())
 }
 
 /// Describes the number of rollouts being filmed in one line; `None` if it is zero.
@@ -71,27 +75,25 @@ pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
     })
 }
 
-fn describe_worker(worker: &WorkerStatus) -> String {
-    let state = match (worker.alive, worker.stopped_reason.as_str()) {
-        (false, _) if worker.signed_off => "ended".to_owned(),
+fn describe_worker(worker: &WorkerLine, now: UnixMillis) -> String {
+    let state = match (worker.is_alive, &worker.stopped_reason) {
+        (false, _) if worker.has_signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),
-        (true, "") => format!("{}/{} slots busy", worker.leases, worker.slots),
-        (true, reason) => format!("gets no more leases: {reason}"),
+        (true, None) => format!("{}/{} slots busy", worker.leases, worker.slots),
+        (true, Some(reason)) => format!("gets no more leases: {reason}"),
     };
-    let failures = match worker.charged_in_a_row {
+    let failures = match worker.failures_in_a_row {
         0 => String::new(),
         failures => format!(", {} in a row", counted(failures.into(), "failure")),
     };
-    let filming = match worker.filming {
-        0 => String::new(),
-        1 => "\n  filming 1 rollout".to_owned(),
-        rollouts => format!("\n  filming {rollouts} rollouts"),
-    };
+    let filming = worker.filming.map_or_else(String::new, |rollouts| {
+        format!("\n  filming {}", counted(rollouts.into(), "rollout"))
+    });
     format!(
         "{} on {}: {state}{failures}, last call {} ago{filming}\n  {}",
         worker.worker_id,
         worker.host,
-        duration_text(worker.silent_secs),
+        duration_text(now.since(worker.last_call_at).as_secs_f64()),
         runs_on(
             &worker.asset_pack,
             &worker.mujoco_version,

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use proto::coordinator as wire;
 use queue::ids::{CampaignName, shortened};
+use queue::read::Counts;
 use queue::{AdoptError, CopyError, MOVING_PREFIX, Portable, PortableError, Queue};
 use tempfile::TempDir;
 use tokio::io::AsyncWriteExt;
@@ -130,13 +131,14 @@ impl Write for ChunkWriter {
     }
 }
 
-/// Receives an uploaded archive, verifies it and adds its campaign to the queue.
+/// Receives an uploaded archive, verifies it and adds its campaign to the queue. Returns the
+/// campaign's name, its counts and the number of its films.
 pub(super) async fn import(
     queue: &Arc<Queue>,
     changes: &Detached,
     mut chunks: Streaming<wire::ImportChunk>,
     min_free_bytes: u64,
-) -> Result<wire::ImportCampaignResponse, Status> {
+) -> Result<(String, Counts, u64), Status> {
     let first = next_chunk(&mut chunks).await?;
     let first = first.ok_or_else(|| invalid("import the archive: the upload is empty"))?;
     let name = match first.name.as_str() {
@@ -162,12 +164,7 @@ pub(super) async fn import(
         queue.adopt(&unpacked.campaign, source, name.as_ref()).await
     };
     let (campaign, counts) = changes.run(adopted).await?.map_err(adopt_failed)?;
-    Ok(wire::ImportCampaignResponse {
-        campaign: campaign.to_string(),
-        jobs: counts.total(),
-        results: counts.committed,
-        films,
-    })
+    Ok((campaign.to_string(), counts, films))
 }
 
 async fn receive(

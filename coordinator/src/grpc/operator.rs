@@ -4,19 +4,17 @@ use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
-    self as wire, AlterCampaignRequest, AlterCampaignResponse, AppendRowsRequest,
-    AppendRowsResponse, ArchiveCampaignRequest, BackupRequest, ChangeCampaignRequest,
-    ChangeCampaignResponse, CreateCampaignRequest, CreateCampaignResponse, DeleteCampaignRequest,
-    DeleteCampaignResponse, ExportRequest, ForecastRequest, ForecastResponse, GetCampaignRequest,
-    GetCampaignResponse, GetJobRequest, GetJobResponse, ImportCampaignResponse,
-    ListCampaignsRequest, ListCampaignsResponse, ListJobsRequest, ListJobsResponse,
-    ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
-    SkipJobsRequest, SkipJobsResponse,
+    self as wire, AlterCampaignRequest, AppendRowsRequest, ArchiveCampaignRequest, BackupRequest,
+    ChangeCampaignRequest, CreateCampaignRequest, DeleteCampaignRequest, ExportRequest,
+    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, ListCampaignsRequest,
+    ListJobsRequest, ListWorkersRequest, ReportRequest, RetryJobsRequest, SkipJobsRequest,
 };
 use queue::Queue;
+use queue::clock::UnixMillis;
 use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, Planned, View};
+use serde::Serialize;
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
@@ -25,7 +23,7 @@ use super::backup;
 use super::detached::Detached;
 use super::failure::{Answer, failed, invalid};
 use super::streams::{Large, Turns};
-use super::{listing, moving, read};
+use super::{moving, read};
 use crate::export;
 use crate::forecast;
 use crate::report;
@@ -69,7 +67,7 @@ impl OperatorService for OperatorApi {
     async fn create_campaign(
         &self,
         request: Request<CreateCampaignRequest>,
-    ) -> Answer<CreateCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let campaign = NewCampaign::from_json(&request.spec);
         let campaign = NewCampaign {
@@ -78,15 +76,10 @@ impl OperatorService for OperatorApi {
         };
         let queue = self.queue.clone();
         let created = async move { queue.create_campaign(&campaign).await };
-        let created = self.changes.run(created).await?.map_err(failed)?;
-        Ok(Response::new(CreateCampaignResponse {
-            jobs_added: created.jobs_added,
-            jobs_total: created.jobs_total,
-            priority: created.priority,
-        }))
+        answer(self.queue.now(), &self.changes.run(created).await?.map_err(failed)?)
     }
 
-    async fn append_rows(&self, request: Request<AppendRowsRequest>) -> Answer<AppendRowsResponse> {
+    async fn append_rows(&self, request: Request<AppendRowsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let queue = self.queue.clone();
@@ -101,48 +94,37 @@ impl OperatorService for OperatorApi {
                 None => queue.append_rows(&name, rows).await,
             }
         };
-        let appended = self.changes.run(appended).await?.map_err(failed)?;
-        let (jobs_added, jobs_total) = (appended.jobs_added, appended.jobs_total);
-        Ok(Response::new(AppendRowsResponse { jobs_added, jobs_total }))
+        answer(self.queue.now(), &self.changes.run(appended).await?.map_err(failed)?)
     }
 
-    async fn list_campaigns(
-        &self,
-        _: Request<ListCampaignsRequest>,
-    ) -> Answer<ListCampaignsResponse> {
-        let campaigns = self.view().await?.statuses().await.map_err(failed)?;
-        Ok(Response::new(ListCampaignsResponse {
-            campaigns: campaigns.into_iter().map(listing::status).collect(),
-        }))
+    async fn list_campaigns(&self, _: Request<ListCampaignsRequest>) -> Answer<wire::Answer> {
+        let mut view = self.view().await?;
+        answer(view.now, &view.statuses().await.map_err(failed)?)
     }
 
-    async fn get_campaign(
-        &self,
-        request: Request<GetCampaignRequest>,
-    ) -> Answer<GetCampaignResponse> {
+    async fn get_campaign(&self, request: Request<GetCampaignRequest>) -> Answer<wire::Answer> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let spec = view.spec(&campaign).await.map_err(failed)?;
         let status = view.status(campaign).await.map_err(failed)?;
-        Ok(Response::new(GetCampaignResponse { spec, status: Some(listing::status(status)) }))
+        answer(view.now, &(status, spec))
     }
 
     async fn change_campaign(
         &self,
         request: Request<ChangeCampaignRequest>,
-    ) -> Answer<ChangeCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let change = read::change(request.change)?;
         let queue = self.queue.clone();
         let changed = async move { queue.change_campaign(&name, change).await };
-        let state = listing::state(self.changes.run(changed).await?.map_err(failed)?);
-        Ok(Response::new(ChangeCampaignResponse { state: state.into() }))
+        answer(self.queue.now(), &self.changes.run(changed).await?.map_err(failed)?)
     }
 
     async fn delete_campaign(
         &self,
         request: Request<DeleteCampaignRequest>,
-    ) -> Answer<DeleteCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         if request.confirm != request.campaign {
@@ -152,55 +134,44 @@ impl OperatorService for OperatorApi {
         }
         let queue = self.queue.clone();
         let deleted = async move { queue.delete_campaign(&name).await };
-        let deleted = self.changes.run(deleted).await?.map_err(failed)?;
-        Ok(Response::new(DeleteCampaignResponse {
-            jobs: deleted.total(),
-            results: deleted.committed,
-        }))
+        answer(self.queue.now(), &self.changes.run(deleted).await?.map_err(failed)?)
     }
 
-    async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<ListJobsResponse> {
+    async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let filter = read::job_filter(&request)?;
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
-        let jobs = view.jobs(&campaign, filter).await.map_err(failed)?;
-        let jobs = jobs.into_iter().map(|line| listing::job(line, view.now));
-        Ok(Response::new(ListJobsResponse { jobs: jobs.collect() }))
+        answer(view.now, &view.jobs(&campaign, filter).await.map_err(failed)?)
     }
 
-    async fn get_job(&self, request: Request<GetJobRequest>) -> Answer<GetJobResponse> {
+    async fn get_job(&self, request: Request<GetJobRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let job = read::job_name(request.job.unwrap_or_default())?;
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
-        let details = view.job_details(&campaign, &job).await.map_err(failed)?;
-        Ok(Response::new(listing::details(details, view.now)))
+        answer(view.now, &view.job_details(&campaign, &job).await.map_err(failed)?)
     }
 
-    async fn retry_jobs(&self, request: Request<RetryJobsRequest>) -> Answer<RetryJobsResponse> {
+    async fn retry_jobs(&self, request: Request<RetryJobsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let retry = read::retry(request.jobs, request.all)?;
         let queue = self.queue.clone();
         let retried = async move { queue.retry_jobs(&name, &retry).await };
-        let jobs = self.changes.run(retried).await?.map_err(failed)?;
-        Ok(Response::new(RetryJobsResponse { jobs }))
+        answer(self.queue.now(), &self.changes.run(retried).await?.map_err(failed)?)
     }
 
-    async fn skip_jobs(&self, request: Request<SkipJobsRequest>) -> Answer<SkipJobsResponse> {
+    async fn skip_jobs(&self, request: Request<SkipJobsRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let names = read::job_names(request.jobs)?;
         let queue = self.queue.clone();
         let skipped = async move { queue.skip_jobs(&name, &names).await };
-        let jobs = self.changes.run(skipped).await?.map_err(failed)?;
-        Ok(Response::new(SkipJobsResponse { jobs }))
+        answer(self.queue.now(), &self.changes.run(skipped).await?.map_err(failed)?)
     }
 
-    async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<ListWorkersResponse> {
+    async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<wire::Answer> {
         let mut view = self.view().await?;
-        let workers = view.workers().await.map_err(failed)?.into_iter();
-        let workers = workers.map(|line| listing::worker(line, view.now));
-        Ok(Response::new(ListWorkersResponse { workers: workers.collect() }))
+        answer(view.now, &view.workers().await.map_err(failed)?)
     }
 
     async fn backup(
@@ -258,17 +229,13 @@ impl OperatorService for OperatorApi {
     async fn import_campaign(
         &self,
         request: Request<Streaming<wire::ImportChunk>>,
-    ) -> Answer<ImportCampaignResponse> {
+    ) -> Answer<wire::Answer> {
         let imported =
             moving::import(&self.queue, &self.changes, request.into_inner(), self.min_free_bytes);
-        let imported = imported.await?;
-        Ok(Response::new(imported))
+        answer(self.queue.now(), &imported.await?)
     }
 
-    async fn alter_campaign(
-        &self,
-        request: Request<AlterCampaignRequest>,
-    ) -> Answer<AlterCampaignResponse> {
+    async fn alter_campaign(&self, request: Request<AlterCampaignRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let alteration = read::alteration(request)?;
@@ -279,10 +246,7 @@ impl OperatorService for OperatorApi {
         let name = renamed;
         let (mut view, campaign) = self.campaign(name.as_str()).await?;
         let status = view.status(campaign).await.map_err(failed)?;
-        Ok(Response::new(AlterCampaignResponse {
-            status: Some(listing::status(status)),
-            taken_back,
-        }))
+        answer(view.now, &(status, taken_back))
     }
 
     async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<ForecastResponse> {
@@ -296,6 +260,13 @@ impl OperatorService for OperatorApi {
         let forecast = view.forecast(&planned).await.map_err(failed)?;
         Ok(Response::new(forecast::message(forecast)))
     }
+}
+
+/// Answers with a value as JSON.
+fn answer(now: UnixMillis, value: &impl Serialize) -> Answer<wire::Answer> {
+    let json = serde_json::to_string(value);
+    let json = json.map_err(|error| Status::internal(error.to_string()))?;
+    Ok(Response::new(wire::Answer { json, now_unix_ms: now.0 }))
 }
 
 pub(super) fn campaign_name(name: &str) -> Result<CampaignName, Status> {

@@ -20,18 +20,18 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let document = page.document(&campaign, &mut view).await?;
     let pace = message(view.forecast_waiting(&campaign).await?);
     let status = view.status(campaign).await?;
-    let is_over = status.counts.queued == 0;
-    let name = &status.campaign.name;
+    let is_over = status.rollouts.queued == 0;
+    let name = status.name.as_str();
     let records = document.analyses.iter().flat_map(|analysis| &analysis.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
     let explained = document.analyses.iter().find_map(|analysis| analysis.findings.as_ref());
-    let measuring_campaign = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let measuring_campaign = explained.map_or(name, |findings| findings.campaign.as_str());
     let link = |id: RolloutId, replicate: u32| address(measuring_campaign, id, replicate);
     let is_paired = document.analyses.iter().all(|analysis| analysis.is_paired());
     // A campaign of LIBERO's family has a table by dimension instead.
     let progress_by_condition = match &document.family {
         Some(_) => Markup::default(),
-        None => by_condition(records, name.as_str()),
+        None => by_condition(records, name),
     };
     let main = html! {
         p.crumbs { a href="/" { "Campaigns" } }
@@ -43,7 +43,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         (::report::sections(&document, Some(&link)))
         @if !is_paired { (progress_by_condition) }
     };
-    Ok(Sheet::new(Tab::Campaigns, name.to_string(), main))
+    Ok(Sheet::new(Tab::Campaigns, name, main))
 }
 
 /// Returns the address of the page of a rollout's configuration.

@@ -1,8 +1,7 @@
 //! Start page: every campaign with its progress, and the reason if it makes no progress.
 
 use maud::{Markup, html};
-use queue::read::CampaignStatus;
-use queue::rules::campaign::CampaignState;
+use queue::read::{CampaignStatus, Stage};
 
 use super::bar::{bar, describe, legend};
 use super::compare;
@@ -15,8 +14,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
     // Newest first, since visitors usually want the campaign that was created last.
     campaigns.reverse();
-    let names = campaigns.iter().map(|status| status.campaign.name.to_string());
-    let names: Vec<String> = names.collect();
+    let names: Vec<String> = campaigns.iter().map(|status| status.name.clone()).collect();
     let main = html! {
         h1 { "Campaigns" }
         (compare::form(&names, [None, None]))
@@ -27,8 +25,8 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
             }
         }
         @for status in &campaigns {
-            section.campaign aria-label=(status.campaign.name) {
-                h2 { a href={ "/campaigns/" (status.campaign.name) } { (status.campaign.name) } }
+            section.campaign aria-label=(status.name) {
+                h2 { a href={ "/campaigns/" (status.name) } { (status.name) } }
                 (progress(status))
             }
         }
@@ -39,7 +37,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
 /// Renders the progress of one campaign: pace, bar, counts, and notes on the reasons why it makes
 /// no progress.
 pub(super) fn progress(status: &CampaignStatus) -> Markup {
-    let counts = &status.counts;
+    let counts = &status.rollouts;
     let done = counts.committed;
     let percent = (done * 100).checked_div(counts.total()).unwrap_or(0);
     html! {
@@ -51,39 +49,38 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
         (bar(counts, &describe(counts)))
         (legend(counts))
         p.muted {
-            "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }
+            "Policy " strong { (status.policy) } " at " code { (status.endpoint) }
             @if unfinished(status) > 0 { " · " (suitable_workers(status.live_workers)) }
         }
         // Live region for screen readers. The percentage is rounded down to tens, so that they
         // announce few changes.
-        p.unseen role="status" { (status.campaign.name) ": " (percent / 10 * 10) " % done" }
+        p.unseen role="status" { (status.name) ": " (percent / 10 * 10) " % done" }
         (notes(status))
     }
 }
 
 /// Renders notes on the reasons why a campaign makes no progress, and on rollouts in quarantine.
 fn notes(status: &CampaignStatus) -> Markup {
-    let quarantined = status.counts.quarantined;
-    let is_over = status.campaign.state.is_over();
+    let quarantined = status.rollouts.quarantined;
     html! {
-        @if !is_over && (status.policy_pause_reason.is_some() || !status.waiting_reason.is_empty()
-            || quarantined > 0)
+        @if !status.state.is_over() && (status.policy_outage.is_some()
+            || status.waiting_reason.is_some() || quarantined > 0)
         {
             ul.notes {
-                @if let Some(reason) = &status.policy_pause_reason {
+                @if let Some(reason) = &status.policy_outage {
                     li {
-                        "Policy " (status.campaign.policy) " is paused, and its rollouts wait: "
+                        "Policy " (status.policy) " is paused, and its rollouts wait: "
                         (reason) ". " a href="/policies" { "Policies" } "."
                     }
-                } @else if !status.waiting_reason.is_empty() {
-                    li { "Nothing is running: " (status.waiting_reason) "." }
+                } @else if let Some(reason) = &status.waiting_reason {
+                    li { "Nothing is running: " (reason) "." }
                 }
                 @if quarantined > 0 {
                     li {
                         (quarantined)
                         @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
                         " in quarantine (failed too often, or skipped): "
-                        a href={ "/campaigns/" (status.campaign.name) "/rollouts?state=quarantined" } {
+                        a href={ "/campaigns/" (status.name) "/rollouts?state=quarantined" } {
                             "list with the errors"
                         }
                         "."
@@ -95,15 +92,15 @@ fn notes(status: &CampaignStatus) -> Markup {
 }
 
 fn describe_pace(status: &CampaignStatus) -> String {
-    match status.campaign.state {
-        CampaignState::Cancelled { .. } => "cancelled".to_owned(),
-        CampaignState::Stopped { .. } => describe_early_stop(status),
-        _ if unfinished(status) == 0 && status.counts.quarantined > 0 => {
-            format!("finished but for {} in quarantine", status.counts.quarantined)
+    match status.state {
+        Stage::Cancelled => "cancelled".to_owned(),
+        Stage::Stopped => describe_early_stop(status),
+        _ if unfinished(status) == 0 && status.rollouts.quarantined > 0 => {
+            format!("finished but for {} in quarantine", status.rollouts.quarantined)
         }
         _ if unfinished(status) == 0 => "finished".to_owned(),
-        CampaignState::Paused { .. } => "paused by its operator".to_owned(),
-        CampaignState::Running { .. } => match (status.rate_per_sec, status.eta_secs) {
+        Stage::Paused => "paused by its operator".to_owned(),
+        Stage::Running | Stage::Finished => match (status.rate_per_sec, status.remaining_secs) {
             (Some(rate), Some(eta)) => {
                 format!("{}, {} left at that pace", rate_text(rate), duration_text(eta))
             }
@@ -114,18 +111,18 @@ fn describe_pace(status: &CampaignStatus) -> String {
 
 /// Describes an early stop and the rollouts that it saved.
 fn describe_early_stop(status: &CampaignStatus) -> String {
-    let early = status.stop.as_ref();
+    let early = status.early_stop.as_ref();
     let Some((early, used)) = early.and_then(|early| Some((early, early.used?))) else {
         return "stopped early".to_owned();
     };
     let configurations = [used.into(), early.configurations.into()];
-    let rollouts = [status.counts.queued, status.counts.total()];
+    let rollouts = [status.rollouts.queued, status.rollouts.total()];
     ::report::describe_early_stop(configurations, &early.stop.rule.to_string(), rollouts)
 }
 
 /// Returns the number of queued and leased rollouts.
 fn unfinished(status: &CampaignStatus) -> u64 {
-    status.counts.queued + status.counts.leased
+    status.rollouts.queued + status.rollouts.leased
 }
 
 fn suitable_workers(live: u32) -> String {

@@ -189,9 +189,9 @@ fn failures(shown: &ShownRollout) -> Markup {
             ol.failures {
                 @for failure in &shown.failures {
                     li value=(failure.attempt) {
-                        code { (failure.reason) } ", " (utc_text(failure.failed_ms)) ", "
+                        code { (failure.reason) } ", " (utc_text(failure.failed_at)) ", "
                         code { (failure.worker_id) }
-                        @if !failure.charged { ", not charged" }
+                        @if !failure.is_charged { ", not charged" }
                         pre { (failure.error) }
                     }
                 }

@@ -81,8 +81,7 @@ fn crumbs() -> Markup {
 /// Returns the campaigns' names, newest first.
 async fn names(view: &mut View) -> Result<Vec<String>, Problem> {
     let statuses = view.statuses().await?;
-    let names = statuses.iter().rev();
-    Ok(names.map(|status| status.campaign.name.to_string()).collect())
+    Ok(statuses.into_iter().rev().map(|status| status.name).collect())
 }
 
 async fn campaign(view: &mut View, name: &str) -> Result<Campaign, Problem> {

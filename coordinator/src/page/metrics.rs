@@ -47,7 +47,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let total_of = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
     let ended = "rollout_attempts_ended_total";
     text.family(ended, COUNTER, "Attempts by ending.");
-    let committed = total_of(|status| status.counts.committed);
+    let committed = total_of(|status| status.rollouts.committed);
     text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {
         text.sample(ended, &[("ending", ending)], *count as f64);
@@ -56,7 +56,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let slots: u32 = alive.clone().map(|worker| worker.slots).sum();
     let sizes = queue.store().sizes();
     let free = Room::measure(queue.store().folder(), 0).free_bytes;
-    let leased = total_of(|status| status.counts.leased) as f64;
+    let leased = total_of(|status| status.rollouts.leased) as f64;
     let waiting = page.gauges.claims() as f64;
     let is_held = f64::from(queue.held().is_some());
     let held = "1 while leasing is suspended, for lack of disk space or because the database \
@@ -91,10 +91,10 @@ fn campaign_metrics(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     let jobs = "rollout_jobs";
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
-        let (name, counts) = (status.campaign.name.as_str(), &status.counts);
+        let (name, counts) = (status.name.as_str(), &status.rollouts);
         // The queued jobs of a cancelled or stopped campaign will never run, so they are not
         // counted as queued.
-        let (queued, not_run) = match status.campaign.state.is_over() {
+        let (queued, not_run) = match status.state.is_over() {
             true => (0, counts.queued),
             false => (counts.queued, 0),
         };
@@ -112,8 +112,8 @@ fn campaign_metrics(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     let commits = "rollout_commits_total";
     text.family(commits, COUNTER, "Committed outcomes of a campaign.");
     for status in shown {
-        let (name, succeeded) = (status.campaign.name.as_str(), status.counts.succeeded);
-        let failed = status.counts.committed.saturating_sub(succeeded);
+        let (name, succeeded) = (status.name.as_str(), status.rollouts.succeeded);
+        let failed = status.rollouts.committed.saturating_sub(succeeded);
         for (outcome, count) in [("success", succeeded), ("failure", failed)] {
             let labels = [("campaign", name), ("outcome", outcome)];
             text.sample(commits, &labels, count as f64);

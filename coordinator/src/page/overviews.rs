@@ -86,21 +86,21 @@ fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup 
 }
 
 fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
-    let silent = now.since(line.last_seen_ms).as_secs_f64();
+    let silent = now.since(line.last_call_at).as_secs_f64();
     html! {
         tr {
-            th scope="row" { code { (line.id) } }
+            th scope="row" { code { (line.worker_id) } }
             td { (line.host) }
             td {
                 (line.leases) " of " (line.slots)
-                @if line.filming > 0 { ", filming " (line.filming) }
+                @if let Some(rollouts) = line.filming { ", filming " (rollouts) }
             }
             td { (duration_text(silent)) " ago" }
             td.words {
                 @match &line.stopped_reason {
                     Some(reason) => { "gets no more leases: " (reason) }
-                    None if line.charged_in_a_row > 0 => {
-                        (counted(line.charged_in_a_row.into(), "failure")) " in a row"
+                    None if line.failures_in_a_row > 0 => {
+                        (counted(line.failures_in_a_row.into(), "failure")) " in a row"
                     }
                     None if line.is_alive => "healthy",
                     None if line.has_signed_off => "ended",

@@ -63,7 +63,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
             let mut lines = view.jobs(&campaign, filter).await?;
             let has_more = lines.len() > PAGE_JOBS as usize;
             lines.truncate(PAGE_JOBS as usize);
-            let next = lines.last().filter(|_| has_more).map(|line| line.id.0);
+            let next = lines.last().filter(|_| has_more).map(|line| line.job_id.0);
             (lines, next)
         }
     };
@@ -143,7 +143,7 @@ fn table(campaign: &str, lines: &[JobLine]) -> Markup {
             tr {
                 th scope="row" { (rollout(campaign, &line.rollout_id, line.replicate)) }
                 td.words { (describe_state(line)) }
-                td { (line.attempt) }
+                td { (line.attempts) }
                 td.words { (line.last_error.as_deref().unwrap_or_default()) }
             }
         }
@@ -153,9 +153,9 @@ fn table(campaign: &str, lines: &[JobLine]) -> Markup {
 }
 
 fn describe_state(line: &JobLine) -> String {
-    match (line.state.as_str(), line.success, line.steps) {
-        (_, Some(true), Some(steps)) => format!("success after {steps} steps"),
-        (_, Some(false), Some(steps)) => format!("failure in {steps} steps"),
+    match (line.state.as_str(), line.outcome.as_deref(), line.steps) {
+        (_, Some("success"), Some(steps)) => format!("success after {steps} steps"),
+        (_, Some(outcome), Some(steps)) => format!("{outcome} in {steps} steps"),
         ("leased", ..) => format!("running, control step {}", line.control_steps.unwrap_or(0)),
         ("quarantined", ..) => "quarantined".to_owned(),
         _ => "waiting".to_owned(),

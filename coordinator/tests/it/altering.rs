@@ -4,12 +4,13 @@ use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
+use queue::read::CampaignStatus;
 use serde_json::{Value, json};
 use tonic::{Code, Status};
 
 use crate::artifacts::put;
 use crate::assertions::assert_refused;
-use crate::harness::{Bench, Worker, small_spec, with};
+use crate::harness::{Bench, Worker, small_spec, value, with};
 use crate::page::http;
 use crate::process::{CREATE, Serve};
 
@@ -18,9 +19,8 @@ const NEW_ENDPOINT: &str = "http://127.0.0.1:50099";
 async fn alter(
     bench: &Bench,
     request: wire::AlterCampaignRequest,
-) -> Result<wire::AlterCampaignResponse, Status> {
-    let altered = bench.operator().await.alter_campaign(request).await?;
-    Ok(altered.into_inner())
+) -> Result<(CampaignStatus, u64), Status> {
+    value(bench.operator().await.alter_campaign(request).await)
 }
 
 fn to_endpoint(campaign: &str, url: &str) -> wire::AlterCampaignRequest {
@@ -52,15 +52,13 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     let held = worker.claim_one().await;
     let failed = worker.claim_one().await;
     worker.release(&failed, Reason::PolicyUnavailable).await;
-    assert!(bench.status("typo").await.policy_paused);
+    assert!(bench.status("typo").await.policy_outage.is_some());
     assert!(worker.claim(1).await.is_empty());
 
     let altered = alter(&bench, to_endpoint("typo", NEW_ENDPOINT)).await;
-    let altered = altered.expect("altered");
-    assert_eq!(altered.taken_back, 1);
-    let status = altered.status.expect("a status");
-    assert_eq!(status.policy_endpoint, NEW_ENDPOINT);
-    assert!(!status.policy_paused, "the policy at the new endpoint is available");
+    let (status, taken_back) = altered.expect("altered");
+    assert_eq!((status.endpoint.as_str(), taken_back), (NEW_ENDPOINT, 1));
+    assert!(status.policy_outage.is_none(), "the policy at the new endpoint is available");
 
     // An attempt at the old endpoint no longer belongs to this campaign, and is no evidence about
     // the new endpoint.
@@ -68,7 +66,7 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     assert_eq!(lost_leases, std::slice::from_ref(&held.attempt_id));
     worker.release(&held, Reason::PolicyUnavailable).await;
     assert_eq!(worker.commit(&held, true).await, Verdict::Stale);
-    assert!(!bench.status("typo").await.policy_paused);
+    assert!(bench.status("typo").await.policy_outage.is_none());
     let charged = "SELECT sum(charged_attempts) FROM job";
     assert_eq!(bench.count(charged).await, 0);
     let leases = worker.claim(8).await;
@@ -122,7 +120,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
         assert_refused(alter(&bench, request.clone()).await, code, &[words]);
     }
     let status = bench.status("one").await;
-    assert_eq!((status.priority, status.leased), (0, 3));
+    assert_eq!((status.priority, status.rollouts.leased), (0, 3));
     let leases: Vec<&wire::Lease> = held.iter().collect();
     assert!(worker.heartbeat(&leases, 9).await.is_empty());
     let cancelled = bench.change("one", Change::Cancel).await;
@@ -166,7 +164,7 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
     let second = film(&mut worker, &held).await;
     assert!(second.starts_with("artifacts/old/"), "{second}");
-    assert_eq!(bench.status("new").await.committed, 2);
+    assert_eq!(bench.status("new").await.rollouts.committed, 2);
     let again = bench.create(&small_spec("new")).await.expect("an existing campaign");
     assert_eq!(again.jobs_added, 0);
     let request = wire::GetCampaignRequest { campaign: "old".to_owned() };
@@ -263,7 +261,7 @@ async fn every_alteration_is_stored_in_the_specification() {
     alter(&bench, request).await.expect("altered");
     let request = wire::GetCampaignRequest { campaign: "new".to_owned() };
     let campaign = bench.operator().await.get_campaign(request).await;
-    let spec = campaign.expect("a campaign").into_inner().spec;
+    let (_status, spec): (CampaignStatus, String) = value(campaign).expect("a campaign");
     let spec: Value = serde_json::from_str(&spec).expect("JSON");
     assert_eq!(spec["name"], "new");
     assert_eq!(spec["policy"]["endpoint"], NEW_ENDPOINT);

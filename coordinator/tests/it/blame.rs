@@ -40,7 +40,7 @@ async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
     create(&bench, "second", "sound").await;
     let mut worker = bench.worker("a").await;
     for number in 1..=MAX_MISBEHAVED_IN_A_ROW {
-        assert!(!bench.status("first").await.policy_paused, "{number}");
+        assert!(bench.status("first").await.policy_outage.is_none(), "{number}");
         let leases = worker.claim(2).await;
         let lease = leases.iter().find(|lease| lease.policy == "misbehaving");
         report_misbehaviour(&mut worker, lease.expect("the older campaign's job")).await;
@@ -49,8 +49,8 @@ async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
         }
     }
     let status = bench.status("first").await;
-    assert!(status.policy_paused);
-    assert_eq!(status.policy_pause_reason, "simulated failure");
+    assert!(status.policy_outage.is_some());
+    assert_eq!(status.policy_outage.as_deref(), Some("simulated failure"));
     let failing_workers = "SELECT count(*) FROM worker WHERE charged_in_a_row > 0";
     assert_eq!(bench.count(failing_workers).await, 0);
     while let Some(lease) = worker.claim(1).await.pop() {
@@ -58,7 +58,7 @@ async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
             assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
         }
     }
-    assert_eq!(bench.status("second").await.committed, 12);
+    assert_eq!(bench.status("second").await.rollouts.committed, 12);
 }
 
 #[tokio::test]
@@ -67,7 +67,7 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     create(&bench, "first", "misbehaving").await;
     // The worker on the other machine need not try the rollouts: it would get the same answers.
     let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
-    while bench.status("first").await.quarantined < 2 {
+    while bench.status("first").await.rollouts.quarantined < 2 {
         past_backoff(&bench, [&mut other]).await;
         let lease = worker.claim_one().await;
         report_misbehaviour(&mut worker, &lease).await;
@@ -259,11 +259,11 @@ async fn a_campaign_whose_files_every_live_worker_lacks_says_so() {
     let files = "assets that this worker lacks, for task libero_object/0";
     let idle = claim_without_files(&mut partial).await;
     assert!(idle.contains(files), "{idle}");
-    let reason = bench.status("first").await.waiting_reason;
+    let reason = bench.status("first").await.waiting_reason.expect("a reason");
     let expected = files.replace("this worker", "every live worker");
     assert_eq!(reason, format!("no worker suits: the campaign needs {expected}"));
     let _complete = bench.worker_at("complete", "c").await;
-    assert_eq!(bench.status("first").await.waiting_reason, "");
+    assert_eq!(bench.status("first").await.waiting_reason, None);
 }
 
 #[tokio::test]

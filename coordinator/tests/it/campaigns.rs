@@ -50,9 +50,9 @@ async fn a_specification_that_cannot_run_is_refused_and_nothing_is_written() {
 async fn a_status_has_counts_and_rate() {
     let bench = Bench::with(&small_spec("paced")).await;
     let before = bench.status("paced").await;
-    assert_eq!((before.total, before.queued, before.live_workers), (4, 4, 0));
-    assert_eq!((before.rate_per_sec, before.eta_secs), (None, None));
-    assert!(before.waiting_reason.contains("no worker"), "{}", before.waiting_reason);
+    assert_eq!((before.rollouts.total(), before.rollouts.queued, before.live_workers), (4, 4, 0));
+    assert_eq!((before.rate_per_sec, before.remaining_secs), (None, None));
+    assert!(before.waiting_reason.expect("a reason").contains("no worker"));
 
     let mut worker = bench.worker("a").await;
     for success in [true, false] {
@@ -63,10 +63,13 @@ async fn a_status_has_counts_and_rate() {
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let status = bench.status("paced").await;
-    assert_eq!((status.committed, status.succeeded, status.queued), (2, 1, 2));
+    assert_eq!(
+        (status.rollouts.committed, status.rollouts.succeeded, status.rollouts.queued),
+        (2, 1, 2)
+    );
     assert_eq!(status.live_workers, 1);
     assert_eq!(status.rate_per_sec, Some(0.1));
-    assert_eq!(status.eta_secs, Some(20.0));
+    assert_eq!(status.remaining_secs, Some(20.0));
 
     let unknown = wire::GetCampaignRequest { campaign: "nobody".to_owned() };
     let refused = bench.operator().await.get_campaign(unknown).await;

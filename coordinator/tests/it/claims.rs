@@ -6,12 +6,13 @@ use std::time::{Duration, Instant};
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
+use queue::read::JobLine;
 use serde_json::json;
 use tokio::task::JoinSet;
 use tonic::Code;
 
 use crate::assertions::{assert_contains, assert_refused};
-use crate::harness::{Bench, registration, rollout_id, small_spec, with};
+use crate::harness::{Bench, registration, rollout_id, small_spec, value, with};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn claim_is_exclusive_under_concurrency() {
@@ -174,8 +175,8 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
         limit: 64,
         ..wire::ListJobsRequest::default()
     };
-    let listed = bench.operator().await.list_jobs(listed).await;
-    assert_eq!(listed.expect("jobs").into_inner().jobs.len(), 4);
+    let listed: Vec<JobLine> = value(bench.operator().await.list_jobs(listed).await).expect("jobs");
+    assert_eq!(listed.len(), 4);
     let mut complete = bench.worker("b").await;
     let mut remaining: Vec<String> = complete.claim(64).await.iter().map(rollout_id).collect();
     remaining.sort();
@@ -248,9 +249,8 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
         ..wire::AlterCampaignRequest::default()
     };
     let mut operator = bench.operator().await;
-    let altered = operator.alter_campaign(request.clone()).await;
-    let altered = altered.expect("altered").into_inner();
-    assert_eq!(altered.status.expect("a status").priority, 8);
+    operator.alter_campaign(request.clone()).await.expect("altered");
+    assert_eq!(bench.status("usual").await.priority, 8);
     assert_eq!(worker.claim_one().await.campaign, "usual");
     for priority in [-101, 101] {
         let request = wire::AlterCampaignRequest { priority: Some(priority), ..request.clone() };
@@ -323,7 +323,7 @@ async fn a_repeated_claim_returns_its_existing_lease() {
     let first = leases[0].as_ref().expect("a lease");
     assert_eq!(leases[1].as_ref(), Some(first));
     assert_eq!(leases[2].as_ref(), Some(first));
-    assert_eq!(bench.status("again").await.leased, 1);
+    assert_eq!(bench.status("again").await.rollouts.leased, 1);
     // Claim ids are local to a worker: the same id from another worker is another claim.
     let mut other = bench.worker("b").await;
     let request = wire::ClaimRequest { worker_id: other.id.clone(), ..request };
@@ -342,7 +342,7 @@ async fn leases_that_were_never_acknowledged_expire_uncharged_and_count_against_
         let claimed = worker.claim_response("").await;
         assert!(claimed.lease.is_some(), "{}", claimed.idle_reason);
         bench.advance(40).await;
-        assert_eq!(bench.status("lost").await.leased, 0);
+        assert_eq!(bench.status("lost").await.rollouts.leased, 0);
     }
     let failures = "SELECT count(*) FROM failure
                     WHERE reason = 'never_acknowledged' AND charged = 0";

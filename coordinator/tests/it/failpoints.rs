@@ -10,13 +10,14 @@ use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use queue::DATABASE_FILE;
+use queue::read::{CampaignStatus, JobLine};
 use queue::{FAILPOINT_VARIABLE, Side, Step};
 use tempfile::TempDir;
 use tokio::task::JoinSet;
 use tonic::Status;
 
 use crate::artifacts::put;
-use crate::harness::{Worker, assert_sound, report_json, small_spec};
+use crate::harness::{Worker, assert_sound, report_json, small_spec, value};
 use crate::invariants::valid_database;
 use crate::process::{Serve, coordinator, serve_command, succeed};
 
@@ -120,9 +121,9 @@ async fn finish(folder: &Path) -> Vec<u8> {
     loop {
         take_over(&mut worker, &mut operator).await;
         let request = wire::GetCampaignRequest { campaign: "sound".to_owned() };
-        let status = operator.get_campaign(request).await.expect("a status");
-        let status = status.into_inner().status.expect("a status");
-        if status.committed == status.total {
+        let status = value(operator.get_campaign(request).await);
+        let (status, _spec): (CampaignStatus, String) = status.expect("a status");
+        if status.rollouts.committed == status.rollouts.total() {
             break;
         }
         assert!(began.elapsed() < PATIENCE, "{status:?}");
@@ -145,10 +146,10 @@ async fn take_over(
         limit: 64,
         ..wire::ListJobsRequest::default()
     };
-    let leased = operator.list_jobs(request).await.expect("a list").into_inner();
-    for job in leased.jobs {
+    let leased: Vec<JobLine> = value(operator.list_jobs(request).await).expect("a list");
+    for job in leased {
         let request = wire::ReleaseRequest {
-            attempt_id: job.attempt_id,
+            attempt_id: job.attempt_id.expect("a lease"),
             reason: Reason::Draining.into(),
             error: "left by an earlier process".to_owned(),
             ..wire::ReleaseRequest::default()

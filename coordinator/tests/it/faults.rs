@@ -43,7 +43,7 @@ async fn late_result_from_an_old_attempt_is_refused() {
     assert_eq!(bench.count("SELECT count(*) FROM result").await, 0);
     assert_eq!(bench.count("SELECT stale_reports FROM job").await, 1);
     assert_eq!(quick.commit(&new, false).await, Verdict::Accepted);
-    assert_eq!(bench.status("one").await.succeeded, 0);
+    assert_eq!(bench.status("one").await.rollouts.succeeded, 0);
 }
 
 /// Regression: a network outage longer than a lease charged every lease.
@@ -56,7 +56,7 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     worker.heartbeat(&held, 12).await;
     bench.advance(40).await;
     let status = bench.status("cut").await;
-    assert_eq!((status.leased, status.queued), (0, 4));
+    assert_eq!((status.rollouts.leased, status.rollouts.queued), (0, 4));
     let query = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
                 AND error LIKE '%sent no heartbeat after control step 12%'";
     assert_eq!(bench.count(query).await, 4);
@@ -64,7 +64,7 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
     assert_eq!(worker.heartbeat(&held[1..], 20).await, [""; 0]);
-    assert_eq!(bench.status("cut").await.leased, 3);
+    assert_eq!(bench.status("cut").await.rollouts.leased, 3);
     worker.commit_all(&leases[1..], true).await;
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(bench.count("SELECT max(attempt) FROM job").await, 1);
@@ -102,7 +102,7 @@ async fn network_outages_quarantine_nothing_and_stop_no_worker() {
         bench.advance(40).await;
     }
     let status = bench.status("cut").await;
-    assert_eq!((status.queued, status.quarantined), (4, 0));
+    assert_eq!((status.rollouts.queued, status.rollouts.quarantined), (4, 0));
     assert_eq!(bench.count("SELECT count(*) FROM failure WHERE charged").await, 0);
     let stopped = "SELECT count(*) FROM worker WHERE stopped_reason IS NOT NULL";
     assert_eq!(bench.count(stopped).await, 0);
@@ -117,7 +117,7 @@ async fn a_rollout_that_takes_its_workers_down_is_quarantined_without_a_charge()
         worker.claim_one().await;
         bench.advance(40).await;
     }
-    assert_eq!(bench.status("one").await.quarantined, 1);
+    assert_eq!(bench.status("one").await.rollouts.quarantined, 1);
     let query = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
     assert_eq!(bench.count(query).await, 1);
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 0);
@@ -130,7 +130,7 @@ async fn a_returning_worker_is_refused_after_its_attempts_ceiling() {
     let old = slow.claim_one().await;
     bench.advance(3_600).await;
     assert_eq!(slow.commit(&old, true).await, Verdict::Stale);
-    assert_eq!(bench.status("one").await.queued, 1);
+    assert_eq!(bench.status("one").await.rollouts.queued, 1);
 }
 
 #[tokio::test]
@@ -168,7 +168,7 @@ async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
     assert_eq!(slow.commit(&old, false).await, Verdict::Divergent);
     assert_eq!(slow.commit(&old, true).await, Verdict::Duplicate);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 1);
-    assert_eq!(bench.status("one").await.succeeded, 1, "the first outcome is kept");
+    assert_eq!(bench.status("one").await.rollouts.succeeded, 1, "the first outcome is kept");
 }
 
 #[tokio::test]
@@ -196,10 +196,10 @@ async fn an_attempt_missing_from_heartbeats_expires_and_is_charged() {
     bench.advance(20).await;
     worker.heartbeat(&[], 0).await;
     bench.advance(9).await;
-    assert_eq!(bench.status("one").await.leased, 1);
+    assert_eq!(bench.status("one").await.rollouts.leased, 1);
     bench.advance(2).await;
     let status = bench.status("one").await;
-    assert_eq!((status.leased, status.queued), (0, 1));
+    assert_eq!((status.rollouts.leased, status.rollouts.queued), (0, 1));
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
     let query = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%have omitted this attempt since control step 12%'";
@@ -253,7 +253,7 @@ async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
     bench.advance(PAST_BACKOFF_SECS).await;
     assert!(a.claim(1).await.is_empty());
     let status = bench.status("one").await;
-    assert_eq!((status.quarantined, status.queued), (1, 0));
+    assert_eq!((status.rollouts.quarantined, status.rollouts.queued), (1, 0));
     let query = "SELECT count(*) FROM job WHERE last_error = 'simulated failure'";
     assert_eq!(bench.count(query).await, 1);
 }
@@ -372,6 +372,6 @@ async fn a_report_refused_by_the_database_affects_no_other_report() {
         }
     }
     pool.close().await;
-    assert_eq!(bench.status("shared").await.committed, 3);
-    assert_eq!(bench.status("shared").await.leased, 1);
+    assert_eq!(bench.status("shared").await.rollouts.committed, 3);
+    assert_eq!(bench.status("shared").await.rollouts.leased, 1);
 }

@@ -103,9 +103,9 @@ async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
         (motion.path, motion.actions) = (vec![0; path], vec![0; actions]);
         assert_refused(worker.service.commit(report).await, Code::InvalidArgument, &["`motion`"]);
     }
-    assert_eq!(bench.status("filmed").await.committed, 3);
+    assert_eq!(bench.status("filmed").await.rollouts.committed, 3);
     worker.commit(&combination, false).await;
-    assert_eq!(bench.status("filmed").await.committed, 4);
+    assert_eq!(bench.status("filmed").await.rollouts.committed, 4);
 }
 
 #[tokio::test]

@@ -21,7 +21,7 @@ async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
     let document = report::Document::new(vec![subject]).expect("no duplicates");
     let report = document.text();
     let report: Vec<&str> = report.split_whitespace().collect();
-    [bench.status("mixed").await.mixed_fingerprints, report.join(" ")]
+    [bench.status("mixed").await.mixed_fingerprints.unwrap_or_default(), report.join(" ")]
 }
 
 /// Asserts that status and report contain all `parts`, and waits until the page contains them.
@@ -97,5 +97,5 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     }
     let named = "6 configurations mix them: libero_object/1 from state";
     check(&bench, &[&counts(8, 7), named, "and 1 more"]).await;
-    assert_eq!(bench.status("mixed").await.committed, 15);
+    assert_eq!(bench.status("mixed").await.rollouts.committed, 15);
 }

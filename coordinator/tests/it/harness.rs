@@ -13,17 +13,20 @@ use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use queue::clock::{Clock, ManualClock, UnixMillis};
-use queue::{Queue, Timing};
+use queue::read::{CampaignStatus, Counts};
+use queue::rules::campaign::CampaignState;
+use queue::{Created, Queue, Timing};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use tempfile::TempDir;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
-use tonic::Status;
 use tonic::transport::Channel;
+use tonic::{Response, Status};
 
 /// Interval between two sweeps while time passes. It is less than half a lease, since the
 /// coordinator would otherwise conclude that it was suspended.
@@ -51,6 +54,14 @@ pub(crate) struct Worker {
     pub(crate) look: String,
     pub(crate) fingerprint: String,
     pub(crate) service: WorkerServiceClient<Channel>,
+}
+
+/// Returns the value in an operator's answer.
+pub(crate) fn value<T: DeserializeOwned>(
+    answer: Result<Response<wire::Answer>, Status>,
+) -> Result<T, Status> {
+    let json = answer?.into_inner().json;
+    Ok(serde_json::from_str(&json).unwrap_or_else(|error| panic!("{error}: {json}")))
 }
 
 /// Returns the configuration of a coordinator with a clock that the test controls.
@@ -195,10 +206,7 @@ impl Bench {
         OperatorServiceClient::connect(self.url.clone()).await.expect("a connection")
     }
 
-    pub(crate) async fn create(
-        &self,
-        spec: &Value,
-    ) -> Result<wire::CreateCampaignResponse, Status> {
+    pub(crate) async fn create(&self, spec: &Value) -> Result<Created, Status> {
         self.create_with_priority(spec, 0).await
     }
 
@@ -206,28 +214,28 @@ impl Bench {
         &self,
         spec: &Value,
         priority: i32,
-    ) -> Result<wire::CreateCampaignResponse, Status> {
+    ) -> Result<Created, Status> {
         let request = wire::CreateCampaignRequest { spec: spec.to_string(), priority };
-        let created = self.operator().await.create_campaign(request).await?;
-        Ok(created.into_inner())
+        value(self.operator().await.create_campaign(request).await)
     }
 
-    pub(crate) async fn status(&self, campaign: &str) -> wire::CampaignStatus {
+    pub(crate) async fn status(&self, campaign: &str) -> CampaignStatus {
         let request = wire::GetCampaignRequest { campaign: campaign.to_owned() };
         let response = self.operator().await.get_campaign(request).await;
-        response.expect("a status").into_inner().status.expect("a status")
+        let (status, _spec): (CampaignStatus, String) = value(response).expect("a status");
+        status
     }
 
-    /// Pauses, resumes or cancels a campaign.
+    /// Pauses, resumes or cancels a campaign; returns the name of its state.
     pub(crate) async fn change(
         &self,
         campaign: &str,
         change: Change,
-    ) -> Result<wire::campaign_status::State, Status> {
+    ) -> Result<&'static str, Status> {
         let request =
             wire::ChangeCampaignRequest { campaign: campaign.to_owned(), change: change.into() };
-        let response = self.operator().await.change_campaign(request).await?;
-        Ok(response.into_inner().state())
+        let state: CampaignState = value(self.operator().await.change_campaign(request).await)?;
+        Ok(state.name())
     }
 
     /// Deletes a campaign; returns the number of its results.
@@ -236,8 +244,8 @@ impl Bench {
             campaign: campaign.to_owned(),
             confirm: confirm.to_owned(),
         };
-        let response = self.operator().await.delete_campaign(request).await?;
-        Ok(response.into_inner().results)
+        let deleted: Counts = value(self.operator().await.delete_campaign(request).await)?;
+        Ok(deleted.committed)
     }
 
     pub(crate) async fn assert_sound(&self) {

@@ -101,10 +101,17 @@ async fn json_output_has_the_documented_keys() {
     assert_eq!(dry.0["forecast"]["speed"]["results"], 2);
     assert_eq!(dry.0["no_forecast"], Value::Null);
 
+    // What only the text shows: films under way, and when a paused policy is tried again.
+    worker.report_filming(1).await;
     let workers = Printed::run(&serve, &["workers"]);
     workers.assert_keys("workers");
     assert_eq!(workers.0["workers"][0]["worker_id"], "a");
     assert_eq!(workers.0["workers"][0]["is_alive"], true);
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    let outage = Printed::run(&serve, &["campaign", "list"]);
+    outage.assert_keys("campaign list");
+    assert!(outage.0["campaigns"][0]["policy_outage"].is_string());
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -6,10 +6,11 @@ use std::process::Output;
 
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::{AppendRowsRequest, AppendedRow};
-use queue::invariants;
+use queue::{Created, invariants};
 use serde_json::{Value, json};
+use tonic::Status;
 
-use crate::harness::small_spec;
+use crate::harness::{small_spec, value};
 use crate::process::{Serve, coordinator, fail, succeed, text};
 
 fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
@@ -283,12 +284,9 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
             replicates: replicates.to_vec(),
         };
         let (campaign, rows) = (campaign.to_owned(), rows.iter().map(row).collect());
-        let added =
-            operator.append_rows(AppendRowsRequest { campaign, rows, spec: String::new() }).await;
-        added.map(|added| {
-            let added = added.into_inner();
-            (added.jobs_added, added.jobs_total)
-        })
+        let request = AppendRowsRequest { campaign, rows, spec: String::new() };
+        let added: Result<Created, Status> = value(operator.append_rows(request).await);
+        added.map(|added| (added.jobs_added, added.jobs_total))
     };
     let mut worker = serve.worker("w").await;
     while let Some(lease) = worker.claim(1).await.pop() {

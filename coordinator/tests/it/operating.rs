@@ -2,17 +2,18 @@
 //! operators.
 
 use proto::coordinator as wire;
-use proto::coordinator::campaign_status::State;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
+use queue::clock::Clock as _;
+use queue::read::{JobDetails, JobLine, Stage, WorkerLine};
 use serde_json::json;
 use tonic::{Code, Status};
 
 use crate::artifacts::put;
 use crate::assertions::assert_refused;
-use crate::harness::{Bench, Worker, small_spec, with};
+use crate::harness::{Bench, Worker, small_spec, value, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Result<u64, Status> {
@@ -22,8 +23,7 @@ async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Resul
         jobs: jobs.iter().map(name).collect(),
         all,
     };
-    let response = bench.operator().await.retry_jobs(request).await?;
-    Ok(response.into_inner().jobs)
+    value(bench.operator().await.retry_jobs(request).await)
 }
 
 /// Creates a campaign of one rollout, which fails on its only worker until it is quarantined.
@@ -51,20 +51,20 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "held");
     let paused = bench.change("held", Change::Pause).await;
-    assert_eq!(paused.expect("paused"), State::Paused);
+    assert_eq!(paused.expect("paused"), "paused");
 
     assert_eq!(worker.claim_one().await.campaign, "other");
     assert!(worker.heartbeat(&[&lease], 9).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let status = bench.status("held").await;
-    assert_eq!((status.committed, status.queued), (1, 3));
-    assert_eq!((status.state(), status.eta_secs), (State::Paused, None));
+    assert_eq!((status.rollouts.committed, status.rollouts.queued), (1, 3));
+    assert_eq!((status.state, status.remaining_secs), (Stage::Paused, None));
     worker.claim(64).await;
     let idle = worker.claim_response("").await.idle_reason;
     assert!(idle.contains("`held` is paused"), "{idle}");
 
     let resumed = bench.change("held", Change::Resume).await;
-    assert_eq!(resumed.expect("resumed"), State::Running);
+    assert_eq!(resumed.expect("resumed"), "running");
     assert_eq!(worker.claim(64).await.len(), 3);
     bench.assert_sound().await;
 }
@@ -76,7 +76,7 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     let (first, second) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&first, true).await, Verdict::Accepted);
     let cancelled = bench.change("ended", Change::Cancel).await;
-    assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
+    assert_eq!(cancelled.expect("cancelled"), "cancelled");
 
     let lost_leases = worker.heartbeat(&[&second], 9).await;
     assert_eq!(lost_leases, std::slice::from_ref(&second.attempt_id));
@@ -84,7 +84,10 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
     assert!(worker.claim(4).await.is_empty());
     let status = bench.status("ended").await;
-    assert_eq!((status.committed, status.leased, status.queued), (1, 0, 3));
+    assert_eq!(
+        (status.rollouts.committed, status.rollouts.leased, status.rollouts.queued),
+        (1, 0, 3)
+    );
     assert_eq!(bench.count("SELECT sum(charged_attempts) FROM job").await, 0);
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
     for change in [Change::Pause, Change::Resume] {
@@ -154,7 +157,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
     assert_refused(unknown, Code::NotFound, &[]);
-    assert_eq!(bench.status("one").await.quarantined, 1, "neither or both are requeued");
+    assert_eq!(bench.status("one").await.rollouts.quarantined, 1, "neither or both are requeued");
     assert_eq!(
         retry(&bench, "one", &[CAMERA, CAMERA], false).await.expect("requeued"),
         1,
@@ -196,25 +199,24 @@ async fn a_job_is_shown_with_all_its_attempts() {
         campaign: "one".to_owned(),
         job: Some(wire::JobName { rollout_id: CAMERA.to_owned(), replicate: 0 }),
     };
-    let shown = bench.operator().await.get_job(job()).await.expect("shown");
-    let shown = shown.into_inner();
-    let line = shown.job.expect("a job");
+    let shown: JobDetails = value(bench.operator().await.get_job(job()).await).expect("shown");
+    let line = shown.job;
     assert_eq!(
-        (line.state.as_str(), line.attempt, line.control_steps),
-        ("leased", 4, 32),
+        (line.state.as_str(), line.attempts, line.control_steps),
+        ("leased", 4, Some(32)),
         "the policy's steps, without the ten in which the scene settles"
     );
-    assert_eq!((line.lease_owner.as_str(), line.lease_left_secs), ("a", 30.0));
-    let attempts: Vec<u32> = shown.failures.iter().map(|failure| failure.attempt).collect();
+    let worker_id = line.worker_id.expect("a worker").0;
+    assert_eq!((worker_id.as_str(), line.lease_left_secs), ("a", Some(30.0)));
+    let attempts: Vec<u32> = shown.failures.iter().map(|failure| failure.attempt.0).collect();
     assert_eq!(attempts, [3, 2, 1]);
     assert_eq!(shown.failures[0].reason, "slot_crashed");
-    assert!(shown.failures.iter().all(|failure| failure.charged));
+    assert!(shown.failures.iter().all(|failure| failure.is_charged));
 
     assert_eq!(worker.commit(&lease, false).await, Verdict::Accepted);
-    let shown = bench.operator().await.get_job(job()).await.expect("shown");
-    let shown = shown.into_inner();
-    assert_eq!(shown.job.expect("a job").success, Some(false));
-    assert_eq!(shown.result.expect("an origin").worker_id, "a");
+    let shown: JobDetails = value(bench.operator().await.get_job(job()).await).expect("shown");
+    assert_eq!(shown.job.outcome.as_deref(), Some("failure"));
+    assert_eq!(shown.result.expect("an origin").worker_id.0, "a");
 }
 
 #[tokio::test]
@@ -222,7 +224,7 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
     let bench = Bench::with(&small_spec("paged")).await;
     bench.worker("a").await.claim_one().await;
     let mut operator = bench.operator().await;
-    let mut list = async |state: &str, after: i64, limit: u32| -> Vec<wire::Job> {
+    let mut list = async |state: &str, after: i64, limit: u32| -> Vec<JobLine> {
         let request = wire::ListJobsRequest {
             campaign: "paged".to_owned(),
             state: state.to_owned(),
@@ -230,11 +232,11 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
             limit,
             ..wire::ListJobsRequest::default()
         };
-        operator.list_jobs(request).await.expect("a page").into_inner().jobs
+        value(operator.list_jobs(request).await).expect("a page")
     };
     let first = list("", 0, 3).await;
     assert_eq!(first.len(), 3);
-    assert_eq!(list("", first[2].job_id, 3).await.len(), 1);
+    assert_eq!(list("", first[2].job_id.0, 3).await.len(), 1);
     assert_eq!(list("queued", 0, 64).await.len(), 3);
     assert_eq!(list("leased", 0, 64).await[0].rollout_id, "object/t0/clean/i16");
     let request = wire::ListJobsRequest {
@@ -260,13 +262,15 @@ async fn workers_are_listed_with_their_leases_and_stop_reasons() {
     }
     let request = wire::ListWorkersRequest {};
     let list = bench.operator().await.list_workers(request).await;
-    let list = list.expect("a list").into_inner().workers;
-    let worker = |id: &str| list.iter().find(|worker| worker.worker_id == id).expect("listed");
-    assert_eq!((worker("gone").alive, worker("gone").silent_secs), (false, 100.0));
-    assert_eq!((worker("sound").alive, worker("sound").leases), (true, 2));
-    assert_eq!((worker("sound").filming, worker("broken").filming), (3, 0));
-    assert_eq!((worker("broken").charged_in_a_row, worker("broken").leases), (5, 0));
-    assert!(worker("broken").stopped_reason.contains("5 times in a row"));
+    let list: Vec<WorkerLine> = value(list).expect("a list");
+    let worker = |id: &str| list.iter().find(|worker| worker.worker_id.0 == id).expect("listed");
+    let silence = bench.clock.now().since(worker("gone").last_call_at);
+    assert_eq!((worker("gone").is_alive, silence.as_secs()), (false, 100));
+    assert_eq!((worker("sound").is_alive, worker("sound").leases), (true, 2));
+    assert_eq!((worker("sound").filming, worker("broken").filming), (Some(3), None));
+    assert_eq!((worker("broken").failures_in_a_row, worker("broken").leases), (5, 0));
+    let reason = worker("broken").stopped_reason.as_deref();
+    assert!(reason.expect("a reason").contains("5 times in a row"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -341,7 +345,7 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
     let mut slot = bench.worker("a").await;
     let old = slot.claim_one().await;
     let cancelled = bench.change("before", Change::Cancel).await;
-    assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
+    assert_eq!(cancelled.expect("cancelled"), "cancelled");
     bench.delete("before", "before").await.expect("deleted");
     bench.create(&small_spec("after")).await.expect("created");
     let new = slot.claim_one().await;
@@ -359,5 +363,5 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_campaign() {
     assert_refused(slot.service.release(release).await, Code::NotFound, &[]);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);
-    assert_eq!(bench.status("after").await.succeeded, 0);
+    assert_eq!(bench.status("after").await.rollouts.succeeded, 0);
 }

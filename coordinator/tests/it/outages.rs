@@ -10,7 +10,7 @@ use queue::clock::Clock;
 use queue::ids::CampaignName;
 use serde_json::json;
 
-use crate::harness::{Bench, Worker, assert_sound, rollout_id, small_spec, with};
+use crate::harness::{Bench, Worker, assert_sound, rollout_id, small_spec, value, with};
 use crate::page::http;
 
 /// Time after which the first back-off of an outage, 1 s, is over.
@@ -48,8 +48,8 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
         assert_eq!(released.stop_leasing, "");
     }
     let status = bench.status("first").await;
-    assert!(status.policy_paused);
-    assert_eq!(status.policy_pause_reason, "simulated failure");
+    assert!(status.policy_outage.is_some());
+    assert_eq!(status.policy_outage.as_deref(), Some("simulated failure"));
     assert_eq!(bench.count("SELECT outages FROM policy WHERE name = 'fragile'").await, 1);
     assert_eq!(bench.count("SELECT max(charged_attempts) FROM job").await, 0);
 
@@ -88,9 +88,9 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_its_other_job
 
     // The ten settling steps need no policy; the eleventh step does.
     worker.heartbeat(&[&probe], 10).await;
-    assert!(bench.status("first").await.policy_paused);
+    assert!(bench.status("first").await.policy_outage.is_some());
     worker.heartbeat(&[&probe], 11).await;
-    assert!(!bench.status("first").await.policy_paused);
+    assert!(bench.status("first").await.policy_outage.is_none());
     let resumed = worker.claim(64).await;
     assert_eq!(resumed.len(), 7);
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
@@ -136,22 +136,25 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
     bench.advance(PAST_FIRST_SECS).await;
     let probe = worker.claim(1).await.remove(0);
     worker.heartbeat(&[&probe, &leases[1]], 11).await;
-    assert!(!bench.status("first").await.policy_paused);
+    assert!(bench.status("first").await.policy_outage.is_none());
     worker.release(&leases[1], Reason::PolicyUnavailable).await;
-    assert!(!bench.status("first").await.policy_paused, "the lease is older than the recovery");
+    assert!(
+        bench.status("first").await.policy_outage.is_none(),
+        "the lease is older than the recovery"
+    );
 }
 
 #[tokio::test]
 async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
     let (bench, _, _) = outage().await;
     let bench = bench.restart().await;
-    assert!(bench.status("first").await.policy_paused);
+    assert!(bench.status("first").await.policy_outage.is_some());
     let mut worker = bench.worker("a").await;
     bench.advance(PAST_FIRST_SECS).await;
     let probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
-    assert!(!bench.status("first").await.policy_paused);
+    assert!(bench.status("first").await.policy_outage.is_none());
 }
 
 /// Runs a campaign of eight rollouts on two slots. One rollout crashes the policy after
@@ -179,7 +182,7 @@ async fn run_with_killer(answered_queries: u32) -> Bench {
             };
         }
         let status = bench.status("first").await;
-        if status.committed + status.quarantined == status.total {
+        if status.rollouts.committed + status.rollouts.quarantined == status.rollouts.total() {
             break;
         }
     }
@@ -193,8 +196,8 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
     for answered_queries in [3, 0] {
         let bench = run_with_killer(answered_queries).await;
         let status = bench.status("first").await;
-        assert_eq!((status.committed, status.quarantined), (7, 1));
-        assert!(!bench.status("first").await.policy_paused || status.queued == 0);
+        assert_eq!((status.rollouts.committed, status.rollouts.quarantined), (7, 1));
+        assert!(bench.status("first").await.policy_outage.is_none() || status.rollouts.queued == 0);
         let query = "SELECT count(*) FROM job j JOIN failure f ON f.job_id = j.id
                 AND f.attempt = j.attempt
             WHERE j.state = 'quarantined' AND j.rollout_id LIKE '%sensor/L1/c00'
@@ -226,7 +229,7 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
     }
     assert!(probes.len() >= 2, "{probes:?}");
     let status = bench.status("first").await;
-    assert_eq!((status.queued, status.quarantined), (8, 0));
+    assert_eq!((status.rollouts.queued, status.rollouts.quarantined), (8, 0));
     assert_eq!(bench.count("SELECT max(losses) FROM job").await, 1);
 }
 
@@ -246,7 +249,7 @@ async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
         let probe = worker.claim_one().await;
         worker.release(&probe, Reason::PolicyUnavailable).await;
     }
-    assert_eq!(bench.status("one").await.quarantined, 0);
+    assert_eq!(bench.status("one").await.rollouts.quarantined, 0);
     bench.advance(130).await;
     worker.heartbeat(&[], 0).await;
     let probe = worker.claim_one().await;
@@ -290,20 +293,19 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
             campaign: "some".to_owned(),
             jobs: rollouts.iter().cloned().map(name).collect(),
         };
-        let skipped = operator.skip_jobs(request).await;
-        skipped.map(|response| response.into_inner().jobs)
+        value::<u64>(operator.skip_jobs(request).await)
     };
     let running = rollout_id(&leases[1]);
     let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;
     let refused = refused.expect_err("a committed rollout");
     assert!(refused.message().contains("it is committed"), "{refused}");
-    assert_eq!(bench.status("some").await.leased, 1, "neither or both are skipped");
+    assert_eq!(bench.status("some").await.rollouts.leased, 1, "neither or both are skipped");
     assert_eq!(
         skip(&[running.clone(), id("combination"), running]).await.expect("skipped"),
         2,
         "a job that is named twice counts once"
     );
-    assert_eq!(bench.status("some").await.quarantined, 2);
+    assert_eq!(bench.status("some").await.rollouts.quarantined, 2);
     let card = "GET /campaigns/some/configurations/object/t0/combination/L1/c00";
     let page = http(&bench.url, card).await.text();
     assert!(page.contains("skipped by an operator"), "{page}");
@@ -315,7 +317,7 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     assert_eq!(worker.commit(&last[0], true).await, Verdict::Accepted);
     let request = RetryJobsRequest { campaign: "some".to_owned(), jobs: Vec::new(), all: true };
     let retried = operator.retry_jobs(request).await.expect("retried");
-    assert_eq!(retried.into_inner().jobs, 2);
+    assert_eq!(retried.into_inner().json, "2");
     assert_eq!(worker.claim(4).await.len(), 2);
     assert_sound(bench.stop().await.path()).await;
 }

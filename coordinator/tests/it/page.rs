@@ -447,7 +447,7 @@ async fn pages_of_other_sites_can_neither_read_nor_call() {
         let answer = http(&bench.url, &format!("{delete}\n{headers}\n\n{message}")).await;
         assert_ne!(answer.code, 200, "{headers}: {}", answer.head);
     }
-    assert_eq!(bench.status("begun").await.total, 4);
+    assert_eq!(bench.status("begun").await.rollouts.total(), 4);
     // The other site's page can neither read a page nor send a form.
     for request in [
         "GET /campaigns/begun\nsec-fetch-site: cross-site\nsec-fetch-mode: no-cors",

@@ -55,7 +55,7 @@ async fn a_result_unlike_its_siblings_or_its_campaign_is_refused_with_the_differ
         let (verdict, detail) = commit_altered(&mut worker, &lease, alter).await;
         assert_eq!(verdict, Verdict::Unpaired);
         assert_contains(&detail, words);
-        assert_eq!(bench.status("paired").await.committed, 2);
+        assert_eq!(bench.status("paired").await.rollouts.committed, 2);
         let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
         assert_eq!(bench.count(charged).await, 1);
     }
@@ -276,7 +276,7 @@ async fn a_result_with_missing_or_invalid_provenance_is_refused() {
         alter(&mut request);
         assert_refused(worker.service.commit(request).await, Code::InvalidArgument, &[word]);
     }
-    assert_eq!(bench.status("paired").await.leased, 1, "the lease is kept");
+    assert_eq!(bench.status("paired").await.rollouts.leased, 1, "the lease is kept");
 }
 
 /// Without this check, a result with more control steps than its row allows would be paired and
@@ -323,5 +323,5 @@ async fn an_unreadable_sibling_is_named_and_charges_no_attempt() {
     let uncharged = "SELECT count(*) FROM failure WHERE reason = 'unsuited' AND charged = 0";
     assert_eq!(bench.count(uncharged).await, 1);
     // Other calls to the coordinator still succeed.
-    assert_eq!(bench.status("paired").await.committed, 2);
+    assert_eq!(bench.status("paired").await.rollouts.committed, 2);
 }

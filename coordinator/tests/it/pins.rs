@@ -141,7 +141,7 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         let (verdict, detail) = worker.commit_request(replaced).await;
         assert_eq!(verdict, Verdict::Unpaired);
         assert_contains(&detail, &["`pinned`", difference, "create another campaign"]);
-        let reason = bench.status("pinned").await.policy_pause_reason;
+        let reason = bench.status("pinned").await.policy_outage.expect("an outage");
         assert!(reason.contains(difference), "{reason}");
         let charged = "SELECT (SELECT max(charged_attempts) FROM job)
             + (SELECT max(charged_in_a_row) FROM worker)";
@@ -241,11 +241,11 @@ async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
             &["`choosy` wants assets `libero` and renderer `software`", pack, renderer],
         );
         // The campaign's status shows the same reason.
-        let waiting_reason = bench.status("choosy").await.waiting_reason;
+        let waiting_reason = bench.status("choosy").await.waiting_reason.expect("a reason");
         assert_contains(&waiting_reason, &["wants assets `libero`", pack, renderer]);
     }
     assert_eq!(refusal_reason(&bench, "libero", SOFTWARE).await, "");
-    assert_eq!(bench.status("choosy").await.waiting_reason, "");
+    assert_eq!(bench.status("choosy").await.waiting_reason, None);
     let mut worker = bench.worker_with_renderer("a", "libero", SOFTWARE).await;
     assert_eq!(worker.claim(4).await.len(), 4);
 }

@@ -5,11 +5,12 @@ use std::time::Duration;
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
+use queue::read::WorkerLine;
 use serde_json::{Value, json};
 use tonic::Code;
 
 use crate::assertions::{assert_contains, assert_refused};
-use crate::harness::{Bench, Worker, registration, small_spec, with};
+use crate::harness::{Bench, Worker, registration, small_spec, value, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) {
@@ -29,11 +30,11 @@ async fn a_worker_that_signs_off_is_no_longer_live() {
     signed_off_response.expect("an answer");
     let status = bench.status("watched").await;
     assert_eq!(status.live_workers, 0);
-    assert!(status.waiting_reason.contains("no worker"), "{status:?}");
+    assert!(status.waiting_reason.expect("a reason").contains("no worker"));
     let mut operator = bench.operator().await;
     let list = operator.list_workers(wire::ListWorkersRequest {}).await;
-    let line = list.expect("a list").into_inner().workers.remove(0);
-    assert!(!line.alive && line.signed_off);
+    let list: Vec<WorkerLine> = value(list).expect("a list");
+    assert!(!list[0].is_alive && list[0].has_signed_off);
 
     // The worker may register again under the same id.
     let again = worker.service.register(registration("a", "primitives"));
@@ -72,14 +73,14 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
         commit_after(&mut worker, lease, 20.0).await;
     }
     let status = bench.status("paced").await;
-    assert_eq!((status.rate_per_sec, status.eta_secs), (None, None));
+    assert_eq!((status.rate_per_sec, status.remaining_secs), (None, None));
 
     let lease = worker.claim_one().await;
     bench.advance(20).await;
     commit_after(&mut worker, &lease, 20.0).await;
     let status = bench.status("paced").await;
     assert_eq!(status.rate_per_sec, Some(0.05));
-    assert_eq!(status.eta_secs, Some(5.0 / 0.05));
+    assert_eq!(status.remaining_secs, Some(5.0 / 0.05));
 }
 
 /// The rate of a campaign that waited for its first worker follows from its rollouts, not from the

@@ -74,7 +74,7 @@ async fn batched_reports_each_get_their_own_verdict() {
     let verdicts = send_in_one_batch(&bench, requests.collect()).await;
     let expected: Vec<Verdict> = mixed.iter().map(|(_, verdict)| *verdict).collect();
     assert_eq!(verdicts, expected);
-    assert_eq!(bench.status("together").await.committed, 8);
+    assert_eq!(bench.status("together").await.rollouts.committed, 8);
     let divergences = "SELECT count(*) FROM divergence";
     assert_eq!(bench.count(divergences).await, 1);
     assert_sound(bench.stop().await.path()).await;

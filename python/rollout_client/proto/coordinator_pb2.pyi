@@ -391,6 +391,14 @@ class SignOffResponse(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Answer(_message.Message):
+    __slots__ = ("json", "now_unix_ms")
+    JSON_FIELD_NUMBER: _ClassVar[int]
+    NOW_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    json: str
+    now_unix_ms: int
+    def __init__(self, json: _Optional[str] = ..., now_unix_ms: _Optional[int] = ...) -> None: ...
+
 class CreateCampaignRequest(_message.Message):
     __slots__ = ("spec", "priority")
     SPEC_FIELD_NUMBER: _ClassVar[int]
@@ -398,16 +406,6 @@ class CreateCampaignRequest(_message.Message):
     spec: str
     priority: int
     def __init__(self, spec: _Optional[str] = ..., priority: _Optional[int] = ...) -> None: ...
-
-class CreateCampaignResponse(_message.Message):
-    __slots__ = ("jobs_added", "jobs_total", "priority")
-    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
-    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
-    PRIORITY_FIELD_NUMBER: _ClassVar[int]
-    jobs_added: int
-    jobs_total: int
-    priority: int
-    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ..., priority: _Optional[int] = ...) -> None: ...
 
 class AppendRowsRequest(_message.Message):
     __slots__ = ("campaign", "rows", "spec")
@@ -427,110 +425,15 @@ class AppendedRow(_message.Message):
     replicates: _containers.RepeatedScalarFieldContainer[int]
     def __init__(self, manifest_row: _Optional[str] = ..., replicates: _Optional[_Iterable[int]] = ...) -> None: ...
 
-class AppendRowsResponse(_message.Message):
-    __slots__ = ("jobs_added", "jobs_total")
-    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
-    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
-    jobs_added: int
-    jobs_total: int
-    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ...) -> None: ...
-
 class ListCampaignsRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
-
-class ListCampaignsResponse(_message.Message):
-    __slots__ = ("campaigns",)
-    CAMPAIGNS_FIELD_NUMBER: _ClassVar[int]
-    campaigns: _containers.RepeatedCompositeFieldContainer[CampaignStatus]
-    def __init__(self, campaigns: _Optional[_Iterable[_Union[CampaignStatus, _Mapping]]] = ...) -> None: ...
 
 class GetCampaignRequest(_message.Message):
     __slots__ = ("campaign",)
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
     campaign: str
     def __init__(self, campaign: _Optional[str] = ...) -> None: ...
-
-class GetCampaignResponse(_message.Message):
-    __slots__ = ("status", "spec")
-    STATUS_FIELD_NUMBER: _ClassVar[int]
-    SPEC_FIELD_NUMBER: _ClassVar[int]
-    status: CampaignStatus
-    spec: str
-    def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., spec: _Optional[str] = ...) -> None: ...
-
-class CampaignStatus(_message.Message):
-    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "policy_retry_secs")
-    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-        __slots__ = ()
-        STATE_UNSPECIFIED: _ClassVar[CampaignStatus.State]
-        STATE_RUNNING: _ClassVar[CampaignStatus.State]
-        STATE_PAUSED: _ClassVar[CampaignStatus.State]
-        STATE_CANCELLED: _ClassVar[CampaignStatus.State]
-        STATE_STOPPED: _ClassVar[CampaignStatus.State]
-    STATE_UNSPECIFIED: CampaignStatus.State
-    STATE_RUNNING: CampaignStatus.State
-    STATE_PAUSED: CampaignStatus.State
-    STATE_CANCELLED: CampaignStatus.State
-    STATE_STOPPED: CampaignStatus.State
-    class EarlyStop(_message.Message):
-        __slots__ = ("rule", "seed", "strata", "configurations", "used")
-        RULE_FIELD_NUMBER: _ClassVar[int]
-        SEED_FIELD_NUMBER: _ClassVar[int]
-        STRATA_FIELD_NUMBER: _ClassVar[int]
-        CONFIGURATIONS_FIELD_NUMBER: _ClassVar[int]
-        USED_FIELD_NUMBER: _ClassVar[int]
-        rule: str
-        seed: int
-        strata: str
-        configurations: int
-        used: int
-        def __init__(self, rule: _Optional[str] = ..., seed: _Optional[int] = ..., strata: _Optional[str] = ..., configurations: _Optional[int] = ..., used: _Optional[int] = ...) -> None: ...
-    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
-    POLICY_FIELD_NUMBER: _ClassVar[int]
-    TOTAL_FIELD_NUMBER: _ClassVar[int]
-    QUEUED_FIELD_NUMBER: _ClassVar[int]
-    LEASED_FIELD_NUMBER: _ClassVar[int]
-    COMMITTED_FIELD_NUMBER: _ClassVar[int]
-    QUARANTINED_FIELD_NUMBER: _ClassVar[int]
-    SUCCEEDED_FIELD_NUMBER: _ClassVar[int]
-    POLICY_PAUSED_FIELD_NUMBER: _ClassVar[int]
-    POLICY_PAUSE_REASON_FIELD_NUMBER: _ClassVar[int]
-    RATE_PER_SEC_FIELD_NUMBER: _ClassVar[int]
-    ETA_SECS_FIELD_NUMBER: _ClassVar[int]
-    LIVE_WORKERS_FIELD_NUMBER: _ClassVar[int]
-    WAITING_REASON_FIELD_NUMBER: _ClassVar[int]
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    POLICY_ENDPOINT_FIELD_NUMBER: _ClassVar[int]
-    MIXED_FINGERPRINTS_FIELD_NUMBER: _ClassVar[int]
-    PRIORITY_FIELD_NUMBER: _ClassVar[int]
-    CREATED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    EARLY_STOP_FIELD_NUMBER: _ClassVar[int]
-    FOLLOWS_FROM_FIELD_NUMBER: _ClassVar[int]
-    POLICY_RETRY_SECS_FIELD_NUMBER: _ClassVar[int]
-    campaign: str
-    policy: str
-    total: int
-    queued: int
-    leased: int
-    committed: int
-    quarantined: int
-    succeeded: int
-    policy_paused: bool
-    policy_pause_reason: str
-    rate_per_sec: float
-    eta_secs: float
-    live_workers: int
-    waiting_reason: str
-    state: CampaignStatus.State
-    policy_endpoint: str
-    mixed_fingerprints: str
-    priority: int
-    created_unix_ms: int
-    early_stop: CampaignStatus.EarlyStop
-    follows_from: str
-    policy_retry_secs: float
-    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., policy_retry_secs: _Optional[float] = ...) -> None: ...
 
 class ChangeCampaignRequest(_message.Message):
     __slots__ = ("campaign", "change")
@@ -550,12 +453,6 @@ class ChangeCampaignRequest(_message.Message):
     change: ChangeCampaignRequest.Change
     def __init__(self, campaign: _Optional[str] = ..., change: _Optional[_Union[ChangeCampaignRequest.Change, str]] = ...) -> None: ...
 
-class ChangeCampaignResponse(_message.Message):
-    __slots__ = ("state",)
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    state: CampaignStatus.State
-    def __init__(self, state: _Optional[_Union[CampaignStatus.State, str]] = ...) -> None: ...
-
 class DeleteCampaignRequest(_message.Message):
     __slots__ = ("campaign", "confirm")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -563,14 +460,6 @@ class DeleteCampaignRequest(_message.Message):
     campaign: str
     confirm: str
     def __init__(self, campaign: _Optional[str] = ..., confirm: _Optional[str] = ...) -> None: ...
-
-class DeleteCampaignResponse(_message.Message):
-    __slots__ = ("jobs", "results")
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    RESULTS_FIELD_NUMBER: _ClassVar[int]
-    jobs: int
-    results: int
-    def __init__(self, jobs: _Optional[int] = ..., results: _Optional[int] = ...) -> None: ...
 
 class JobName(_message.Message):
     __slots__ = ("rollout_id", "replicate")
@@ -600,44 +489,6 @@ class ListJobsRequest(_message.Message):
     level: str
     def __init__(self, campaign: _Optional[str] = ..., state: _Optional[str] = ..., after_job_id: _Optional[int] = ..., limit: _Optional[int] = ..., outcome: _Optional[str] = ..., task: _Optional[str] = ..., condition: _Optional[str] = ..., level: _Optional[str] = ...) -> None: ...
 
-class ListJobsResponse(_message.Message):
-    __slots__ = ("jobs",)
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    jobs: _containers.RepeatedCompositeFieldContainer[Job]
-    def __init__(self, jobs: _Optional[_Iterable[_Union[Job, _Mapping]]] = ...) -> None: ...
-
-class Job(_message.Message):
-    __slots__ = ("job_id", "rollout_id", "replicate", "state", "attempt", "charged_attempts", "attempt_id", "lease_owner", "lease_left_secs", "control_steps", "backoff_left_secs", "last_error", "success", "steps")
-    JOB_ID_FIELD_NUMBER: _ClassVar[int]
-    ROLLOUT_ID_FIELD_NUMBER: _ClassVar[int]
-    REPLICATE_FIELD_NUMBER: _ClassVar[int]
-    STATE_FIELD_NUMBER: _ClassVar[int]
-    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
-    CHARGED_ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
-    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
-    LEASE_OWNER_FIELD_NUMBER: _ClassVar[int]
-    LEASE_LEFT_SECS_FIELD_NUMBER: _ClassVar[int]
-    CONTROL_STEPS_FIELD_NUMBER: _ClassVar[int]
-    BACKOFF_LEFT_SECS_FIELD_NUMBER: _ClassVar[int]
-    LAST_ERROR_FIELD_NUMBER: _ClassVar[int]
-    SUCCESS_FIELD_NUMBER: _ClassVar[int]
-    STEPS_FIELD_NUMBER: _ClassVar[int]
-    job_id: int
-    rollout_id: str
-    replicate: int
-    state: str
-    attempt: int
-    charged_attempts: int
-    attempt_id: str
-    lease_owner: str
-    lease_left_secs: float
-    control_steps: int
-    backoff_left_secs: float
-    last_error: str
-    success: bool
-    steps: int
-    def __init__(self, job_id: _Optional[int] = ..., rollout_id: _Optional[str] = ..., replicate: _Optional[int] = ..., state: _Optional[str] = ..., attempt: _Optional[int] = ..., charged_attempts: _Optional[int] = ..., attempt_id: _Optional[str] = ..., lease_owner: _Optional[str] = ..., lease_left_secs: _Optional[float] = ..., control_steps: _Optional[int] = ..., backoff_left_secs: _Optional[float] = ..., last_error: _Optional[str] = ..., success: bool = ..., steps: _Optional[int] = ...) -> None: ...
-
 class GetJobRequest(_message.Message):
     __slots__ = ("campaign", "job")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -645,66 +496,6 @@ class GetJobRequest(_message.Message):
     campaign: str
     job: JobName
     def __init__(self, campaign: _Optional[str] = ..., job: _Optional[_Union[JobName, _Mapping]] = ...) -> None: ...
-
-class GetJobResponse(_message.Message):
-    __slots__ = ("job", "manifest_row", "stale_reports", "failures", "result")
-    JOB_FIELD_NUMBER: _ClassVar[int]
-    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
-    STALE_REPORTS_FIELD_NUMBER: _ClassVar[int]
-    FAILURES_FIELD_NUMBER: _ClassVar[int]
-    RESULT_FIELD_NUMBER: _ClassVar[int]
-    job: Job
-    manifest_row: str
-    stale_reports: int
-    failures: _containers.RepeatedCompositeFieldContainer[Failure]
-    result: ResultOrigin
-    def __init__(self, job: _Optional[_Union[Job, _Mapping]] = ..., manifest_row: _Optional[str] = ..., stale_reports: _Optional[int] = ..., failures: _Optional[_Iterable[_Union[Failure, _Mapping]]] = ..., result: _Optional[_Union[ResultOrigin, _Mapping]] = ...) -> None: ...
-
-class Failure(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "reason", "charged", "error", "failed_unix_ms")
-    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
-    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
-    AGO_SECS_FIELD_NUMBER: _ClassVar[int]
-    REASON_FIELD_NUMBER: _ClassVar[int]
-    CHARGED_FIELD_NUMBER: _ClassVar[int]
-    ERROR_FIELD_NUMBER: _ClassVar[int]
-    FAILED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    attempt: int
-    worker_id: str
-    ago_secs: float
-    reason: str
-    charged: bool
-    error: str
-    failed_unix_ms: int
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., reason: _Optional[str] = ..., charged: bool = ..., error: _Optional[str] = ..., failed_unix_ms: _Optional[int] = ...) -> None: ...
-
-class ResultOrigin(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal", "prompt", "look")
-    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
-    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
-    AGO_SECS_FIELD_NUMBER: _ClassVar[int]
-    WALL_SECS_FIELD_NUMBER: _ClassVar[int]
-    HOST_FIELD_NUMBER: _ClassVar[int]
-    RENDERER_FIELD_NUMBER: _ClassVar[int]
-    DIVERGENCES_FIELD_NUMBER: _ClassVar[int]
-    VIDEO_FIELD_NUMBER: _ClassVar[int]
-    COMMITTED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    GOAL_FIELD_NUMBER: _ClassVar[int]
-    PROMPT_FIELD_NUMBER: _ClassVar[int]
-    LOOK_FIELD_NUMBER: _ClassVar[int]
-    attempt: int
-    worker_id: str
-    ago_secs: float
-    wall_secs: float
-    host: str
-    renderer: str
-    divergences: int
-    video: str
-    committed_unix_ms: int
-    goal: GoalProgress
-    prompt: str
-    look: str
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
 
 class RetryJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs", "all")
@@ -716,12 +507,6 @@ class RetryJobsRequest(_message.Message):
     all: bool
     def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ..., all: bool = ...) -> None: ...
 
-class RetryJobsResponse(_message.Message):
-    __slots__ = ("jobs",)
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    jobs: int
-    def __init__(self, jobs: _Optional[int] = ...) -> None: ...
-
 class SkipJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -730,59 +515,9 @@ class SkipJobsRequest(_message.Message):
     jobs: _containers.RepeatedCompositeFieldContainer[JobName]
     def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ...) -> None: ...
 
-class SkipJobsResponse(_message.Message):
-    __slots__ = ("jobs",)
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    jobs: int
-    def __init__(self, jobs: _Optional[int] = ...) -> None: ...
-
 class ListWorkersRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
-
-class ListWorkersResponse(_message.Message):
-    __slots__ = ("workers",)
-    WORKERS_FIELD_NUMBER: _ClassVar[int]
-    workers: _containers.RepeatedCompositeFieldContainer[WorkerStatus]
-    def __init__(self, workers: _Optional[_Iterable[_Union[WorkerStatus, _Mapping]]] = ...) -> None: ...
-
-class WorkerStatus(_message.Message):
-    __slots__ = ("worker_id", "host", "slots", "leases", "asset_pack", "mujoco_version", "renderer", "program_version", "silent_secs", "alive", "charged_in_a_row", "stopped_reason", "filming", "last_seen_unix_ms", "registered_unix_ms", "signed_off", "look")
-    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
-    HOST_FIELD_NUMBER: _ClassVar[int]
-    SLOTS_FIELD_NUMBER: _ClassVar[int]
-    LEASES_FIELD_NUMBER: _ClassVar[int]
-    ASSET_PACK_FIELD_NUMBER: _ClassVar[int]
-    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
-    RENDERER_FIELD_NUMBER: _ClassVar[int]
-    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
-    SILENT_SECS_FIELD_NUMBER: _ClassVar[int]
-    ALIVE_FIELD_NUMBER: _ClassVar[int]
-    CHARGED_IN_A_ROW_FIELD_NUMBER: _ClassVar[int]
-    STOPPED_REASON_FIELD_NUMBER: _ClassVar[int]
-    FILMING_FIELD_NUMBER: _ClassVar[int]
-    LAST_SEEN_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    REGISTERED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
-    SIGNED_OFF_FIELD_NUMBER: _ClassVar[int]
-    LOOK_FIELD_NUMBER: _ClassVar[int]
-    worker_id: str
-    host: str
-    slots: int
-    leases: int
-    asset_pack: str
-    mujoco_version: str
-    renderer: str
-    program_version: str
-    silent_secs: float
-    alive: bool
-    charged_in_a_row: int
-    stopped_reason: str
-    filming: int
-    last_seen_unix_ms: int
-    registered_unix_ms: int
-    signed_off: bool
-    look: str
-    def __init__(self, worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., leases: _Optional[int] = ..., asset_pack: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., program_version: _Optional[str] = ..., silent_secs: _Optional[float] = ..., alive: bool = ..., charged_in_a_row: _Optional[int] = ..., stopped_reason: _Optional[str] = ..., filming: _Optional[int] = ..., last_seen_unix_ms: _Optional[int] = ..., registered_unix_ms: _Optional[int] = ..., signed_off: bool = ..., look: _Optional[str] = ...) -> None: ...
 
 class BackupRequest(_message.Message):
     __slots__ = ()
@@ -840,18 +575,6 @@ class ImportChunk(_message.Message):
     data: bytes
     def __init__(self, name: _Optional[str] = ..., archive: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
-class ImportCampaignResponse(_message.Message):
-    __slots__ = ("campaign", "jobs", "results", "films")
-    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
-    JOBS_FIELD_NUMBER: _ClassVar[int]
-    RESULTS_FIELD_NUMBER: _ClassVar[int]
-    FILMS_FIELD_NUMBER: _ClassVar[int]
-    campaign: str
-    jobs: int
-    results: int
-    films: int
-    def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[int] = ..., results: _Optional[int] = ..., films: _Optional[int] = ...) -> None: ...
-
 class AlterCampaignRequest(_message.Message):
     __slots__ = ("campaign", "priority", "policy_endpoint", "policy", "name")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
@@ -865,14 +588,6 @@ class AlterCampaignRequest(_message.Message):
     policy: str
     name: str
     def __init__(self, campaign: _Optional[str] = ..., priority: _Optional[int] = ..., policy_endpoint: _Optional[str] = ..., policy: _Optional[str] = ..., name: _Optional[str] = ...) -> None: ...
-
-class AlterCampaignResponse(_message.Message):
-    __slots__ = ("status", "taken_back")
-    STATUS_FIELD_NUMBER: _ClassVar[int]
-    TAKEN_BACK_FIELD_NUMBER: _ClassVar[int]
-    status: CampaignStatus
-    taken_back: int
-    def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., taken_back: _Optional[int] = ...) -> None: ...
 
 class ForecastRequest(_message.Message):
     __slots__ = ("policy", "rollouts", "policy_rate")

@@ -44,4 +44,3 @@ pub use subject::{
 };
 pub use table::{ResultRow, TableError, write_csv, write_parquet, write_results_parquet};
 pub use threshold_report::{AtRadius, BudgetTooSmall, Kind, Measured, ThresholdReport};
-pub use warnings::describe_fingerprints;

@@ -6,14 +6,12 @@ use std::collections::BTreeSet;
 use paired::Outcome;
 
 use libero_ctrl::{Condition, Look, delay_at};
-use rollout_types::{CONNECTED_SINCE, Fingerprints, Provenance};
+use rollout_types::{CONNECTED_SINCE, Fingerprints, Provenance, first_names};
 
 use crate::subject::{Subject, pluralise};
 
 /// The built-in asset pack, which is a different benchmark from LIBERO.
 const PRIMITIVES: &str = "primitives";
-/// Largest number of rollouts that one warning names; further ones are only counted.
-const MAX_NAMED: usize = 5;
 /// End of the batch mode of a server that takes no seed.
 const UNSEEDED: &str = ", unseeded";
 /// Number of hexadecimal digits shown of a digest.
@@ -32,7 +30,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
         "execution model",
         "never pooled: the robot moves differently under each",
     ));
-    warnings.extend(subject.fingerprints.as_ref().map(describe_fingerprints));
+    warnings.extend(subject.fingerprints.as_ref().map(Fingerprints::to_string));
     if let Some(look) = subject.looks().into_iter().find(|look| *look != Look::default()) {
         warnings.push(format!(
             "drawn with the look `{look}`: LIBERO's demonstrations have `{}`, and a policy that \
@@ -177,26 +175,6 @@ fn mixed(values: BTreeSet<String>, name: &str, consequence: &str) -> Option<Stri
     })
 }
 
-/// Returns the number of results with each fingerprint, and the configurations whose results
-/// have more than one.
-pub fn describe_fingerprints(mix: &Fingerprints) -> String {
-    let results = mix.results.iter();
-    let results: Vec<String> = results
-        .map(|(fingerprint, count)| format!("{count} of {}", abbreviated_digest(fingerprint)))
-        .collect();
-    let mixture = match mix.mixed.len() {
-        0 => "no configuration mixes them".to_owned(),
-        1 => format!("1 configuration mixes them: {}", first_names(&mix.mixed)),
-        many => format!("{many} configurations mix them: {}", first_names(&mix.mixed)),
-    };
-    format!(
-        "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
-         {mixture}",
-        mix.results.len(),
-        results.join(", ")
-    )
-}
-
 fn left_out(subject: &Subject) -> Option<String> {
     let mode = subject.realisation?;
     (subject.left_out > 0).then(|| {
@@ -312,15 +290,6 @@ fn incomplete(subject: &Subject) -> Option<String> {
             subject.records.len()
         )
     })
-}
-
-/// Lists the first [`MAX_NAMED`] names and the number of further ones.
-pub(crate) fn first_names(names: &[String]) -> String {
-    let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
-    if names.len() > MAX_NAMED {
-        text.push_str(&format!("; and {} more", names.len() - MAX_NAMED));
-    }
-    text
 }
 
 /// Abbreviates a digest to [`DIGEST_DIGITS`] digits; `no digest` if it is empty.

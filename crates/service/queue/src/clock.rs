@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// An instant: milliseconds since the Unix epoch, UTC.
 #[derive(
@@ -17,6 +17,7 @@ use serde::Deserialize;
     PartialOrd,
     Ord,
     Hash,
+    Serialize,
     Deserialize,
     sqlx_macros::Type,
 )]
@@ -126,4 +127,71 @@ impl Clock for ManualClock {
 
 fn millis(span: Duration) -> i64 {
     i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
+}
+
+/// Instants in answers: RFC 3339 to the millisecond, `2026-11-21T15:36:09.123Z`. Instants after the
+/// year 9999 are clamped to its last second, instants before 1970 to the first second of 1970.
+pub(crate) mod rfc3339 {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serializer};
+    use time::{Date, Month, OffsetDateTime};
+
+    use super::UnixMillis;
+
+    pub(crate) fn serialize<S: Serializer>(at: &UnixMillis, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&text(*at))
+    }
+
+    fn text(at: UnixMillis) -> String {
+        // 9999-12-31T23:59:59Z.
+        const LAST_SECS: i64 = 253_402_300_799;
+        let secs = at.0.div_euclid(1_000).clamp(0, LAST_SECS);
+        let millis = at.0.rem_euclid(1_000);
+        let instant = OffsetDateTime::from_unix_timestamp(secs);
+        let instant = instant.unwrap_or(OffsetDateTime::UNIX_EPOCH);
+        let (h, m, s) = instant.to_hms();
+        format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<UnixMillis, D::Error> {
+        let text = String::deserialize(from)?;
+        let invalid = || {
+            D::Error::custom(format!(
+                "`{text}` is not an instant such as \
+                                                   `2026-11-21T15:36:09.123Z`"
+            ))
+        };
+        parse(&text).ok_or_else(invalid)
+    }
+
+    fn parse(text: &str) -> Option<UnixMillis> {
+        let parts: Vec<u16> = text
+            .strip_suffix('Z')?
+            .split(['-', 'T', ':', '.'])
+            .map(|part| part.parse().ok())
+            .collect::<Option<_>>()?;
+        let &[year, month, day, h, m, s, millis] = parts.as_slice() else { return None };
+        let small = |part: u16| u8::try_from(part).ok();
+        let month = Month::try_from(small(month)?).ok()?;
+        let date = Date::from_calendar_date(year.into(), month, small(day)?).ok()?;
+        let at = date.with_hms_milli(small(h)?, small(m)?, small(s)?, millis).ok()?.assume_utc();
+        Some(UnixMillis(at.unix_timestamp() * 1_000 + i64::from(millis)))
+    }
+
+    #[test]
+    fn instants_are_written_to_the_millisecond_and_read() {
+        let text = |ms| text(UnixMillis(ms));
+        for (ms, written) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (1_795_275_369_123, "2026-11-21T15:36:09.123Z"),
+            (253_402_300_799_807, "9999-12-31T23:59:59.807Z"),
+        ] {
+            assert_eq!(text(ms), written);
+            assert_eq!(parse(written), Some(UnixMillis(ms)));
+        }
+        assert_eq!(text(i64::MAX), text(253_402_300_799_807));
+        for unreadable in ["", "2026-11-21", "2026-13-21T15:36:09.123Z", "2026-11-21T15:36:09Z"] {
+            assert_eq!(parse(unreadable), None);
+        }
+    }
 }

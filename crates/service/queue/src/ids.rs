@@ -20,6 +20,7 @@ pub struct CampaignId(pub i64);
     Clone,
     Copy,
     Debug,
+    Default,
     PartialEq,
     Eq,
     PartialOrd,
@@ -49,6 +50,7 @@ pub struct PolicyId(pub i64);
     PartialOrd,
     Ord,
     Hash,
+    Serialize,
     Deserialize,
     sqlx_macros::Type,
 )]
@@ -56,7 +58,9 @@ pub struct PolicyId(pub i64);
 pub struct AttemptNumber(pub u32);
 
 /// Id of a worker process, chosen by the worker when it starts.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx_macros::Type)]
+#[derive(
+    Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, sqlx_macros::Type,
+)]
 #[sqlx(transparent)]
 pub struct WorkerId(pub String);
 

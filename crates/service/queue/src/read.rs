@@ -1,5 +1,7 @@
 //! Read access: one consistent view for any number of queries. Used by the web page, the command
-//! line and reports; workers never wait for a view.
+//! line and reports; workers never wait for a view. The types that are serialised are answers to
+//! operators, printed by `--json` and read by Python: keys may be added but never changed or
+//! removed, and are always present, with `null` for absent values.
 
 /// SQL column with the policy's control steps of a leased `job`. The stored count comes from
 /// heartbeats and includes the settling steps, which results and budgets exclude.
@@ -36,12 +38,12 @@ use crate::timing::Timing;
 pub use crate::store::campaigns::Campaign;
 pub use crate::store::outcomes::OutcomeRow;
 pub use crate::store::stops::EarlyStop;
-pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
+pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW, Stage};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
 pub use derivations::SubsetRow;
 pub use estimate::{Forecast, Planned, Speed};
-pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
+pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED, ResultOrigin};
 pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
 pub use speed::{Bottleneck, Rate, Spent};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};

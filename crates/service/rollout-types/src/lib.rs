@@ -14,7 +14,7 @@ pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{
     CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER,
-    TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT,
+    TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT, first_names,
 };
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};

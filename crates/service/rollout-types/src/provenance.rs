@@ -25,6 +25,9 @@ pub const CONNECTED_SINCE: &str = "connected since";
 /// Beginning of the checkpoint of a policy whose server names none.
 pub const UNNAMED_CHECKPOINT: &str = "not named by its server";
 
+/// Largest number of rollouts that one warning names; further ones are only counted.
+const MAX_NAMED: usize = 5;
+
 /// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
 
@@ -186,6 +189,39 @@ impl Provenance {
                 })
             })
     }
+}
+
+/// Numbers of results with each fingerprint, and configurations whose results have several.
+impl fmt::Display for Fingerprints {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let results = self.results.iter();
+        let results: Vec<String> = results
+            .map(|(fingerprint, count)| {
+                format!("{count} of {}", fingerprint.get(..12).unwrap_or(fingerprint))
+            })
+            .collect();
+        let mixture = match self.mixed.len() {
+            0 => "no configuration mixes them".to_owned(),
+            1 => format!("1 configuration mixes them: {}", first_names(&self.mixed)),
+            many => format!("{many} configurations mix them: {}", first_names(&self.mixed)),
+        };
+        write!(
+            f,
+            "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
+             {mixture}",
+            self.results.len(),
+            results.join(", ")
+        )
+    }
+}
+
+/// Lists the first [`MAX_NAMED`] names and the number of further ones.
+pub fn first_names(names: &[String]) -> String {
+    let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
+    if names.len() > MAX_NAMED {
+        text.push_str(&format!("; and {} more", names.len() - MAX_NAMED));
+    }
+    text
 }
 
 impl fmt::Display for Pin {

@@ -1,6 +1,7 @@
 //! Creating, pausing, resuming, cancelling and deleting campaigns.
 
 use libero_ctrl::Realisation;
+use serde::{Deserialize, Serialize};
 
 use super::batches::{self, JOBS_PER_BATCH, remove as remove_hidden};
 use super::context::Context;
@@ -18,7 +19,7 @@ use crate::store::failpoint::Step;
 use crate::store::removals as removal_marks;
 use crate::store::{StoreError, campaigns, hidden, jobs, policies, stops};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Created {
     /// Jobs added: all of them, or 0 if the campaign already existed.
     pub jobs_added: u64,

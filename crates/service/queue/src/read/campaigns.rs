@@ -3,10 +3,11 @@
 use std::time::Duration;
 
 use rollout_types::{Fingerprints, Pin};
+use serde::{Deserialize, Serialize, Serializer};
 use sqlx::SqliteConnection;
 
 use super::View;
-use crate::clock::UnixMillis;
+use crate::clock::{UnixMillis, rfc3339};
 use crate::ids::{CampaignId, CampaignName};
 use crate::operations::claim::missing_files;
 use crate::operations::error::{QueueError, unknown_campaign};
@@ -22,7 +23,7 @@ use crate::store::{Doing, StoreError, claims, workers};
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
 /// Counts of a campaign's jobs, by state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 pub struct Counts {
     pub queued: u64,
     pub leased: u64,
@@ -32,32 +33,77 @@ pub struct Counts {
     pub succeeded: u64,
 }
 
-#[derive(Clone, Debug)]
+/// State of a campaign in an answer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    #[default]
+    Running,
+    /// Running, with every rollout committed or in quarantine.
+    Finished,
+    Paused,
+    Cancelled,
+    Stopped,
+}
+
+/// Status of a campaign, as operators get it; docs/JSON.md describes the keys.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct CampaignStatus {
-    pub campaign: Campaign,
-    /// Numbers of the campaign's jobs, by state.
-    pub counts: Counts,
-    /// Reason why the campaign's policy is paused, also while a probe tries the policy; `None` if
-    /// the policy is available.
-    pub policy_pause_reason: Option<String>,
-    /// Time until a probe tries the paused policy again; `None` if it is not paused or a probe is
-    /// running.
-    pub policy_retry: Option<Duration>,
+    pub name: String,
+    /// Name of the policy at its endpoint.
+    pub policy: String,
+    pub endpoint: String,
+    pub priority: i32,
+    pub state: Stage,
+    /// True if the campaign is cancelled or stopped early, or if every rollout is committed or in
+    /// quarantine.
+    pub is_finished: bool,
+    pub rollouts: Counts,
     /// Committed rollouts per second over [`RATE_WINDOW`]; `None` if there were none, or the
     /// campaign is not running.
     pub rate_per_sec: Option<f64>,
     /// Seconds that the remaining rollouts take at that rate; `None` while none can be leased.
-    pub eta_secs: Option<f64>,
+    pub remaining_secs: Option<f64>,
     /// Live workers that meet the campaign's requirements and its pin.
     pub live_workers: u32,
-    /// Reason why no job is leased although jobs wait; empty if there is no such reason.
-    pub waiting_reason: String,
+    /// Reason why the campaign's policy is paused, also while a probe tries the policy; `None` if
+    /// the policy is available.
+    pub policy_outage: Option<String>,
+    /// Reason why no job is leased although jobs wait; `None` if there is no such reason.
+    pub waiting_reason: Option<String>,
     /// Mix of fingerprints among the campaign's results; `None` unless there are several.
-    pub fingerprints: Option<Fingerprints>,
+    pub mixed_fingerprints: Option<String>,
     /// Early-stopping rule, with the point at which the campaign stopped; `None` without a rule.
-    pub stop: Option<EarlyStop>,
+    pub early_stop: Option<EarlyStop>,
     /// Source of a derived campaign; `None` in other campaigns.
-    pub source: Option<CampaignName>,
+    pub follows_from: Option<String>,
+    #[serde(with = "rfc3339")]
+    pub created_at: UnixMillis,
+    /// Seconds until a probe tries the paused policy again; `None` if it is not paused or a probe is
+    /// running. Not printed as JSON.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy_retry_secs: Option<f64>,
+}
+
+impl Stage {
+    /// Returns true if nothing will be leased again.
+    pub fn is_over(self) -> bool {
+        matches!(self, Stage::Cancelled | Stage::Stopped)
+    }
+}
+
+impl Serialize for Counts {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map([
+            ("total", self.total()),
+            ("queued", self.queued),
+            ("leased", self.leased),
+            ("committed", self.committed),
+            ("succeeded", self.succeeded),
+            ("failed", self.committed.saturating_sub(self.succeeded)),
+            ("quarantined", self.quarantined),
+        ])
+    }
 }
 
 impl Counts {
@@ -132,20 +178,20 @@ impl View {
     }
 
     /// Returns the reason why none of these workers can run a campaign's waiting jobs, although
-    /// they meet its requirements: they lack files. Empty if there is no such reason.
+    /// they meet its requirements: they lack files. `None` if there is no such reason.
     async fn files_reason(
         &mut self,
         campaign: CampaignId,
         able: &[&Live],
-    ) -> Result<String, StoreError> {
+    ) -> Result<Option<String>, StoreError> {
         let tasks = claims::queued_tasks(self.tx(), campaign).await?;
         let has_files =
             |task: &String| able.iter().any(|worker| self.lacking.has_files(&worker.id, task));
         let Some(first) = tasks.first().filter(|_| !tasks.iter().any(has_files)) else {
-            return Ok(String::new());
+            return Ok(None);
         };
         let files = missing_files(first, tasks.len(), "every live worker");
-        Ok(format!("no worker suits: the campaign needs {files}"))
+        Ok(Some(format!("no worker suits: the campaign needs {files}")))
     }
 
     async fn status_among(
@@ -164,46 +210,57 @@ impl View {
             | CampaignState::Stopped { .. } => None,
         };
         let remaining = (counts.queued + counts.leased) as f64;
-        let policy_pause_reason = match &campaign.health.state {
-            PolicyState::Available => None,
-            PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. } => {
-                Some(reason.clone())
+        let (policy_outage, policy_retry) = match &campaign.health.state {
+            PolicyState::Available => (None, None),
+            PolicyState::Paused { resume, reason } => {
+                (Some(reason.clone()), Some(resume.since(now).as_secs_f64()))
             }
-        };
-        let policy_retry = match &campaign.health.state {
-            PolicyState::Paused { resume, .. } => Some(resume.since(now)),
-            PolicyState::Available | PolicyState::Probing { .. } => None,
+            PolicyState::Probing { reason, .. } => (Some(reason.clone()), None),
         };
         let able = live.iter().filter(|live| campaign.accepts(&live.pin));
         let able: Vec<&Live> = able.collect();
-        let source = self.source(campaign.id).await?.map(|source| source.name);
+        let source = self.source(campaign.id).await?;
         let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
-        let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
-            (false, ..) => String::new(),
-            (true, Some(reason), _) => reason.clone(),
+        let waiting_reason = match (is_waiting, &self.held, &policy_outage) {
+            (false, ..) => None,
+            (true, Some(reason), _) => Some(reason.clone()),
             (true, None, Some(reason)) => {
-                format!("policy `{}` is paused: {reason}", campaign.policy)
+                Some(format!("policy `{}` is paused: {reason}", campaign.policy))
             }
             (true, None, None) if able.is_empty() => {
-                no_worker_reason(&campaign.demand(), live.first().map(|live| &live.pin))
+                Some(no_worker_reason(&campaign.demand(), live.first().map(|live| &live.pin)))
             }
             (true, None, None) => self.files_reason(campaign.id, &able).await?,
         };
-        let is_stuck = is_waiting && !waiting_reason.is_empty();
+        let is_settled = remaining == 0.0;
+        let state = match campaign.state {
+            CampaignState::Running { .. } if is_settled => Stage::Finished,
+            CampaignState::Running { .. } => Stage::Running,
+            CampaignState::Paused { .. } => Stage::Paused,
+            CampaignState::Cancelled { .. } => Stage::Cancelled,
+            CampaignState::Stopped { .. } => Stage::Stopped,
+        };
         let fingerprints = self.fingerprints(campaign.id).await?;
-        let stop = stops::early_stop(self.tx(), campaign.id).await?;
         Ok(CampaignStatus {
-            campaign,
-            counts,
-            policy_pause_reason,
-            policy_retry,
+            name: campaign.name.to_string(),
+            policy: campaign.policy,
+            endpoint: campaign.endpoint,
+            priority: campaign.priority,
+            state,
+            is_finished: is_settled || state.is_over(),
+            rollouts: counts,
             rate_per_sec,
-            eta_secs: rate_per_sec.filter(|_| !is_stuck).map(|rate| remaining / rate),
+            remaining_secs: rate_per_sec
+                .filter(|_| waiting_reason.is_none())
+                .map(|rate| remaining / rate),
             live_workers: u32::try_from(able.len()).unwrap_or(u32::MAX),
+            policy_outage,
             waiting_reason,
-            fingerprints,
-            stop,
-            source,
+            mixed_fingerprints: fingerprints.as_ref().map(Fingerprints::to_string),
+            early_stop: stops::early_stop(self.tx(), campaign.id).await?,
+            follows_from: source.map(|source| source.name.to_string()),
+            created_at: campaign.created_ms,
+            policy_retry_secs: policy_retry,
         })
     }
 }

@@ -1,10 +1,14 @@
 //! Jobs, with their attempts.
 
-use libero_ctrl::{Condition, Level};
+use libero_ctrl::{Condition, Level, Look, ManifestRow};
+use rollout_types::GoalProgress;
+use serde::ser::Error;
+use serde::{Deserialize, Serialize, Serializer};
+use sqlx::types::Json;
 
 use super::View;
 use super::configurations::ResultLine;
-use crate::clock::UnixMillis;
+use crate::clock::{UnixMillis, rfc3339};
 use crate::ids::{AttemptNumber, JobId, JobName, WorkerId};
 use crate::operations::error::QueueError;
 use crate::store::campaigns::Campaign;
@@ -32,72 +36,120 @@ pub struct JobFilter<'a> {
     pub limit: u32,
 }
 
-/// A job as listed to operators.
-#[derive(Clone, Debug, sqlx_macros::FromRow)]
+/// A job, as operators get it; docs/JSON.md describes the keys.
+#[derive(Clone, Debug, Serialize, Deserialize, sqlx_macros::FromRow)]
 pub struct JobLine {
-    pub id: JobId,
     pub rollout_id: String,
     pub replicate: u32,
+    pub job_id: JobId,
     /// "queued", "leased", "committed" or "quarantined".
     pub state: String,
-    /// Leases granted so far.
-    pub attempt: AttemptNumber,
-    pub charged_attempts: u32,
-    /// Earliest instant of the next lease; `None` unless the job is queued.
-    pub not_before_ms: Option<UnixMillis>,
-    /// The attempt that holds the job's lease; `None` unless the job is leased.
-    pub attempt_id: Option<String>,
-    /// The worker that holds the job's lease; `None` unless the job is leased.
-    pub lease_owner: Option<WorkerId>,
-    /// Instant at which the lease expires without a further heartbeat.
-    pub lease_expires_ms: Option<UnixMillis>,
-    /// The policy's control steps that the worker last reported; 0 while the scene settles, `None`
-    /// unless the job is leased.
-    pub control_steps: Option<u32>,
-    pub last_error: Option<String>,
-    /// Outcome, true if the goal was reached; `None` until the job is committed.
-    pub success: Option<bool>,
+    /// "success" or "failure"; `None` until the job is committed.
+    pub outcome: Option<String>,
     /// The policy's control steps; `None` until the job is committed.
     pub steps: Option<u32>,
+    /// Leases granted so far.
+    pub attempts: u32,
+    pub charged_attempts: u32,
+    /// The attempt that holds the job's lease; `None` unless the job is leased, as are the worker,
+    /// its control steps and the lease's length.
+    pub attempt_id: Option<String>,
+    pub worker_id: Option<WorkerId>,
+    /// The policy's control steps that the worker last reported; 0 while the scene settles.
+    pub control_steps: Option<u32>,
+    /// Seconds until the lease expires without a further heartbeat.
+    pub lease_left_secs: Option<f64>,
+    /// Seconds until the job may be leased; `None` unless it is queued.
+    pub backoff_left_secs: Option<f64>,
+    pub last_error: Option<String>,
 }
 
 /// An attempt that ended without a result.
-#[derive(Clone, Debug, sqlx_macros::FromRow)]
+#[derive(Clone, Debug, Serialize, Deserialize, sqlx_macros::FromRow)]
 pub struct FailureLine {
+    #[serde(skip)]
     pub job_id: JobId,
     /// Number of the attempt within its job.
     pub attempt: AttemptNumber,
     /// Worker that ran the attempt.
     pub worker_id: WorkerId,
-    /// Instant at which the attempt ended.
-    pub failed_ms: UnixMillis,
     /// Kind of the failure, as `FailureReason` names it.
     pub reason: String,
-    pub charged: bool,
+    pub is_charged: bool,
     pub error: String,
+    /// Instant at which the attempt ended.
+    #[serde(with = "rfc3339")]
+    pub failed_at: UnixMillis,
+}
+
+/// Origin of a committed job's result.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ResultOrigin {
+    pub goal: GoalProgress,
+    pub prompt: Option<String>,
+    pub attempt: AttemptNumber,
+    pub worker_id: WorkerId,
+    pub host: String,
+    pub renderer: String,
+    pub look: Look,
+    pub wall_secs: f64,
+    pub divergences: u32,
+    pub video: Option<String>,
+    #[serde(with = "rfc3339")]
+    pub committed_at: UnixMillis,
 }
 
 /// A job with its manifest row, failed attempts and result.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct JobDetails {
-    pub line: JobLine,
-    /// Manifest row, JSON.
-    pub manifest_row: String,
+    pub job: JobLine,
+    #[serde(serialize_with = "sort_keys")]
+    pub manifest_row: ManifestRow,
     /// Reports that were refused because their attempt no longer held the lease.
-    pub stale_reports: u32,
+    pub late_reports: u32,
+    pub result: Option<ResultOrigin>,
     /// Attempts that ended without a result, newest first.
     pub failures: Vec<FailureLine>,
-    pub result: Option<ResultLine>,
 }
 
-/// Query for the [`JobLine`]s of a campaign, `?1`; further conditions can be appended.
+fn sort_keys<S: Serializer>(row: &ManifestRow, serializer: S) -> Result<S::Ok, S::Error> {
+    serde_json::to_value(row).map_err(S::Error::custom)?.serialize(serializer)
+}
+
+impl From<ResultLine> for ResultOrigin {
+    fn from(line: ResultLine) -> ResultOrigin {
+        ResultOrigin {
+            goal: GoalProgress {
+                predicates: line.goal_predicates,
+                at_end: line.goal_at_end,
+                at_most: line.goal_at_most,
+            },
+            prompt: line.prompt,
+            attempt: line.number,
+            worker_id: line.worker_id,
+            host: line.provenance.host,
+            renderer: line.provenance.pin.renderer,
+            look: line.provenance.pin.look,
+            wall_secs: line.wall_secs,
+            divergences: line.divergences,
+            video: line.video,
+            committed_at: line.committed_ms,
+        }
+    }
+}
+
+/// Query for the [`JobLine`]s of a campaign, `?1`, at the instant `?2`; further conditions can be
+/// appended.
 macro_rules! job_lines {
     () => {
         concat!(
-            "SELECT j.id, j.rollout_id, j.replicate, j.state, j.attempt, j.charged_attempts,
-             j.not_before_ms, j.attempt_id, j.lease_owner, j.lease_expires_ms, ",
+            "SELECT j.rollout_id, j.replicate, j.id AS job_id, j.state,
+                 iif(r.success IS NULL, NULL, iif(r.success, 'success', 'failure')) AS outcome,
+                 r.steps, j.attempt AS attempts, j.charged_attempts, j.attempt_id,
+                 j.lease_owner AS worker_id, ",
             policy_steps!(),
-            ", j.last_error, r.success, r.steps
+            ", max(0, j.lease_expires_ms - ?2) / 1000.0 AS lease_left_secs,
+                 max(0, j.not_before_ms - ?2) / 1000.0 AS backoff_left_secs, j.last_error
          FROM job j LEFT JOIN result r ON r.job_id = j.id
          WHERE j.campaign_id = ?1"
         )
@@ -113,18 +165,19 @@ impl View {
     ) -> Result<Vec<JobLine>, StoreError> {
         sqlx::query_as(concat!(
             job_lines!(),
-            " AND j.id > ?2 AND (?3 IS NULL OR j.state = ?3)
-             AND (?5 IS NULL OR r.success = ?5)
-             AND (?6 IS NULL OR j.task = ?6
-                 OR substr(j.task, 1, length(?6) + 1) IN (?6 || '/', ?6 || '+'))
-             AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0
-                 OR ?7 = 'variant' AND instr(j.rollout_id, ':') > 0)
+            " AND j.id > ?3 AND (?4 IS NULL OR j.state = ?4)
+             AND (?6 IS NULL OR r.success = ?6)
+             AND (?7 IS NULL OR j.task = ?7
+                 OR substr(j.task, 1, length(?7) + 1) IN (?7 || '/', ?7 || '+'))
              AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0
-                 OR ?8 = 'L0' AND (instr(j.rollout_id, '/clean/') > 0
+                 OR ?8 = 'variant' AND instr(j.rollout_id, ':') > 0)
+             AND (?9 IS NULL OR instr(j.rollout_id, '/' || ?9 || '/') > 0
+                 OR ?9 = 'L0' AND (instr(j.rollout_id, '/clean/') > 0
                      OR instr(j.rollout_id, ':') > 0))
-             ORDER BY j.id LIMIT ?4"
+             ORDER BY j.id LIMIT ?5"
         ))
         .bind(campaign.id)
+        .bind(self.now)
         .bind(filter.after)
         .bind(filter.state)
         .bind(filter.limit.clamp(1, MAX_JOBS_LISTED))
@@ -140,8 +193,9 @@ impl View {
 
     pub async fn job(&mut self, campaign: &Campaign, job: &JobName) -> Result<JobLine, QueueError> {
         let line =
-            sqlx::query_as(concat!(job_lines!(), " AND j.rollout_id = ?2 AND j.replicate = ?3"))
+            sqlx::query_as(concat!(job_lines!(), " AND j.rollout_id = ?3 AND j.replicate = ?4"))
                 .bind(campaign.id)
+                .bind(self.now)
                 .bind(&job.rollout_id)
                 .bind(job.replicate)
                 .fetch_optional(self.tx())
@@ -159,20 +213,20 @@ impl View {
         campaign: &Campaign,
         job: &JobName,
     ) -> Result<JobDetails, QueueError> {
-        let line = self.job(campaign, job).await?;
-        let (manifest_row, stale_reports) =
+        let job = self.job(campaign, job).await?;
+        let (Json(manifest_row), late_reports) =
             sqlx::query_as("SELECT manifest_row, stale_reports FROM job WHERE id = ?")
-                .bind(line.id)
+                .bind(job.job_id)
                 .fetch_one(self.tx())
                 .await
                 .doing("read a job")?;
-        let ids = [line.id];
+        let ids = [job.job_id];
         Ok(JobDetails {
+            job,
             manifest_row,
-            stale_reports,
+            late_reports,
+            result: self.results(&ids).await?.into_iter().next().map(ResultOrigin::from),
             failures: self.failures(&ids).await?,
-            result: self.results(&ids).await?.into_iter().next(),
-            line,
         })
     }
 
@@ -180,7 +234,8 @@ impl View {
     /// numbers within their jobs; at most `MAX_FAILURES_SHOWN` in all.
     pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
         sqlx::query_as(
-            "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error
+            "SELECT job_id, attempt, worker_id, reason, charged AS is_charged, error,
+                 failed_ms AS failed_at
              FROM failure WHERE job_id IN (SELECT value FROM json_each(?))
              ORDER BY attempt DESC LIMIT ?",
         )

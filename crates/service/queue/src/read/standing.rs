@@ -1,7 +1,9 @@
 //! State of workers and policies, and the quarantine.
 
+use serde::{Deserialize, Serialize};
+
 use super::View;
-use crate::clock::UnixMillis;
+use crate::clock::{UnixMillis, rfc3339};
 use crate::ids::{CampaignId, CampaignName, PolicyId, WorkerId};
 use crate::rules::outage::PolicyHealth;
 use crate::store::policies::health;
@@ -10,10 +12,10 @@ use crate::store::{Doing, StoreError};
 /// Most workers that one query returns: those that called most recently.
 pub const MAX_WORKERS_LISTED: u32 = 1_000;
 
-/// A worker as listed to operators.
-#[derive(Clone, Debug, sqlx_macros::FromRow)]
+/// A worker, as operators get it; docs/JSON.md describes the keys.
+#[derive(Clone, Debug, Serialize, Deserialize, sqlx_macros::FromRow)]
 pub struct WorkerLine {
-    pub id: WorkerId,
+    pub worker_id: WorkerId,
     /// Machine of the worker.
     pub host: String,
     /// Rollouts that the worker runs concurrently.
@@ -25,21 +27,24 @@ pub struct WorkerLine {
     pub renderer: String,
     pub look: String,
     pub program_version: String,
-    /// Instant of the worker's last registration.
-    pub registered_ms: UnixMillis,
-    pub last_seen_ms: UnixMillis,
+    /// True if the worker called recently and has not signed off.
+    pub is_alive: bool,
     /// True if the worker signed off after a clean shutdown.
     pub has_signed_off: bool,
     /// Charged failures of the worker's machine since its last committed result.
-    pub charged_in_a_row: u32,
+    pub failures_in_a_row: u32,
     /// Reason why the worker must stop leasing; `None` if it may lease.
     pub stopped_reason: Option<String>,
-    /// True if the worker called recently and has not signed off.
-    pub is_alive: bool,
-    /// Videos of finished rollouts that the worker renders or uploads; 0 unless the worker is
-    /// alive.
+    /// Instant of the worker's last registration.
+    #[serde(with = "rfc3339")]
+    pub registered_at: UnixMillis,
+    #[serde(with = "rfc3339")]
+    pub last_call_at: UnixMillis,
+    /// Videos of finished rollouts that the worker renders or uploads; `None` without any, or unless
+    /// the worker is alive. Not printed as JSON.
     #[sqlx(skip)]
-    pub filming: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filming: Option<u32>,
 }
 
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
@@ -69,11 +74,12 @@ impl View {
     pub async fn workers(&mut self) -> Result<Vec<WorkerLine>, StoreError> {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let mut workers: Vec<WorkerLine> = sqlx::query_as(
-            "SELECT w.id, w.host, w.slots, coalesce(h.leases, 0) AS leases, w.asset_pack,
-                 w.mujoco_version, w.renderer, w.look, w.program_version, w.registered_ms,
-                 w.last_seen_ms, w.charged_in_a_row, w.stopped_reason,
+            "SELECT w.id AS worker_id, w.host, w.slots, coalesce(h.leases, 0) AS leases,
+                 w.asset_pack, w.mujoco_version, w.renderer, w.look, w.program_version,
+                 w.last_seen_ms >= ? AND w.signed_off_ms IS NULL AS is_alive,
                  w.signed_off_ms IS NOT NULL AS has_signed_off,
-                 w.last_seen_ms >= ? AND w.signed_off_ms IS NULL AS is_alive
+                 w.charged_in_a_row AS failures_in_a_row, w.stopped_reason,
+                 w.registered_ms AS registered_at, w.last_seen_ms AS last_call_at
              FROM worker w LEFT JOIN
                  (SELECT lease_owner, count(*) AS leases FROM job WHERE state = 'leased'
                   GROUP BY lease_owner) h ON h.lease_owner = w.id
@@ -85,7 +91,7 @@ impl View {
         .await
         .doing("list workers")?;
         for worker in workers.iter_mut().filter(|worker| worker.is_alive) {
-            worker.filming = self.filming.get(&worker.id).copied().unwrap_or_default();
+            worker.filming = self.filming.get(&worker.worker_id).copied();
         }
         Ok(workers)
     }

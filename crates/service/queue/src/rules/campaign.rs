@@ -3,7 +3,7 @@
 
 use std::ops::RangeInclusive;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::clock::UnixMillis;
 
@@ -11,7 +11,7 @@ use crate::clock::UnixMillis;
 pub const PRIORITIES: RangeInclusive<i32> = -100..=100;
 
 /// State of a campaign. Must match the store's CHECK constraints.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum CampaignState {
     /// Jobs of the campaign are leased.

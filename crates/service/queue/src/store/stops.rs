@@ -1,6 +1,7 @@
 //! Statements on `stop`: campaigns that may stop early or have stopped early.
 
 use libero_ctrl::Stop;
+use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
@@ -24,15 +25,18 @@ pub(crate) struct FirstUnsettled {
 }
 
 /// Early stop of a campaign: the rule, and the point at which the campaign stopped.
-#[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, sqlx_macros::FromRow)]
 pub struct EarlyStop {
     /// The stop rule, with the seed of the random order of configurations.
     #[sqlx(json)]
+    #[serde(flatten)]
     pub stop: Stop,
     /// Number of all configurations of the campaign.
     pub configurations: u32,
     /// Number of configurations after which the campaign stopped; `None` if it has not stopped.
     pub used: Option<u32>,
+    /// Number of rollouts that do not run; `None` if it has not stopped.
+    pub saved: Option<u32>,
 }
 
 /// Records that a campaign may stop early.
@@ -106,8 +110,10 @@ pub(crate) async fn early_stop(
     campaign: CampaignId,
 ) -> Result<Option<EarlyStop>, StoreError> {
     sqlx::query_as(
-        "SELECT c.spec -> '$.stop' AS stop, s.configurations, s.used
-         FROM stop s JOIN campaign c ON c.id = s.campaign_id WHERE s.campaign_id = ?",
+        "SELECT c.spec -> '$.stop' AS stop, s.configurations, s.used,
+             iif(s.used IS NULL, NULL, t.queued) AS saved
+         FROM stop s JOIN campaign c ON c.id = s.campaign_id
+         JOIN tally t ON t.campaign_id = s.campaign_id WHERE s.campaign_id = ?",
     )
     .bind(campaign)
     .fetch_optional(tx)
