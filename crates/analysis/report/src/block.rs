@@ -6,7 +6,6 @@ use std::fmt::{Display, Write};
 use maud::{Markup, html};
 use paired::push_wrapped;
 
-use crate::page::markup::table;
 use crate::words::minus_signs;
 
 /// Columns of a terminal.
@@ -30,8 +29,12 @@ pub(crate) enum Block<'a> {
     Folded(Table),
     /// A part of the page alone, such as a figure.
     Html(Box<dyn Fn() -> Markup + 'a>),
-    /// A part of the text alone.
-    Text(String),
+}
+
+impl Block<'_> {
+    fn is_some(&self) -> bool {
+        !matches!(self, Self::Table(table) | Self::Folded(table) if table.rows.is_empty())
+    }
 }
 
 /// A table: its rows are records, and each has a cell in every column.
@@ -66,10 +69,12 @@ enum Kind {
 pub(crate) struct Cell {
     text: String,
     below: Vec<String>,
+    /// URL of the value on the page.
+    link: Option<String>,
 }
 
 pub(crate) fn cell(text: impl Display) -> Cell {
-    Cell { text: text.to_string(), below: Vec::new() }
+    Cell { text: text.to_string(), ..Cell::default() }
 }
 
 /// Returns a cell with the value, or a dash for `None`.
@@ -85,6 +90,11 @@ impl Cell {
         self
     }
 
+    /// Links the value on the page.
+    pub(crate) fn link(self, link: Option<String>) -> Self {
+        Self { link, ..self }
+    }
+
     /// Marks the value.
     pub(crate) fn star(&mut self) {
         self.text.push('*');
@@ -97,7 +107,13 @@ impl Cell {
     }
 
     fn html(&self) -> Markup {
-        html! { (self.text) @for line in &self.below { small { (line) } } }
+        html! {
+            @match &self.link {
+                Some(link) => a href=(link) { code { (self.text) } },
+                None => (self.text),
+            }
+            @for line in &self.below { small { (line) } }
+        }
     }
 }
 
@@ -182,15 +198,35 @@ impl Table {
         }
     }
 
+    /// Renders the table in a box that scrolls if it is wider than the page, and that the keyboard
+    /// reaches.
     fn box_html(&self) -> Markup {
-        let heads = self.columns.iter().map(|column| match column.kind {
-            Kind::Number => column.head(),
-            Kind::Key | Kind::Words => format!("{}.", column.head()),
-        });
-        let heads: Vec<String> = heads.collect();
-        let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
-        let rows = self.rows.iter().map(|row| row.iter().map(Cell::html).collect());
-        table(&self.name, &heads, rows.collect())
+        let class = |column: &Column| (column.kind != Kind::Number).then_some("words");
+        html! {
+            @if !self.rows.is_empty() {
+                div.scroll tabindex="0" role="region" aria-label=(self.name) {
+                    table {
+                        thead {
+                            tr {
+                                @for column in &self.columns {
+                                    th scope="col" class=[class(column)] { (column.head()) }
+                                }
+                            }
+                        }
+                        tbody {
+                            @for row in &self.rows {
+                                tr {
+                                    th scope="row" { (row[0].html()) }
+                                    @for (value, column) in row.iter().zip(&self.columns).skip(1) {
+                                        td class=[class(column)] { (value.html()) }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
     }
 
     /// Renders the table folded.
@@ -201,7 +237,7 @@ impl Table {
     }
 
     /// Writes the table for a terminal: a line per record, below headings if the lines are too
-    /// wide otherwise, or else a column per record.
+    /// wide otherwise, or else a column per record, or a paragraph per cell.
     pub(crate) fn text(&self) -> String {
         let mut text = String::new();
         if self.rows.is_empty() {
@@ -241,7 +277,11 @@ impl Table {
         let mut rest = records.as_slice();
         while !rest.is_empty() {
             let fits = |count: &usize| total_width(&self.turned(&rest[..*count])) <= WIDTH;
-            let count = (1..=rest.len()).rev().find(fits).unwrap_or(1);
+            let Some(count) = (1..=rest.len()).rev().find(fits) else {
+                self.push_listed(&mut text, &rest[0]);
+                rest = &rest[1..];
+                continue;
+            };
             let turned = self.turned(&rest[..count]);
             let is_left: Vec<bool> = (0..=count).map(|index| index == 0).collect();
             push_grid(&mut text, &is_left, &turned, &widths(&turned));
@@ -251,6 +291,20 @@ impl Table {
             }
         }
         text
+    }
+
+    /// Appends a record with a paragraph per column.
+    fn push_listed(&self, text: &mut String, record: &[Vec<String>]) {
+        let cells = || self.columns.iter().zip(record);
+        let keys = cells().filter(|(column, _)| column.kind == Kind::Key);
+        let keys: Vec<String> = keys.map(|(_, lines)| lines.join(" ")).collect();
+        push_wrapped(text, "", &keys.join(" "));
+        for (column, lines) in cells().filter(|(column, _)| column.kind != Kind::Key) {
+            let words = lines.join(" ");
+            if !words.is_empty() {
+                push_wrapped(text, &format!("  {}: ", column.head()), &words);
+            }
+        }
     }
 
     /// Returns the rows of a table with a column per record.
@@ -354,7 +408,6 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
                 }
                 table.text()
             }
-            Block::Text(part) => part.clone(),
             Block::Html(_) => continue,
         };
         let is_prose = matches!(block, Block::Paragraph(_) | Block::Claim(_));
@@ -381,7 +434,7 @@ pub(crate) fn html(sections: &[Section<'_>]) -> Markup {
         @for section in sections {
             @if section.title.is_empty() {
                 (blocks_html(&section.blocks))
-            } @else if !section.blocks.is_empty() {
+            } @else if section.blocks.iter().any(Block::is_some) {
                 section { h2 { (section.title) } (blocks_html(&section.blocks)) }
             }
         }
@@ -398,7 +451,6 @@ pub(crate) fn blocks_html(blocks: &[Block<'_>]) -> Markup {
                 Block::Table(table) => (table.html()),
                 Block::Folded(table) => (table.folded()),
                 Block::Html(part) => (part()),
-                Block::Text(_) => {}
             }
         }
     }

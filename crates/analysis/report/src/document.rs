@@ -9,7 +9,7 @@ use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report, push_wrapp
 use serde::Serialize;
 
 use crate::analysis::Analysis;
-use crate::block::{self, Block, WIDTH};
+use crate::block::{self, Block};
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
 use crate::family::{Family, FamilyError};
@@ -221,7 +221,7 @@ impl Document {
         let mut text = String::new();
         if let Some(family) = &self.family {
             push_warnings(&mut text, &self.all_warnings());
-            text.push_str(&family.text(false));
+            text.push_str(&family.brief());
             return text;
         }
         push_warnings(&mut text, &self.warnings);
@@ -232,9 +232,9 @@ impl Document {
             text.push_str(&title(&analysis.subject));
             push_warnings(&mut text, &analysis.report.notes);
             text.push('\n');
-            text.push_str(&match analysis.derived_text() {
-                Some(derived) => derived,
-                None => block::text(&brief(analysis)),
+            text.push_str(&match analysis.derived(None) {
+                derived if derived.is_empty() => block::text(&brief(analysis)),
+                derived => block::text(derived.iter().flat_map(|section| &section.blocks)),
             });
         }
         if self.analyses.iter().any(Analysis::is_paired) {
@@ -264,17 +264,10 @@ impl Document {
         if !text.ends_with("\n\n") {
             text.push('\n');
         }
-        match &self.family {
-            Some(family) => text.push_str(&family.text(true)),
-            None => {
-                let sections = page::of_document(self, None);
-                text.push_str(&block::text(sections.iter().flat_map(|section| &section.blocks)));
-            }
-        }
-        for analysis in &self.analyses {
-            text.push_str(&quarantine_list(&analysis.subject));
-        }
-        text
+        let title = self.family.as_ref().map(|family| Block::Heading(family.heading()));
+        let sections = page::of_document(self, None);
+        let blocks = sections.iter().flat_map(|section| &section.blocks);
+        text + &block::text(title.iter().chain(blocks))
     }
 }
 
@@ -412,18 +405,4 @@ fn head(subject: &Subject) -> String {
             head
         }
     }
-}
-
-/// Lists the last error of each quarantined rollout, one per line.
-fn quarantine_list(subject: &Subject) -> String {
-    let mut text = String::new();
-    if !subject.errors.is_empty() {
-        text.push_str("\nin quarantine, with the last error:\n");
-    }
-    for Quarantined { rollout, last_error } in &subject.errors {
-        let error = last_error.lines().next().unwrap_or_default();
-        text.extend(format!("  {rollout}: {error}").chars().take(WIDTH));
-        text.push('\n');
-    }
-    text
 }

@@ -203,9 +203,9 @@ impl Line {
 }
 
 impl Family {
-    /// Returns the sections of the page.
-    pub(crate) fn sections(&self) -> Vec<Section<'_>> {
-        vec![Section { title: self.title(), blocks: self.blocks(true) }]
+    /// Returns the section of the page.
+    pub(crate) fn section(&self) -> Section<'_> {
+        Section { title: self.title(), blocks: self.blocks(true) }
     }
 
     fn title(&self) -> String {
@@ -382,13 +382,15 @@ impl Family {
         }))
     }
 
-    /// Writes the report for a terminal; `is_full` adds the lines of `cells` and the published
-    /// table.
-    pub fn text(&self, is_full: bool) -> String {
-        let title =
-            format!("Campaign {} of policy {}: {}", self.campaign, self.policy, self.title());
-        let blocks = [Block::Heading(title)].into_iter().chain(self.blocks(is_full));
+    /// Writes the short report for a terminal.
+    pub(crate) fn brief(&self) -> String {
+        let blocks = [Block::Heading(self.heading())].into_iter().chain(self.blocks(false));
         block::text(&blocks.collect::<Vec<_>>())
+    }
+
+    /// Returns the title of the text.
+    pub(crate) fn heading(&self) -> String {
+        format!("Campaign {} of policy {}: {}", self.campaign, self.policy, self.title())
     }
 
     /// Returns the row of this campaign, and the published rows.
