@@ -390,24 +390,16 @@ fn push_grid(text: &mut String, is_left: &[bool], rows: &[Vec<Vec<String>>], wid
 /// Writes blocks for a terminal, with the legend of their tables below them.
 pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) -> String {
     let mut text = String::new();
-    let mut legend: Vec<(&str, &str)> = Vec::new();
+    let blocks: Vec<&Block<'_>> = blocks.into_iter().collect();
     let mut follows_prose = false;
-    for block in blocks {
+    for block in &blocks {
         let part = match block {
             Block::Heading(words) | Block::Paragraph(words) | Block::Claim(words) => {
                 let mut part = String::new();
                 push_wrapped(&mut part, "", words);
                 part
             }
-            Block::Table(table) | Block::Folded(table) => {
-                let printed = table.meanings().filter(|_| !table.rows.is_empty());
-                for meaning in printed {
-                    if !legend.contains(&meaning) {
-                        legend.push(meaning);
-                    }
-                }
-                table.text()
-            }
+            Block::Table(table) | Block::Folded(table) => table.text(),
             Block::Html(_) => continue,
         };
         let is_prose = matches!(block, Block::Paragraph(_) | Block::Claim(_));
@@ -417,6 +409,7 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
         follows_prose = is_prose;
         text.push_str(&part);
     }
+    let legend = legend(blocks);
     let width = legend.iter().map(|(symbol, _)| symbol.chars().count()).max();
     if let Some(width) = width {
         text.push('\n');
@@ -426,6 +419,25 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
         }
     }
     text.replace('−', "-")
+}
+
+/// Returns the meanings in all tables, each once.
+pub(crate) fn legend<'a, 'b: 'a>(
+    blocks: impl IntoIterator<Item = &'a Block<'b>>,
+) -> Vec<(&'a str, &'a str)> {
+    let mut legend = Vec::new();
+    for block in blocks {
+        if let Block::Table(table) | Block::Folded(table) = block
+            && !table.rows.is_empty()
+        {
+            for meaning in table.meanings() {
+                if !legend.contains(&meaning) {
+                    legend.push(meaning);
+                }
+            }
+        }
+    }
+    legend
 }
 
 /// Renders sections for the page.

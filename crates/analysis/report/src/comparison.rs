@@ -126,6 +126,14 @@ impl Comparison {
         format!("{} − {}", self.a.label, self.b.label)
     }
 
+    /// Returns the meanings of the tables' columns as a Markdown table, for docs/REPORT.md.
+    pub fn columns(&self) -> String {
+        let blocks = self.blocks();
+        let rows = block::legend(&blocks).into_iter();
+        let rows = rows.map(|(column, meaning)| format!("| `{column}` | {meaning} |\n"));
+        format!("| column | meaning |\n| --- | --- |\n{}", rows.collect::<String>())
+    }
+
     /// Writes the comparison for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
@@ -141,14 +149,6 @@ impl Comparison {
         }
         text.push_str(&block::text(&self.blocks()));
         text
-    }
-
-    /// Writes the comparison as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
-        serde_json::to_string_pretty(self)
     }
 }
 

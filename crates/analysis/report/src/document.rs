@@ -13,7 +13,7 @@ use crate::block::{self, Block};
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
 use crate::family::{Family, FamilyError};
-use crate::interactions;
+use crate::interactions::AxisInteractions;
 use crate::page;
 use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject, agree, pluralise};
@@ -90,7 +90,7 @@ struct JsonReport<'a> {
     /// In the form of `thresholds --json`.
     thresholds: Option<&'a ThresholdReport>,
     /// In the form of `interactions --json`.
-    interactions: Option<interactions::JsonForm<'a>>,
+    interactions: Option<&'a AxisInteractions>,
 }
 
 /// The JSON form of a campaign of LIBERO's family or of a suite file.
@@ -186,7 +186,7 @@ impl Document {
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.thresholds.as_ref(),
-            interactions: analysis.interactions.as_ref().map(|interactions| interactions.form()),
+            interactions: analysis.interactions.as_ref(),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,

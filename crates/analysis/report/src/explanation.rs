@@ -9,7 +9,7 @@ use adaptive::subsets::{
     Answer, Explained, LatticeError, Occurrence, Repeats, Sample, Unexplained, Verdict,
     configurations, next, occurrences, plan, selected,
 };
-use libero_ctrl::{AxisSet, Explanation, JsonError};
+use libero_ctrl::{AxisSet, Explanation};
 use paired::{Outcome, Record, Transition};
 use serde::Serialize;
 
@@ -140,14 +140,6 @@ impl Findings {
         }
         findings.subsets = occurrences(&findings.configurations);
         Ok(Some(findings))
-    }
-
-    /// Writes the findings as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, JsonError> {
-        Ok(serde_json::to_string_pretty(self)?)
     }
 
     /// Writes the findings as text for a terminal of 80 columns.

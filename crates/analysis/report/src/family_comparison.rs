@@ -139,14 +139,6 @@ impl FamilyComparison {
         }))
     }
 
-    /// Writes the comparison as JSON, as docs/JSON.md describes it.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
-        serde_json::to_string_pretty(self)
-    }
-
     /// Writes the comparison for a terminal.
     pub fn text(&self) -> String {
         let mut text = format!("A: {}\nB: {}\n", self.a.label, self.b.label);

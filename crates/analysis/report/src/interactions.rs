@@ -8,9 +8,9 @@ use adaptive::subsets::{
     CompleteLattice, Estimate, IncompleteLattice, Interactions, Lattice, LatticeError,
     configurations, own_configurations,
 };
-use libero_ctrl::{Axis, AxisSet, JsonError, Level, RolloutId};
+use libero_ctrl::{Axis, AxisSet, Level, RolloutId};
 use paired::Bootstrap;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::block::{self, Block, Cell, Rows, Section, cell};
 use crate::figures;
@@ -116,24 +116,6 @@ impl AxisInteractions {
                 first: *first,
                 gap,
             }),
-        }
-    }
-
-    /// Writes the interactions as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, JsonError> {
-        Ok(serde_json::to_string_pretty(&self.form())?)
-    }
-
-    pub(crate) fn form(&self) -> JsonForm<'_> {
-        JsonForm {
-            campaign: &self.campaign,
-            policy: &self.policy,
-            notes: &self.notes,
-            bootstrap: self.bootstrap,
-            levels: self.levels.iter().map(JsonLevel::new).collect(),
         }
     }
 
@@ -257,9 +239,22 @@ fn interval(effect: Option<&Estimate>) -> Cell {
     cell(interval.unwrap_or_default().trim_start())
 }
 
+impl Serialize for AxisInteractions {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        JsonForm {
+            campaign: &self.campaign,
+            policy: &self.policy,
+            notes: &self.notes,
+            bootstrap: self.bootstrap,
+            levels: self.levels.iter().map(JsonLevel::new).collect(),
+        }
+        .serialize(serializer)
+    }
+}
+
 /// JSON form, with lists in place of maps so that every key is a fixed field name.
 #[derive(Serialize)]
-pub(crate) struct JsonForm<'a> {
+struct JsonForm<'a> {
     campaign: &'a str,
     policy: &'a str,
     notes: &'a [String],

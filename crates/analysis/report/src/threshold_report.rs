@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use adaptive::radii::{Curve, Measurement, Ray, Threshold};
 use adaptive::{Decision, Outcomes};
-use libero_ctrl::{CONTROL_HZ, Condition, JsonError, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
+use libero_ctrl::{CONTROL_HZ, Condition, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
 use paired::{Bootstrap, Outcome, Record};
 use serde::Serialize;
 
@@ -183,14 +183,6 @@ impl ThresholdReport {
             curves: measurement.curves(&Bootstrap::default()),
             thresholds: measured,
         })
-    }
-
-    /// Writes the measurement as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, JsonError> {
-        Ok(serde_json::to_string_pretty(self)?)
     }
 
     /// Writes the measurement as text for a terminal of 80 columns.
