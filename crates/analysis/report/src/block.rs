@@ -4,12 +4,17 @@
 use std::fmt::{Display, Write};
 
 use maud::{Markup, html};
-use paired::push_wrapped;
 
 use crate::words::minus_signs;
 
 /// Columns of a terminal.
 pub(crate) const WIDTH: usize = 80;
+
+/// Appends a paragraph whose first line follows `prefix`, and whose further lines align with it.
+pub(crate) fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
+    text.push_str(&terminal::wrapped(prefix, prefix.chars().count(), words));
+    text.push('\n');
+}
 
 /// A section of a report; without blocks, it is not rendered.
 pub(crate) struct Section<'a> {

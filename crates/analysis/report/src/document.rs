@@ -5,11 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
 use libero_ctrl::{Condition, Execution, JsonError, Level, Look};
-use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report, push_wrapped};
+use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
-use crate::block::{self, Block};
+use crate::block::{self, Block, push_wrapped};
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
 use crate::family::{Family, FamilyError};
@@ -55,10 +55,7 @@ pub enum DocumentError {
          such rollouts are never pooled with others; report on one campaign alone, or on one file \
          of its exported rows with their `protocol`"
     )]
-    Pooled {
-        /// Name of the policy.
-        policy: String,
-    },
+    Pooled { policy: String },
     #[error("write the report as JSON")]
     Json(#[from] JsonError),
 }
@@ -104,11 +101,6 @@ struct FamilyForm<'a> {
 
 impl Document {
     /// Analyses the subjects.
-    ///
-    /// # Errors
-    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family or
-    /// of a suite file have an unknown variant or protocol, lack their protocol, or are given
-    /// together with another subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
         let is_pooled = |subject: &&Subject| {
             let mut records = subject.records.iter();
@@ -156,9 +148,6 @@ impl Document {
     }
 
     /// Writes the report as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, DocumentError> {
         if let (Some(family), [analysis]) = (&self.family, self.analyses.as_slice()) {
             let text = serde_json::to_string_pretty(&FamilyForm {

@@ -18,7 +18,6 @@ use crate::figures::{self, Link};
 use crate::page::figure;
 use crate::subject::{Prospect, Subject, agree, pluralise};
 
-/// Caption of the figure.
 const FIGURE: &str = "The smallest sets of axes that change the outcome. Each column of dots is one set: a filled \
      dot is an axis that is perturbed. The bar above a column counts the configurations in which \
      the set changes the outcome and no smaller set that was run does; a configuration can have \
@@ -56,10 +55,6 @@ pub struct Findings {
 impl Findings {
     /// Returns the number of transitions to explain and the upper bound of the rollouts that their
     /// explanation takes.
-    ///
-    /// # Errors
-    /// If the campaign perturbs fewer than two axes, has a rollout and replicate twice, or allows
-    /// too few repeats to decide an outcome.
     pub fn prospect(
         campaign: &Subject,
         explanation: &Explanation,
@@ -89,10 +84,6 @@ impl Findings {
 
     /// Combines the outcomes of the campaign `explaining` with those of the campaign that it
     /// explains; `None` if `explaining` explains no campaign.
-    ///
-    /// # Errors
-    /// If the explained campaign perturbs fewer than two axes or has a rollout and replicate twice,
-    /// or `explaining` perturbs an axis that the explained campaign lacks.
     pub fn of(explaining: &Subject) -> Result<Option<Self>, LatticeError> {
         let Some((explanation, records)) = explaining.explains() else {
             return Ok(None);

@@ -19,14 +19,12 @@ use crate::page::findings::sentence;
 use crate::subject::Subject;
 use crate::words::{percent, points, points_interval};
 
-/// Interactions of a campaign's axes.
 #[derive(Clone, Debug)]
 pub struct AxisInteractions {
     pub campaign: String,
     pub policy: String,
     /// Warnings to be read first.
     pub notes: Vec<String>,
-    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Each level with a configuration whose whole lattice was run, in order of radius.
     pub levels: Vec<LevelInteractions>,
@@ -60,10 +58,6 @@ pub enum NoInteractions {
 impl AxisInteractions {
     /// Computes the interactions of a subject from its own subsets or, if it explains a campaign,
     /// from its outcomes and those of that campaign.
-    ///
-    /// # Errors
-    /// If the campaign's axes or records are invalid ([`LatticeError`]), or no configuration has an
-    /// outcome under every subset of the axes.
     pub fn of(subject: &Subject) -> Result<Self, NoInteractions> {
         let campaign = subject.origin_name();
         let explains = subject.explains();
@@ -138,9 +132,6 @@ impl AxisInteractions {
 }
 
 /// Returns the outcomes of a configuration under every subset.
-///
-/// # Errors
-/// If an outcome is missing.
 fn complete_lattice(
     id: &RolloutId,
     lattice: &Lattice,
@@ -217,7 +208,6 @@ impl LevelInteractions {
     }
 }
 
-/// Caption of the figure.
 const FIGURE: &str = "Left, framed on the diagonal: each axis's share of the change from nominal to simultaneous \
      success; the shares add up to the whole change. Below the diagonal: the amount by which one \
      axis of a pair changes the effect of the other; negative if the two axes do more harm \

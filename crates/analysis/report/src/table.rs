@@ -90,7 +90,6 @@ enum Value {
 enum Kind {
     /// Integer that is never null.
     Number,
-    /// Nullable integer.
     Integer,
     Real,
     Text,

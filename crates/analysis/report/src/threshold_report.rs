@@ -16,7 +16,6 @@ use crate::page::figure;
 use crate::subject::{Prospect, Subject, agree, pluralise};
 use crate::words;
 
-/// Caption of the figure.
 const FIGURE: &str = "Share of configurations that still succeed, by radius of the perturbation: a configuration \
      counts up to a radius if it succeeds nominally and at every radius that was run, up to and \
      including this one. L1, L2 and L3 are the paper's levels. A configuration fails somewhere \
@@ -58,12 +57,9 @@ pub struct ThresholdReport {
 /// The threshold of one configuration under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// Condition: the perturbed axes.
     pub condition: Condition,
     pub task: TaskRef,
-    /// The configuration's number.
     pub config: u16,
-    /// Kind of the threshold, as far as known.
     pub threshold: Kind,
     /// Largest radius below `fails_at` at which the configuration succeeds, 0 for the nominal
     /// rollout; without a failure, the largest successful radius.
@@ -79,16 +75,12 @@ pub struct Measured {
     pub outcomes: Vec<AtRadius>,
 }
 
-/// Kind of a threshold, as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
     NominalFails,
-    /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// The threshold is between two radii.
     Between,
-    /// The threshold is beyond the largest radius.
     Beyond,
     /// No failure so far, and the largest radius has no outcome.
     Open,
@@ -128,9 +120,6 @@ pub struct BudgetTooSmall {
 
 impl ThresholdReport {
     /// Checks that the budget suffices for at least one configuration of the campaign.
-    ///
-    /// # Errors
-    /// If the budget is smaller than the number of rollouts that one configuration may take.
     pub fn check_budget(campaign: &Subject, thresholds: &Thresholds) -> Result<(), BudgetTooSmall> {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let is_empty = measurement.rays().next().is_none() && measurement.ray_count() > 0;

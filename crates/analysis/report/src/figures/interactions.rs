@@ -19,7 +19,6 @@ const NAME_HEIGHT: f64 = 66.0;
 /// Opacity of a cell's colour above which its number is white.
 const DARK_ABOVE: f64 = 0.6;
 const STEP_LABEL_WIDTH: f64 = 132.0;
-/// Width of the column of numbers.
 const NUMBER_WIDTH: f64 = 58.0;
 const STEP_HEIGHT: f64 = 26.0;
 

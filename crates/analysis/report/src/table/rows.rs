@@ -181,7 +181,6 @@ pub(super) fn thresholds(document: &Document) -> Table<'_, OfThreshold<'_>> {
     }
 }
 
-/// A result row; optional fields that the JSON lacks are null.
 #[derive(Debug, Deserialize)]
 pub struct ResultRow {
     rollout_id: String,
