@@ -102,7 +102,8 @@ class Forecast:
     #: Rollouts per suite, replicates included.
     rollouts: Mapping[str, int]
     #: Number of live workers that can share a campaign, and number of their slots. If the workers
-    #: form several groups that cannot share a campaign, only the one with the most slots is counted.
+    #: form several groups that cannot share a campaign, only the one with the most slots is
+    #: counted.
     workers: int
     slots: int
     #: Duration of all rollouts on these slots if they run nothing else; None if no rollout of the
